@@ -24,20 +24,27 @@ from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
-CHILD = 2.0  # m/s², in any direction
+ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
 WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle
     "cyclist": (1.0, 3.0, 3.0, math.radians(30.0), 0.0),
+    "e_scooter": (1.2, 3.5, 2.5, math.radians(30.0), 0.0),
+    "motorcycle": (4.0, 5.5, 4.0, math.radians(30.0), 2.5),
     "car": (2.5, 6.0, 4.0, math.radians(30.0), 5.5),
+    "van": (2.0, 5.0, 3.5, math.radians(30.0), 6.5),
 }
 BODIES = {
     "child": {"radius": 0.25, "speed": 2.5},
+    "runner": {"radius": 0.25, "speed": 3.5},
     "cyclist": {"length": 1.8, "width": 0.6, "speed": 6.0},
+    "e_scooter": {"length": 1.2, "width": 0.6, "speed": 5.6},
+    "motorcycle": {"length": 2.1, "width": 0.8, "speed": 14.0},
     "car": {"length": 4.5, "width": 1.8, "speed": 14.0},
+    "van": {"length": 5.5, "width": 2.0, "speed": 14.0},
 }
 _ROUNDING = 1e-6
 
 
-def beyond(kind: str, path: FloatArray, way: FloatArray, step: float) -> float:
+def beyond(kind: str, path: FloatArray, way: FloatArray, step: float, heading: float = 0.0) -> float:
     """Return by how much the worst step of a way is beyond the limits in docs/decisions.md, m/s² or rad.
 
     Args:
@@ -45,12 +52,13 @@ def beyond(kind: str, path: FloatArray, way: FloatArray, step: float) -> float:
         path: φ, with whose first step it comes, n × 2, m.
         way: ψ, k × 2, m.
         step: s.
+        heading: of a box that stands, rad.
     """
     velocities = np.vstack([path[1] - path[0], np.diff(way, axis=0)]) / step
-    if kind == "child":
-        return float(np.hypot(*np.diff(velocities, axis=0).T).max() / step) - CHILD
+    if kind in ON_FOOT:
+        return float(np.hypot(*np.diff(velocities, axis=0).T).max() / step) - ON_FOOT[kind]
     up, down, aside, most, circle = WHEELED[kind]
-    heading, speed, worst = 0.0, 0.0, -math.inf
+    speed, worst = 0.0, -math.inf
     for index, (vx, vy) in enumerate(velocities.tolist()):
         after = math.hypot(vx, vy)
         if index:
@@ -103,9 +111,9 @@ def main() -> None:
     parser.add_argument("--kamikazes", type=whole_number(1), default=1000, metavar="N", help="of each kind and each φ")
     parser.add_argument("--recorded", type=Path, metavar="PATH", help="folder of CITR's vci_lat_uni")
     arguments = parser.parse_args()
-    print(f"{'kind':10}{'φ':12}{'kamikazes':>10}{'hit':>8}{'beyond its limits':>20}{'worst':>12}")
+    print(f"{'kind':12}{'φ':12}{'kamikazes':>10}{'hit':>8}{'beyond its limits':>20}{'worst':>12}")
     for kind in BODIES:
-        places = [("straight", load_scenario("crossing" if kind == "child" else "cyclist"))]
+        places = [("straight", load_scenario("crossing" if kind in ON_FOOT else "cyclist"))]
         if arguments.recorded:
             places.append(("recorded", load_scenario("citr_crossing")))
         for name, place in places:
@@ -113,7 +121,7 @@ def main() -> None:
             recorded = name == "recorded"
             safe = read_citr(arguments.recorded, place)[:20] if recorded else straight(scenario)
             outside, hits, worst = tally(scenario, safe, arguments.kamikazes)
-            print(f"{kind:10}{name:12}{arguments.kamikazes:>10}{hits:>8}{outside:>20}{worst:>12.1e}", flush=True)
+            print(f"{kind:12}{name:12}{arguments.kamikazes:>10}{hits:>8}{outside:>20}{worst:>12.1e}", flush=True)
 
 
 if __name__ == "__main__":

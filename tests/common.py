@@ -57,7 +57,7 @@ def wait_until(condition: Callable[[], Any], what: str = "what has to be", timeo
         found = condition()
         if found:
             return found
-        time.sleep(0.01)
+        time.sleep(0.03)
     raise AssertionError(f"waited {timeout:g} s in vain for {what}")
 
 

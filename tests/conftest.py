@@ -15,6 +15,7 @@ first.
 
 from __future__ import annotations
 
+import gc
 import inspect
 import signal
 from collections.abc import Callable, Iterator
@@ -27,6 +28,8 @@ from hypothesis import HealthCheck, settings
 
 if TYPE_CHECKING:
     from xdist.scheduler import LoadFileScheduling
+
+gc.disable()  # until all is imported, which stays: to look for garbage in it takes longer than some tests
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -44,6 +47,22 @@ _LONGEST = (
     "recordings/test_forged_episodes.py", "evaluator", "benchmarks", "adversary",
 )  # fmt: skip
 """Folders and files that are begun first, in this order: a long one at the end would leave the others idle."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def undrawn() -> None:
+    """Let only tests that look at pictures draw them."""
+    from undrawn import leave_undrawn  # which imports matplotlib: not in the process that only hands out tests
+
+    leave_undrawn()
+
+
+@pytest.fixture
+def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw pictures."""
+    from undrawn import DRAW, Figure
+
+    monkeypatch.setattr(Figure, "savefig", DRAW)
 
 
 def _turn(item: pytest.Item) -> int:
@@ -89,6 +108,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.flaky(reruns=1))
     if hasattr(config, "workerinput"):
         items.sort(key=_turn)
+
+
+def pytest_collection_finish() -> None:
+    """Look for garbage again, in what tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)

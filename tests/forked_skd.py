@@ -30,6 +30,8 @@ from pathlib import Path
 from typing import Any
 
 _SIZE = struct.Struct("!Q")
+TOKEN = "SKD_TEST_TOKEN"
+"""Environment variable by which a test finds every process that came of it, children of children included."""
 _FIXED = ("SKD_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
 """Variables that have had their effect before a command is forked."""
 _FIRST = (
@@ -86,7 +88,7 @@ def _server() -> str:
     """Start the server of this process, which ends with it, and return its address."""
     folder = tempfile.TemporaryDirectory(prefix="skd-forks-")
     address = str(Path(folder.name, "server"))
-    variables = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    variables = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", TOKEN)}
     process = subprocess.Popen(
         [sys.executable, __file__, address], env=variables, cwd=folder.name, stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -113,6 +115,7 @@ def _serve(address: str) -> int:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(address)
         listener.listen()
+        importlib.import_module("undrawn").leave_undrawn()
         _prepare(path)
         os.write(1, b"ready\n")
         while listener in select.select([listener, 0], [], [])[0]:

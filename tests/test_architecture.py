@@ -23,10 +23,12 @@ ROOMS = {  # of the evaluator: which others each may import
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
+    "fusion": {"measure", "campaign", "bags"},
     "learning": {"campaign", "bags", "measure"},
-    "assessing": {"campaign", "floor", "margin", "report", "learning"},
+    "risk": {"campaign", "bags", "margin", "measure"},
+    "assessing": {"campaign", "floor", "margin", "report", "learning", "risk"},
     "ros": {"campaign", "bags", "learning", "assessing"},
-    "campaigns": {"campaign", "floor", "margin", "ros", "assessing"},
+    "campaigns": {"campaign", "floor", "margin", "ros", "assessing", "risk"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
@@ -38,7 +40,7 @@ ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_evaluator/margin": "search exact ways",
     "skd_evaluator/ros": "readiness programs",
     "skd_evaluator/report": "html",
-    "skd_evaluator/measure": "distances statistics",
+    "skd_evaluator/measure": "distances surrogate statistics",
 }
 MAXIMUM_LINES = 450
 MOST_MODULES = 15

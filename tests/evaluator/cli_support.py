@@ -34,8 +34,6 @@ class GivesNan(_Car):
     def late(self): return float("nan")
 class Exits(_Car):
     def late(self): sys.exit(3)
-class Dies(_Car):
-    def late(self): os._exit(3)
 class Sleeps(_Car):
     def late(self): time.sleep(1000)
 class NoCommand:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -100,31 +101,32 @@ class Copied(Honest):
         return -8.0 if self.copied else super().command(car, adversary)
 """
 SMALL = ("--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet")
-NOTHING = ("--knowledge", "nothing")
 
 
-@pytest.fixture
-def cars(tmp_path: Path) -> Path:
-    (tmp_path / "cheats.py").write_text(CARS)
-    return tmp_path
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cars")
+    (folder / "cheats.py").write_text(CARS)
+    return folder
 
 
+@functools.cache
 def assessed(cars: Path, name: str, *further: object) -> tuple[int, str, dict[str, Any]]:
-    out = cars / f"out_{name}_{len(further)}"
-    words = ["assess", "--controller", f"cheats:{name}", *SMALL, *further, "--out", out]
+    out = cars / f"out_{name}"
+    words = ["assess", "--controller", f"cheats:{name}", "--knowledge", "nothing", *SMALL, *further, "--out", out]
     done = skd(*map(str, words), cwd=cars, PYTHONPATH=str(cars))
     return done.returncode, done.stderr, json.loads((out / "assessment.json").read_text())
 
 
 @pytest.mark.parametrize("name", ["Honest", "Drawing", "Looking"])
 def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> None:
-    code, _, result = assessed(cars, name, *NOTHING, "--margin-limit", 256)
+    code, _, result = assessed(cars, name, "--margin-limit", 64)
     assert (code, result["warnings"]) == (0, [])
 
 
 def test_who_answers_otherwise_alone_is_not_believed(cars: Path) -> None:
     """The fourth process is the last: after one that says what the car is, a worker's, and one that goes again."""
-    code, said, result = assessed(cars, "Fourth", *NOTHING, "--margin-limit", 0, "--workers", 1)
+    code, said, result = assessed(cars, "Fourth", "--margin-limit", 0, "--workers", 1)
     assert (cars / "starts").stat().st_size == 4
     (warning,) = result["warnings"]
     assert warning.startswith("do not believe these figures: in ")
@@ -135,21 +137,20 @@ def test_who_answers_otherwise_alone_is_not_believed(cars: Path) -> None:
 
 @pytest.mark.parametrize("name", ["Counting", "Unseeded"])
 def test_who_keeps_something_or_draws_elsewhere_is_named(cars: Path, name: str) -> None:
-    _, said, result = assessed(cars, name, *NOTHING, "--margin-limit", 0)
+    _, said, result = assessed(cars, name, "--margin-limit", 0)
     (warning,) = result["warnings"]
     assert "of 12 episodes went otherwise when they were run again" in warning
     assert f"skd assess: warning: {warning}" in said.splitlines()
 
 
 def test_who_changes_the_scenario_drives_in_the_same_world(cars: Path) -> None:
-    results = [assessed(cars, name, *NOTHING, "--margin-limit", 64)[2] for name in ("Honest", "MovesTheWorld")]
+    results = [assessed(cars, name, "--margin-limit", 64)[2] for name in ("Honest", "MovesTheWorld")]
     for key in ("deformation", "skd", "margin", "collision_rate", "warnings"):
         assert results[0][key] == results[1][key]
 
 
 def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: Path) -> None:
-    far = ("--simulations", 1000, "--margin-limit", 256, "--knowledge", "learned")
-    code, _, result = assessed(cars, "Copied", *far)
+    code, _, result = assessed(cars, "Copied", "--simulations", 1000, "--margin-limit", 256)
     assert code == 1
     for part in ("the search for the margin was not", "when nobody made copies of it"):
         (warning,) = [one for one in result["warnings"] if part in one]
@@ -164,7 +165,7 @@ def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_
     names = ", ".join(f"{{controller: cheats:{name}}}" for name in ("Honest", "Stack", "Copied", "Counting"))
     (cars / "campaign.yaml").write_text(f"defaults: {counts}\ncars: [{names}]\n")
     for further in ([], ["--resume"]):
-        done = skd("campaign", "campaign.yaml", "--out", "cells", "--quiet", *further, cwd=cars)
+        done = skd("campaign", "campaign.yaml", "--workers", "1", "--out", "cells", "--quiet", *further, cwd=cars)
         assert done.returncode == 1
         (believed,) = [line for line in done.stderr.splitlines() if "do not believe these figures" in line]
         assert "Copied" in believed

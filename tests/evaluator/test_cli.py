@@ -108,21 +108,11 @@ def test_failing_controller(here, name, workers, parts):
     [
         ("Exits", "2", ["my_cars:Exits", "SystemExit: 3"]),
         ("FailsInReset", "1", ["my_cars:FailsInReset", "reset failed with RuntimeError: no start"]),
-        ("Dies", "2", ["worker process died"]),
     ],
 )
 def test_controller_that_ends_the_process(here, name, workers, parts):
-    controller = [
-        "--knowledge",
-        "nothing",
-        "--controller",
-        f"my_cars:{name}",
-        "--workers",
-        workers,
-        "--safe",
-        "good.csv",
-    ]
-    one_line(skd("assess", *SMALL, *controller, cwd=here), 1, *parts)
+    mine = ("--knowledge", "nothing", "--controller", f"my_cars:{name}", "--workers", workers, "--safe", "good.csv")
+    one_line(skd("assess", *SMALL, *mine, cwd=here), 1, *parts)
 
 
 def test_user_controller_is_assessed(here):

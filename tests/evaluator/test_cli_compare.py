@@ -10,6 +10,8 @@ import pytest
 from cli_support import SMALL, names, one_line
 from matplotlib.image import imread
 
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
+
 RANKING = [*SMALL, "--objective", "deformation", "--kamikaze-count", "3"]
 ASSESS = ["assess", *RANKING, "--safe", "good.csv"]
 

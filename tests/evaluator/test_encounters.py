@@ -32,6 +32,7 @@ from skd_sim.simulation.framed_simulator import FramedSimulator, FrameSource
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)
 WITH_BOX = replace(CROSSING, adversary=BOX)
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
 TURN_WITH_BOX = replace(RIGHT_TURN, adversary=replace(BOX, start_x=-4.5))
 
 

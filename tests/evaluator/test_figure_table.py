@@ -25,6 +25,8 @@ from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.schema import as_text, assessment_schema
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import with_risks
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 
@@ -53,7 +55,8 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StoredResult:
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(plan, runner)
         rating = rate(plan, DEFAULT_OBJECTIVES, safe, runner, lambda *_progress: None)
-        write_assessment(folder, with_margins(rating, runner, lambda *_progress: None, 300))
+        rating = with_margins(rating, runner, lambda *_progress: None, 300)
+        write_assessment(folder, with_risks(rating, risk_asked("walkers"), runner, lambda *_progress: None))
     return read_result(folder)
 
 

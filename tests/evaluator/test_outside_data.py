@@ -29,6 +29,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 
 HERE = Path(__file__).parent
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
 @pytest.fixture

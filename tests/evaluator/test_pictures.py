@@ -26,6 +26,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
 def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Assessment:

@@ -24,6 +24,8 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import with_risks
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason, kind_of
@@ -45,13 +47,14 @@ NOT_RECOMPUTED = {
     r"(.*\.)?measures\.warped\.(undefined|error|pairs)": "of measures that may fail; this one does not",
     r"vulnerability_curve\.budgets\..*": "kamikazes held to η are episodes of their own, and not in the file",
     r"(.*\.)?clustering\..*\.notes": "words",
+    r"risk\.behaviour\..*": "the behaviour model that was asked for",
     r"vulnerability_curve": "null where no curve was asked for",
 }  # fmt: skip
 
 
 OF_THE_CAR = (
     "objectives.", "collision_", "clustering.collision_rate", "vulnerability", "margin", "closeness", "hit_rate",
-    "impact_speed",
+    "impact_speed", "risk",
 )  # fmt: skip
 """Figures that are of no objective."""
 
@@ -83,6 +86,8 @@ def results(request: pytest.FixtureRequest, safe, tmp_path_factory) -> Path:
         rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
         rating = with_floors(rating, runner, lambda *_progress: None)
         rating = with_margins(rating, runner, lambda *_progress: None, 300)
+        runs = None if request.param is None else 2000  # without subset simulation, and with it
+        rating = with_risks(rating, risk_asked("walkers", runs), runner, lambda *_progress: None)
         rating = with_budgets(rating, runner, lambda *_progress: None)
     write_assessment(folder, rating)
     return folder
@@ -138,6 +143,7 @@ def recomputed(results):
             ("braking", "braking", ""),
             ("curve", "curve", "vulnerability_curve."),
             ("margins", "margin", ""),
+            ("risk", "risk", ""),
         ):
             entries = runpy.run_path(str(SCRIPTS / f"{name}.py"))[variable]
             found |= {f"{prefix}{key}": value for key, value in entries.items()}
@@ -166,7 +172,7 @@ def test_the_scripts_give_every_figure(results, recomputed):
             compared.add(re.sub(r"\.\d+\.", ".", name))
     for figure in (
         "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
-        "impact_speed.p90",
+        "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
         "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
         "measures.warped.ci95", "measures.required_deceleration.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",

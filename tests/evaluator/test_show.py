@@ -15,6 +15,8 @@ from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
+
 
 @pytest.fixture(scope="module")
 def result(sweep):

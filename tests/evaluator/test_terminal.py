@@ -61,7 +61,7 @@ def test_quiet_prints_nothing_and_verbose_every_stage(skd_here, here):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     done = skd_here("assess", *SMALL, "--safe", "good.csv", "-v", "--out", "verbose")
     said = [line.partition(":")[2].strip() for line in done.stderr.splitlines()]
-    stages = ("kamikazes (deformation): 2", "kamikazes (paper): 2", "collision rate: 3", "margins: 2")
+    stages = ("kamikazes (deformation): 2", "kamikazes (paper): 2", "collision rate: 3", "margins: 2", "risk: 36")
     assert [line for line in said if line.startswith(stages)] == said
     assert len(said) == len(stages)
     assert names(here / "quiet") == names(here / "verbose")

@@ -51,18 +51,9 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_of_each(package: Path, tmp_path: Path):
     words = (
-        "--details",
-        "--controller",
-        "careful",
-        "--scenario",
-        "quiet",
-        "--objective",
-        "near",
-        "--simulator",
-        "ice",
-        "--workers",
-        "1",
-    )
+        "--details", "--controller", "careful", "--scenario", "quiet", "--objective", "near", "--simulator", "ice",
+        "--workers", "1", "--knowledge", "nothing", "--margin-limit", "16",
+    )  # fmt: skip
     done = skd_from_nothing("assess", *words, *COUNTS, "--out", tmp_path / "out", cwd=tmp_path, PYTHONPATH=str(package))
     assert done.returncode == 0, done.stderr
     result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
@@ -87,7 +78,7 @@ def test_one_of_each(package: Path, tmp_path: Path):
     assert result["measures"]["breaks"]["error"] == "RuntimeError: no idea"
     assert "time of the contact (s)" in done.stdout
     assert "broken" in done.stdout
-    assert "nothing" not in done.stdout
+    assert not re.search(r"^\W*nothing\b", done.stdout, re.MULTILINE)  # no row of that name
 
 
 RIDE = """
@@ -96,7 +87,7 @@ import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim import Episode, Mode, Trajectory, load_scenario
-scenario = Plan(load_scenario("scooter.yaml")).scenario
+scenario = Plan(load_scenario("cargo_bike.yaml")).scenario
 phi = Trajectory(np.column_stack([-8.0 + 1.2 * np.arange(12), np.zeros(12)]), scenario.time_step)
 log = run_episode(Episode(scenario, Mode.KAMIKAZE, 0, 1, multiplier=0.5, safe_trajectory=phi, simulations=60))
 json.dump(log.adversary.tolist(), sys.stdout)
@@ -105,8 +96,8 @@ json.dump(log.adversary.tolist(), sys.stdout)
 
 def test_a_road_user_of_another_kind(package: Path, tmp_path: Path):
     """It rides within its own limits: 2 m/s² to speed up, 4 to brake, and so beyond those of a cyclist."""
-    scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: e_scooter")
-    (tmp_path / "scooter.yaml").write_text(scenario, encoding="utf-8")
+    scenario = (SCENARIOS / "cyclist.yaml").read_text(encoding="utf-8").replace("kind: cyclist", "kind: cargo_bike")
+    (tmp_path / "cargo_bike.yaml").write_text(scenario, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-c", RIDE], cwd=tmp_path, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join((str(package), os.environ.get("PYTHONPATH", "")))},
@@ -162,16 +153,8 @@ def test_a_name_of_two_packages_is_refused(tmp_path: Path):
     source = "class Careful:\n    pass\n"
     for name in ("one", "another"):
         installed(tmp_path / "site", name, entries.format(name), source)
-    done = skd(
-        "assess",
-        "--knowledge",
-        "nothing",
-        "--controller",
-        "careful",
-        *COUNTS,
-        cwd=tmp_path,
-        PYTHONPATH=str(tmp_path / "site"),
-    )
+    words = ("assess", "--knowledge", "nothing", "--controller", "careful", *COUNTS)
+    done = skd(*words, cwd=tmp_path, PYTHONPATH=str(tmp_path / "site"))
     assert done.returncode == 2
     assert "registered more than once: " in done.stderr
     assert "one:Careful" in done.stderr

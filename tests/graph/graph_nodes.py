@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import multiprocessing
 import os
@@ -118,3 +119,4 @@ if os.environ.get(_PRELOAD):
     for _module in NODES:
         importlib.import_module(_module)
     importlib.import_module(ADVERSARY).warm_up()
+    gc.freeze()  # or collecting would copy every page into each node

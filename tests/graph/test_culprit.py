@@ -16,7 +16,8 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
     """Run a small campaign through the graph."""
     return skd(
         *("assess", "--graph", "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
-        *("--simulations", 100, "--startup-timeout", timeout, "--command-timeout", timeout, *options),
+        *("--simulations", 100, "--margin-limit", 0),
+        *("--startup-timeout", timeout, "--command-timeout", timeout, *options),
         *("--out", folder / "out"),
         environment={"PYTHONPATH": str(HERE / "controllers")},
     )
@@ -24,31 +25,14 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
 
 def hostile(kind: str) -> tuple[str, ...]:
     """Options for a controller that does what none should."""
-    return (
-        "--knowledge",
-        "nothing",
-        "--controller",
-        "external",
-        "--controller-command",
-        shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", kind]),
-    )
+    command = shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", kind])
+    return ("--knowledge", "nothing", "--controller", "external", "--controller-command", command)
 
 
 @pytest.mark.parametrize("command", ["", "  "])
 def test_an_empty_command(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str) -> None:
-    finished = skd_here(
-        capsys,
-        "assess",
-        "--graph",
-        "--knowledge",
-        "nothing",
-        "--controller",
-        "external",
-        "--controller-command",
-        command,
-        "--out",
-        tmp_path / "o",
-    )
+    words = ("--knowledge", "nothing", "--controller", "external", "--controller-command", command)
+    finished = skd_here(capsys, "assess", "--graph", *words, "--out", tmp_path / "o")
     assert finished.code == 2
     (line,) = finished.lines
     assert "--controller-command: is empty" in line
@@ -59,7 +43,7 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=2.0)
     assert finished.code == 1
     assert finished.lines[0].startswith("skd: waiting for a publisher of /ego/acceleration_command (ROS_DOMAIN_ID=")
-    first, last = finished.lines[1:]
+    first, last = finished.timeless[1:]
     assert first.startswith("skd: an episode was aborted, the first one so: not started: the car controller")
     assert "3 starts in a row failed, the last one so: not started: the car controller" in last
     assert last.rpartition("; log: ")[0].endswith(
@@ -69,17 +53,12 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        ("nan", "not a finite number: the car controller commanded nan"),
-        ("stamps", "wrong stamp: the car controller"),
-    ],
-)
-def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str) -> None:
-    finished = assess(tmp_path, safe, *hostile(kind), timeout=5.0)
+def test_one_that_never_begins(tmp_path: Path, safe: Path) -> None:
+    """Whose fault it is, each time: see the reasons in test_commands.py."""
+    said = "wrong stamp: the car controller"
+    finished = assess(tmp_path, safe, *hostile("stamps"), timeout=5.0)
     assert finished.code == 1
-    *aborted, line = finished.lines  # one of each kind: on a busy machine the node may come too late at first
+    *aborted, line = finished.timeless  # one of each kind: on a busy machine the node may come too late at first
     assert all(one.startswith("skd: an episode was aborted, the first one so: ") for one in aborted)
     assert any(said in one for one in aborted)
     assert "3 starts in a row failed" in line
@@ -90,7 +69,7 @@ def test_one_that_never_begins(tmp_path: Path, safe: Path, kind: str, said: str)
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
-    first, undefined, aborted, log = finished.lines
+    first, undefined, aborted, log = finished.timeless
     reason = "not a finite number: the car controller commanded nan"
     assert undefined == f"skd assess: every kamikaze episode was aborted ({reason}); SKD is not defined"
     assert aborted.endswith(f"10 of 10 episodes were aborted, more than --max-aborted 5 %; 10 of them: {reason}")
@@ -127,6 +106,6 @@ def test_a_command_that_does_not_run(tmp_path: Path, safe: Path, command: str, c
         tmp_path, safe, "--knowledge", "nothing", "--controller", "external", "--controller-command", command
     )
     assert finished.code == code
-    assert len(finished.lines) == len(said)
-    for line, wanted in zip(finished.lines, said, strict=True):
+    assert len(finished.timeless) == len(said)
+    for line, wanted in zip(finished.timeless, said, strict=True):
         assert wanted in line

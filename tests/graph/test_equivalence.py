@@ -7,6 +7,7 @@ import hashlib
 import json
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.report.html.packing import unpack
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -51,11 +53,17 @@ def episodes(name: str, objective: Objective) -> list[Episode]:
     ]
 
 
-def same_through_the_graph(tmp_path: Path, wanted: list[Episode], controller: str) -> list[EpisodeLog]:
-    """Run episodes through a graph, of which nothing is left; return their logs, which are those of the plain loop."""
+@pytest.fixture(scope="module")
+def evaluator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Evaluator]:
+    """Of a graph that runs episodes of any car and encounter, one after another; nothing is left of it."""
+    with whole_graph(tmp_path_factory.mktemp("graph")) as (evaluator, _):
+        yield evaluator
+
+
+def same_through_the_graph(evaluator: Evaluator, wanted: list[Episode]) -> list[EpisodeLog]:
+    """Run episodes through a graph, and return their logs, which are those of the plain loop."""
     expected = [run_episode(episode) for episode in wanted]
-    with whole_graph(tmp_path, controller=controller) as (evaluator, _):
-        logs = list(evaluator.run(wanted))
+    logs = list(evaluator.run(wanted))
     for one, other in zip(expected, logs, strict=True):
         assert_same_log(one, other)
     return logs
@@ -66,11 +74,11 @@ def same_through_the_graph(tmp_path: Path, wanted: list[Episode], controller: st
     [("crossing", (Objective.PAPER, Objective.DEFORMATION)), ("crossing_multi_body", (Objective.PAPER,))],
 )
 def test_episodes_are_the_same_to_the_last_bit(
-    tmp_path: Path, scenario: str, objectives: tuple[Objective, ...]
+    evaluator: Evaluator, scenario: str, objectives: tuple[Objective, ...]
 ) -> None:
     wanted = [episode for objective in objectives for episode in episodes(scenario, objective)]
     assert len(wanted) >= 20 * len(objectives)
-    logs = same_through_the_graph(tmp_path, wanted, "basic")
+    logs = same_through_the_graph(evaluator, wanted)
     for objective in objectives:
         outcomes = {log.outcome for log in logs if log.episode.objective == objective}
         assert outcomes >= {Outcome.COLLISION, Outcome.ARRIVED}
@@ -175,17 +183,17 @@ def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> 
 
 
 @pytest.mark.parametrize("controller", ["cal", "carla"])
-def test_other_cars_are_the_same_to_the_last_bit(tmp_path: Path, controller: str) -> None:
+def test_other_cars_are_the_same_to_the_last_bit(evaluator: Evaluator, controller: str) -> None:
     """The scans travel too: drawn in the simulator, decided on in the controller's node."""
     scenario = load_scenario("crossing")
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     plan = Plan(scenario, controller=controller, seed=11, simulations=300)
     wanted = [single_episode(plan, mode, attempt, safe) for mode in Mode for attempt in range(3)]
-    logs = same_through_the_graph(tmp_path, wanted, controller)
+    logs = same_through_the_graph(evaluator, wanted)
     assert min(log.car[:, 2].min() for log in logs) < 6.5  # it did brake for somebody
 
 
-def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+def test_curves_and_boxes_are_the_same_to_the_last_bit(evaluator: Evaluator) -> None:
     """The car's heading and the box's go through quaternions, and the agent's law is not the same for two headings."""
     turn = load_scenario("right_turn")
     adversary = dataclasses.replace(turn.adversary, radius=None, length=1.8, width=0.6, start_x=-4.5)
@@ -196,7 +204,7 @@ def test_curves_and_boxes_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
         for scenario in (turn, dataclasses.replace(turn, adversary=adversary))
         for attempt in range(4)
     ]
-    logs = same_through_the_graph(tmp_path, wanted, "carla")
+    logs = same_through_the_graph(evaluator, wanted)
     assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
     assert [log.impact_time for log in logs[4:]] != [log.impact_time for log in logs[:4]]  # and the shape counts
 
@@ -217,4 +225,22 @@ def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path) -> 
         assert_same_log(one, other)
         assert_same_log(one, recorded[one.episode.episode_id])
         assert examine(other).ours
+    assert sum(log.outcome == Outcome.COLLISION for log in logs) >= 3
+
+
+def test_tests_of_regulators_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    """Along the protocol's own target, and kamikazes about it: on foot, on two wheels, another car that brakes."""
+    wanted = []
+    for index, name in enumerate(("cpna-75", "cbfa-25", "cpla-50", "ccrb-50", "cmrs-25")):
+        plan = Plan(load_scenario(name), multiplier=0.5, safe="regulatory", safe_count=1, seed=11, simulations=100)
+        (safe,) = safe_trajectories(plan, InProcessRunner(1))
+        wanted += [single_episode(plan, mode, index, safe) for mode in (Mode.REPLAY, Mode.KAMIKAZE)]
+    expected = [run_episode(episode) for episode in wanted]
+    bags = tmp_path / "bags"
+    with whole_graph(tmp_path, controller="basic", record_to=bags) as (evaluator, _):
+        logs = list(evaluator.run(wanted))
+    recorded = {(one.log.episode.episode_id): one.log for one in read_episodes([bags])}
+    for one, other in zip(expected, logs, strict=True):
+        assert_same_log(one, other)
+        assert_same_log(one, recorded[one.episode.episode_id])
     assert sum(log.outcome == Outcome.COLLISION for log in logs) >= 3

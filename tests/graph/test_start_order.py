@@ -248,10 +248,8 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
         controller: Skd(
-            "assess",
-            "--graph",
-            "--record",
-            *("--knowledge", "nothing", "--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
+            *("assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0),
+            *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
             *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
             *("--simulations", 100, "--out", folder / controller),
@@ -313,7 +311,7 @@ def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
         *("--out", tmp_path / "out"),
     )
     assert finished.code == 1
-    assert len(finished.lines) <= 4, finished.err
+    assert len(finished.timeless) <= 4, finished.err
     assert "  | no licence" in finished.lines
     assert "no licence" in finished.lines[-1]
     assert not (tmp_path / "out").exists()
@@ -362,7 +360,7 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert finished.code == -signal.SIGKILL
     else:
         assert finished.code == 130
-        assert len(finished.lines) == 1, finished.err
+        assert len(finished.timeless) == 1, finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
     # What SIGKILL leaves is ended by others, the kernel and the guardian, and they need a moment.
     wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 1.0)

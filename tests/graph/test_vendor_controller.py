@@ -81,13 +81,13 @@ def test_a_car_that_nobody_has_modelled(checkout):
     (lines,) = marked("chain")
     assert [shlex.split(line)[1] for line in lines] == ["probe", "fit", "assess"]
     for line in lines:
-        shorter = line.replace("--safe own", "--margin-limit 0 --safe own")
+        shorter = line.replace("--safe own", "--margin-limit 0 --safe own").replace("--episodes 150", "--episodes 60")
         finished = start(shorter, checkout).finish(300.0)  # the planners for a model are compiled first
         assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
 
     model = yaml.safe_load((checkout / "skd_results" / "model" / "car_model.yaml").read_text())
     assert (model["family"]["measure"], model["family"]["gate"]) == ("time", "predicted")
-    assert model["logs"] == 150
+    assert model["logs"] == 60
     for name, true in (("trigger", 1.2), ("path_half_width", 1.4), ("deceleration", 5.0)):  # as in the example's file
         assert model["parameters"][name]["estimate"] == pytest.approx(true, rel=0.03), name
     result = json.loads((checkout / "skd_results" / "modelled" / "assessment.json").read_text())

@@ -10,17 +10,20 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from common import PATIENCE, new_domain
 from packaging_support import SOURCE
 from skd_sim.ros_environment import is_sourced, node_variables
+from skd_sim.ros_environment.installation import environment_digest
+from skd_sim.ros_environment.lock import locked
 from skd_sim.ros_environment.messages import cmake_prefix
 
 ENVIRONMENT = Path(sys.executable).parent
 """The environment's bin folder."""
+_BUILT = "messages-are-built"
 
 _HIDER = """
 import os, sys
@@ -108,8 +111,27 @@ class Workspace:
         return {"PYTHONPATH": path, "HIDDEN_MODULES": " ".join(modules)}
 
 
+@contextlib.contextmanager
+def workspace_folder(empty: Path) -> Iterator[Path]:
+    """Yield where to build: a folder of the environment in which a messages' package may be that was built before.
+
+    It is named for all that decides how the messages are built. Where a ROS 2 is sourced, `empty` takes its place.
+    """
+    if is_sourced():
+        yield empty
+        return
+    folder = Path(sys.prefix, "workspace", environment_digest()[:16])
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder / ".lock", "testing a workspace"):
+        kept = {_BUILT, "build", "install"} if (folder / _BUILT).exists() else set()
+        others = [entry for entry in folder.iterdir() if entry.name not in {".lock", *kept}]
+        for entry in (*others, *folder.glob("build/skd_[!m]*"), *folder.glob("install/skd_[!m]*")):
+            shutil.rmtree(entry)
+        yield folder
+
+
 def make_workspace(folder: Path) -> Workspace:
-    """Build a copy of ros_ws from scratch, with the messages' own CMakeLists.txt."""
+    """Build a copy of ros_ws from scratch, but for messages that are there, with their own CMakeLists.txt."""
     shutil.copytree(SOURCE, folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
     variables = _base_variables(folder)
     arguments = ["--build-base", "build", "--install-base", "install", "--base-paths", "src"]
@@ -117,6 +139,8 @@ def make_workspace(folder: Path) -> Workspace:
     arguments += ["--cmake-args", "-DBUILD_TESTING=OFF"]
     if not is_sourced():
         arguments += ["-G", "Ninja", f"-DPython3_EXECUTABLE={sys.executable}"]
+    if (folder / _BUILT).exists():
+        arguments += ["--packages-skip", "skd_msgs"]
     done = subprocess.run(
         [ENVIRONMENT / "colcon", "--log-base", "log", "build", *arguments],
         cwd=folder,
@@ -127,6 +151,7 @@ def make_workspace(folder: Path) -> Workspace:
         timeout=2 * PATIENCE,
     )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    (folder / _BUILT).mkdir(exist_ok=True)
     return Workspace(folder, variables, _sourced(folder, variables))
 
 

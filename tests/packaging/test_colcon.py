@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from colcon_support import Workspace, make_workspace, signal_group
+from colcon_support import Workspace, make_workspace, signal_group, workspace_folder
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_evaluator.bags.reader import read_episodes
@@ -41,10 +41,11 @@ pytestmark = [
 
 
 @pytest.fixture(scope="session")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
     """The workspace, built once."""
     ensure_ros()
-    return make_workspace(tmp_path_factory.mktemp("workspace"))
+    with workspace_folder(tmp_path_factory.mktemp("workspace")) as folder:
+        yield make_workspace(folder)
 
 
 @pytest.fixture(scope="session")

@@ -149,6 +149,7 @@ def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
     # With a chunk a message, an episode ends with its last one.
     lengths = np.cumsum([len(one) for one in sent])
     for whole in (len(sent), 5, 3):
+        expected = replay(recorded(sent[:whole], "expected"))
         for beyond in (0, 5, 40):
             end = ends[lengths[whole - 1] - 1] + beyond
             file.write_bytes(content[: min(end, len(content) - 1)])
@@ -156,7 +157,6 @@ def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
             assert "cut short" in line
             assert str(file) in line
             done = replay(file, "--skip-damaged")
-            expected = replay(recorded(sent[:whole], "expected"))
             assert done.episodes == expected.episodes
             assert "cut short" in done.result["left_out"][0]
             assert "messages of it count" in done.err

@@ -13,6 +13,7 @@ setup(
             "py.typed",
             "campaign/assessment.schema.json",
             "report/html/templates/*",
+            "risk/behaviour/walkers.yaml",
         ]
     },
     data_files=[
@@ -28,6 +29,7 @@ setup(
         "numpy",
         "scipy",
         "numba",
+        "PyYAML",
         "matplotlib",
         "rich",
         "mcap",

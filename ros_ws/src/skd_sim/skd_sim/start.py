@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -13,6 +12,7 @@ from functools import partial
 from skd_sim.errors import UsageError
 from skd_sim.program.bounded_end import END_LIMIT, end_within
 from skd_sim.program.interruption import Interruption
+from skd_sim.program.lasting import import_lasting
 from skd_sim.program.secret import handed_secret
 
 
@@ -30,7 +30,7 @@ def start(module: str, interrupted: int = 0) -> int:
     code = interrupted
     try:
         handed_secret()  # before anybody else finds it
-        main = importlib.import_module(module).main
+        main = import_lasting(module).main
         if not interruption.came:
             code = int(main())
     except KeyboardInterrupt:

@@ -143,12 +143,12 @@ def compose(
     Args:
         scenario: fixed description of the test.
         objective: what the adversary wants.
-        car: what it thinks of the car; the sensor goes with it.
-        start: the road user's start (x, y), m: the first point of φ.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m, one point per tick; none for an objective without.
-        maximum_distance: from φ, m, for an objective that has a use for it; none by default.
-        road_user: how the adversary can move.
+        car: prediction of the car, which brings the sensor with it.
+        start: place (x, y) where the adversary starts, m: the first point of φ.
+        gap: distance from the front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m, one point per tick; None for an objective that has no φ.
+        maximum_distance: greatest distance from φ, m, for an objective that limits it; by default there is no limit.
+        road_user: kind of road user, which says how the adversary can move.
 
     Raises:
         ValueError: two parts have a parameter of the same name.

@@ -18,11 +18,11 @@ def first_row(x: float, y: float, path: FloatArray, rows: FloatArray, begin: int
     """Write the row of ψ = ((x, y)): entry j is the squared distance of ψ to the first j + 1 points of φ.
 
     Args:
-        x: m.
-        y: m.
+        x: place of the new point of ψ to the East, m.
+        y: place of the new point of ψ to the North, m.
         path: φ, n × 2, m.
         rows: array whose entries begin … begin + n − 1 are the row, m²; written.
-        begin: where the row begins. (A slice would cost more than the row.)
+        begin: index at which the row begins. (A slice would cost more than the row.)
     """
     worst = 0.0
     for j in range(path.shape[0]):
@@ -36,12 +36,12 @@ def next_row(x: float, y: float, path: FloatArray, rows: FloatArray, after: Floa
     """Write the row of ψ extended by (x, y), and return its least value: no continuation can come closer than that.
 
     Args:
-        x: m.
-        y: m.
+        x: place of the new point of ψ to the East, m.
+        y: place of the new point of ψ to the North, m.
         path: φ, n × 2, m.
         rows: holds the row of ψ so far, as in `first_row`; may be `after` itself.
         after: receives the new row at the same place.
-        begin: where the row begins.
+        begin: index at which the row begins.
     """
     diagonal = math.inf  # c[i − 1, j − 1]
     beside = math.inf  # c[i, j − 1]

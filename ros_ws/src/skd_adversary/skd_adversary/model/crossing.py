@@ -48,13 +48,13 @@ def leads_nowhere(
     """Return whether a step ends where the car cannot be met any more, or leads into something that stands.
 
     Args:
-        parameters: of the model.
-        across: end of the step, to the right of the road's centre line, m.
-        along: likewise along the road, m.
-        x: begin of the step, m.
-        y: likewise.
-        x_after: its end, m.
-        y_after: likewise.
+        parameters: parameters of the model.
+        across: offset to the right of the road's centre line at the end of the step, m.
+        along: path coordinate at the end of the step, m.
+        x: place to the East at the beginning of the step, m.
+        y: place to the North at the beginning of the step, m.
+        x_after: place to the East at the end of the step, m.
+        y_after: place to the North at the end of the step, m.
     """
     p = parameters
     return within(p.loss, across, along) or runs_into(p.obstacles, x, y, x_after, y_after, p.core)
@@ -62,7 +62,7 @@ def leads_nowhere(
 
 @template("start_road_user", "start_car", "begin", inline=False)
 def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw a state from the initial belief: the road user is known, start and policy of the car are not."""
+    """Draw a state from the initial belief: the adversary's own state is known, start and policy of the car are not."""
     state[ADVERSARY_X] = parameters.start_x
     state[ADVERSARY_Y] = parameters.start_y
     start_road_user(parameters, state)
@@ -89,7 +89,7 @@ def move(
 def reinvigorate(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Keep the road user and all else that is known for sure; draw the car anew, where the observation says."""
+    """Keep the adversary's own state and all else that is known for sure; draw the car anew where it was observed."""
     redrawn[STATE_DIM:] = state[STATE_DIM:]
     redrawn[ADVERSARY_X] = state[ADVERSARY_X]
     redrawn[ADVERSARY_Y] = state[ADVERSARY_Y]
@@ -110,10 +110,10 @@ def crossing_parameters(
 
     Args:
         scenario: fixed description of the test.
-        start: the road user's start (x, y), m.
-        gap: front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m; one row where there is none.
-        maximum_distance: from φ, m; none by default.
+        start: place (x, y) where the adversary starts, m.
+        gap: distance from the front bumper to the crossing line before the episode's draw, m.
+        path: φ, n × 2, m; a single row where there is no φ.
+        maximum_distance: greatest distance from φ, m; by default there is no limit.
     """
     car, adversary = scenario.car, scenario.adversary
     nearest = -gap - car.front

@@ -31,12 +31,12 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
 
 
 def start_road_user(parameters: Any, state: FloatArray) -> None:
-    """Write what the road user has of its own in a first state."""
+    """Write the adversary's own part of a first state."""
     raise NotImplementedError(_UNBOUND)
 
 
 def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    """Write what the road user has of its own in the next state, having moved with a velocity."""
+    """Write the adversary's own part of the next state, after a step with a velocity."""
     raise NotImplementedError(_UNBOUND)
 
 
@@ -61,7 +61,7 @@ def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
 
 
 def steer(parameters: Any, state: FloatArray, way: int) -> int:
-    """Return the road user's action that comes nearest to one of a pedestrian's; *as φ* is as φ for everybody.
+    """Return the adversary's action that comes nearest to one of a pedestrian's; *as φ* is as φ for every kind.
 
     Default policies think in those: North, South, East, North-East, South-East, stay.
     """
@@ -72,12 +72,12 @@ def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_a
     """Return the share of a step at which the road user's body first touches the car's footprint, else infinity.
 
     Args:
-        parameters: of the model.
-        ahead: its centre in the car's frame when the step begins, m.
-        left: likewise, lateral.
-        ahead_after: its centre in the car's frame when the step ends, m.
-        left_after: likewise, lateral.
-        turned: where its body points from the car's heading, rad.
+        parameters: parameters of the model.
+        ahead: how far the adversary's centre is ahead of the car's reference point when the step begins, m.
+        left: how far its centre is to the left of that point then, m.
+        ahead_after: how far its centre is ahead when the step ends, m.
+        left_after: how far its centre is to the left when the step ends, m.
+        turned: heading of its body relative to the car's, rad.
     """
     raise NotImplementedError(_UNBOUND)
 
@@ -121,14 +121,14 @@ def contact(
     """Return the share of a step at which road user and car first touch, else infinity; both move uniformly.
 
     Args:
-        parameters: of the model.
-        x: of the road user when the step begins, m.
-        y: likewise.
-        x_after: when it ends, m.
-        y_after: likewise.
-        heading: where its body points, rad.
+        parameters: parameters of the model.
+        x: place of the adversary to the East when the step begins, m.
+        y: place of the adversary to the North when the step begins, m.
+        x_after: place to the East when the step ends, m.
+        y_after: place to the North when the step ends, m.
+        heading: heading of its body, rad.
         car_s: path coordinate of the car's reference point when the step begins, m.
-        car_s_after: when it ends, m.
+        car_s_after: path coordinate of the car's reference point when the step ends, m.
     """
     raise NotImplementedError(_UNBOUND)
 
@@ -144,7 +144,7 @@ def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> N
 def advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Write all of the car's part of the next state, the road user moving with a velocity."""
+    """Write all of the car's part of the next state, while the adversary moves with a velocity."""
     raise NotImplementedError(_UNBOUND)
 
 
@@ -165,18 +165,18 @@ def foreseen_acceleration(
     """Return what the car of a state will do (m/s²), its noise left aside, once it and the road user have moved.
 
     Args:
-        parameters: of the model.
-        state: whose policy of the car is meant.
-        x: of the road user, m.
-        y: likewise.
-        vx_before: of the road user in the tick before, m/s.
-        vy_before: likewise.
-        vx: of the road user in the tick itself, m/s.
-        vy: likewise.
+        parameters: parameters of the model.
+        state: state whose policy of the car is asked.
+        x: place of the adversary to the East, m.
+        y: place of the adversary to the North, m.
+        vx_before: velocity of the adversary to the East in the tick before, m/s.
+        vy_before: velocity of the adversary to the North in the tick before, m/s.
+        vx: velocity of the adversary to the East in the tick itself, m/s.
+        vy: velocity of the adversary to the North in the tick itself, m/s.
         car_s: path coordinate of the car's reference point, m.
-        speed: of the car, m/s.
-        change: of that speed in the last tick, m/s.
-        change_before: in the one before.
+        speed: speed of the car, m/s.
+        change: change of that speed in the last tick, m/s.
+        change_before: change of that speed in the tick before the last, m/s.
     """
     raise NotImplementedError(_UNBOUND)
 
@@ -190,7 +190,7 @@ def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
 
 
 def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Draw the car's speed anew, about that of a state that was believed, before the sensor places the car."""
+    """Draw the car's speed anew, near that of a state that was believed, before the sensor places the car."""
     raise NotImplementedError(_UNBOUND)
 
 
@@ -205,14 +205,14 @@ def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator
 def place_car(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
-    """Place the car of a redrawn state where an observation says, give or take the sensor's noise.
+    """Place the car of a redrawn state where an observation says, with the sensor's noise.
 
     Args:
-        parameters: of the model.
-        state: what was believed.
-        observation: as the sensor gives it.
-        redrawn: holds the road user; the car's place is written.
-        rng: for the noise.
+        parameters: parameters of the model.
+        state: state that was believed before.
+        observation: observation as the sensor gives it.
+        redrawn: state that holds the adversary's own part already; the car's place is written into it.
+        rng: generator of the noise.
     """
     raise NotImplementedError(_UNBOUND)
 
@@ -231,5 +231,5 @@ def begin(parameters: Any, state: FloatArray) -> None:
 def move(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> float:
-    """Write road user and car of the next state; return the share of the step at which they touch, else infinity."""
+    """Write adversary and car of the next state; return the share of the step at which they touch, else infinity."""
     raise NotImplementedError(_UNBOUND)

@@ -31,13 +31,13 @@ class Template(Generic[_P, _R]):
     """A kernel to be, which calls parts of the model, or other templates of its module, by name."""
 
     def __init__(self, function: Callable[_P, _R], uses: tuple[str, ...], inline: bool) -> None:
-        """Keep a function with the names that `bound` is to bind in it; see `template`."""
+        """Keep a function, and the names in it that `bound` replaces by parts; see `template`."""
         self.function = function
         self.uses = uses
         self.inline = inline
 
     def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Refuse: only a compiled copy can be called.
+        """Refuse to be called: only a compiled copy can be.
 
         Raises:
             TypeError: always.
@@ -50,7 +50,7 @@ def template(*uses: str, inline: bool = True) -> Callable[[Callable[_P, _R]], Te
 
     Args:
         uses: names of `interfaces`, and of other templates of the module, that the function reads.
-        inline: as in `kernel`.
+        inline: whether callers contain its code; see `kernel`.
     """
     return lambda function: Template(function, uses, inline)
 
@@ -60,8 +60,8 @@ def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
 
     Args:
         part: template, compiled kernel or None.
-        name: of the composition, unique per `parts`.
-        parts: name → kernel or number.
+        name: name of the composition, unique for these `parts`.
+        parts: kernel or number of each part, by name.
 
     Raises:
         TypeError: the template uses what is neither a part nor a template of its module.
@@ -87,15 +87,15 @@ class ObjectiveModel:
     """What the adversary wants; see `objectives` for those there are.
 
     Attributes:
-        name: of the objective; it names compiled code.
-        discount: γ.
-        options: of the planner, but for the number of simulations.
+        name: name of the objective; compiled code is called by it.
+        discount: discount factor γ of rewards.
+        options: options of the planner, except the number of simulations.
         parameters: scenario, φ (n × 2, m) → parameters of its own (numbers and arrays), by name.
         step: (parameters, state, action, next_state_out, rng) → (reward, terminal).
         rollout_action: (parameters, state, rng) → action of the default policy.
-        legal: as in `Pomdp`.
+        legal: which actions are legal; see `Pomdp`.
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
-        own_dim: number of points of φ → length of that part.
+        own_dim: number of points of φ → length of the objective's own part of a state.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
             the discrete Fréchet distance.
@@ -119,8 +119,8 @@ class CarKernels:
     """How a kind of predicted car moves; the kernels are described where they are used, in `interfaces`.
 
     Attributes:
-        name: of the kind; it names compiled code.
-        own_dim: length of what it has in a state beyond place, speed and trigger; it comes right behind them.
+        name: name of the kind; compiled code is called by it.
+        own_dim: length of the car's own part of a state, which comes right behind its place, speed and trigger.
         start_car: interface.
         advance_car: interface.
         foreseen_acceleration: interface.
@@ -144,11 +144,11 @@ class Sensor:
     """What is seen of the car, and how likely that is.
 
     Attributes:
-        name: of the sensor; it names compiled code.
-        parameters: of the model, from the scenario, by name.
+        name: name of the sensor; compiled code is called by it.
+        parameters: scenario → parameters of the model, by name.
         sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
-        observe: as in `Pomdp`.
-        likelihood: as in `Pomdp`.
+        observe: draws an observation; see `Pomdp`.
+        likelihood: likelihood of an observation; see `Pomdp`.
         place_car: interface.
     """
 
@@ -165,8 +165,8 @@ class RoadKernels:
     """The road that the car follows.
 
     Attributes:
-        name: of the kind; it names compiled code.
-        parameters: of the model, from the scenario, by name.
+        name: name of the kind; compiled code is called by it.
+        parameters: scenario → parameters of the model, by name.
         on_road: interface.
         velocity_on_road: interface.
         from_car: interface.
@@ -188,10 +188,10 @@ class RoadUserKernels:
     """How road users of some kinds move, and how their bodies touch; they are described in `interfaces`.
 
     Attributes:
-        name: it names compiled code.
+        name: name by which compiled code is called.
         action_count: actions are 0 … action_count − 1.
         rest: action with which it stays where it is, or comes nearest to that.
-        own_dim: length of what it has of its own in a state beyond its place; it begins at `USER_ROW`.
+        own_dim: length of the road user's own part of a state beyond its place; it begins at `USER_ROW`.
         box: whether its body has to be a box.
         start_road_user: interface.
         velocity: interface.
@@ -225,15 +225,15 @@ class RoadUserModel:
     """A kind of road user: how the adversary can move, and all else that is special to it.
 
     Attributes:
-        name: of the kind, as in the section `adversary` of a scenario.
-        kernels: how it moves; several kinds can share them.
-        parameters: of the model, from the scenario, by name.
+        name: name of the kind, as in the section `adversary` of a scenario.
+        kernels: kernels of how it moves; several kinds can share them.
+        parameters: scenario → parameters of the model, by name.
         choices: (scenario, φ, way) → velocities that it can choose in each tick of a way (n × 2, m), having gone it so
             far: (n − 1) × action_count × 2, m/s; φ (k × 2, m) may be one point.
         as_phi: (scenario, φ, way) → its velocities as φ, or as near to that as it can, in each tick of a way, having
             gone it so far: (n − 1) × 2, m/s.
-        fastest: m/s; what moves faster in a recording is no such road user, or its unit is wrong.
-        height: of its body in pictures and messages, m.
+        fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
+        height: height of its body in pictures and messages, m.
         called: what another simulator calls it, by the simulator's name: `{"carla": "walker.pedestrian.0001"}`.
     """
 
@@ -248,15 +248,15 @@ class RoadUserModel:
 
 
 class CarPrediction(Protocol):
-    """What the adversary thinks of the car: a kind, its numbers, and the sensor that goes with it."""
+    """How the adversary predicts the car: a kind of car, its parameters, and the sensor that goes with it."""
 
     @property
     def kernels(self) -> CarKernels:
-        """How it moves."""
+        """Kernels of how the predicted car moves."""
 
     @property
     def sensor(self) -> Sensor:
-        """What the adversary sees of it."""
+        """Sensor by which the adversary sees the car."""
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return numbers and arrays for the kernels, by name.

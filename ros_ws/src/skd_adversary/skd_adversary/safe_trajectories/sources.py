@@ -1,4 +1,4 @@
-"""Where recorded safe trajectories come from: a csv file, a folder of them, or a folder of the CITR dataset.
+"""Where safe trajectories come from that are there before any episode: csv files, the CITR dataset, a regulator's test.
 
 Synthetic ones are made by running safe episodes.
 """
@@ -11,6 +11,8 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from skd_sim.encounter.checks import check_way
+from skd_sim.encounter.protocol.target import regulatory_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
@@ -20,6 +22,8 @@ from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 
 _log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
 _MOST_NAMED = 5
+REGULATORY = "regulatory"
+"""Source of what the scenario's section `protocol` prescribes for a test's target: a trajectory per impact place."""
 
 
 def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -> list[Trajectory]:
@@ -32,8 +36,8 @@ def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -
 
     Args:
         source: a csv file (see `read_csv_trajectory`), a folder of csv files, or one of the CITR dataset,
-            which is recognised by its file names.
-        scenario: gives the time step and the car's path.
+            which is recognised by its file names; or `REGULATORY`.
+        scenario: gives the time step and the car's path, and the protocol of a regulatory source.
         count: how many, ≥ 1.
 
     Raises:
@@ -80,8 +84,15 @@ def count_safe_trajectories(source: str | Path, scenario: Scenario) -> int:
 
 
 def _selection(path: Path, scenario: Scenario) -> Selection:
+    if str(path) == REGULATORY:
+        ways = regulatory_trajectories(scenario)
+        for way in ways:
+            check_way(scenario, way)
+        return Selection(ways, [])
     if not path.exists():  # a misspelt name of a kind looks like a path, too
-        raise UsageError(f"{path}: cannot be read: No such file or folder; give synthetic, own, or the path of one")
+        raise UsageError(
+            f"{path}: cannot be read: No such file or folder; give synthetic, own, regulatory, or the path of one"
+        )
     try:
         return _select(path, scenario)
     except OSError as error:

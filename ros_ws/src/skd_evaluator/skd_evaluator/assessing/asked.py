@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from skd_adversary.car_model_file import car_model_for_scenario
-from skd_adversary.safe_trajectories import is_citr
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.checks import check_control_period
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -25,11 +25,19 @@ from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.workers import check_controller
 
 
-def scenario_for(name: str | None, safe: str) -> Scenario:
-    """Return the scenario asked for, or the one that goes with the safe trajectories."""
-    if name:
-        return load_scenario(name)
-    return load_scenario("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """Return the scenario asked for, or the one that goes with the safe trajectories, with some keys changed.
+
+    Args:
+        name: or path of the scenario asked for, if one is.
+        safe: source of the safe trajectories.
+        changes: values of keys by their place in its file, as car.start_speed.
+
+    Raises:
+        UsageError: there is no such scenario, or with these values it is none.
+    """
+    source = name or ("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+    return changed_scenario(source, changes) if changes else load_scenario(source)
 
 
 def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
@@ -109,6 +117,9 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     """
     plain = {**values, **fixed}
     plain["objective"] = objectives_named(plain["objective"])[-1]
+    if plain.get("safe") == REGULATORY and plain["safe_count"] == CampaignOptions.safe_count:
+        # Unless a number is asked for: all that the protocol has.
+        plain["safe_count"] = min(plain["safe_count"], count_safe_trajectories(REGULATORY, scenario))
     controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
     car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
     asked = plain.get("knowledge")

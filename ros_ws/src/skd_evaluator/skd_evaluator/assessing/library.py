@@ -19,13 +19,14 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, CampaignOptions
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.provenance import provenance
+from skd_evaluator.risk.asked import risk_asked
 
 
 def assess(
@@ -36,6 +37,7 @@ def assess(
     workers: int | None = None,
     margin_limit: int = DEFAULT_MARGIN_LIMIT,
     curve: bool = False,
+    behaviour: str = WALKERS,
     progress: Progress | None = None,
     **options: Any,
 ) -> Rating:
@@ -50,6 +52,7 @@ def assess(
         workers: number of processes; by default one for each core.
         margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
         curve: whether kamikazes are planned that are held to a budget, for the vulnerability curve.
+        behaviour: how people walk, for the risk: `walkers`, a file, or `none`.
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
@@ -67,10 +70,11 @@ def assess(
     plan = plan_of(values, scenario_for(scenario, values["safe"]))
     plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
     objectives = objectives_named(values["objective"])
+    risk = risk_asked(behaviour)
     folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
     runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
     runners = Runners(runner, runner, runner, fresh=partial(InProcessRunner, 1, isolated=True))
-    told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve)
+    told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
     rating = assess_in_process(plan, objectives, runners, told, further, _origin)
     rating = replace(rating, seconds=time.perf_counter() - begin)
     if folder is not None:

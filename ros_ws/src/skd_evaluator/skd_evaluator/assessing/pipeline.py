@@ -26,6 +26,8 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.learning.lesson import learned, needs_learning
 from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
+from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
+from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
 
 
 def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
@@ -120,6 +122,7 @@ class Further:
         margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
         floor: whether the floor of SKD is computed.
         curve: whether kamikazes that are held to a budget are run, for the vulnerability curve.
+        risk: what is asked of the risk.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
     """
 
@@ -127,6 +130,7 @@ class Further:
     floor: bool = False
     curve: bool = False
     until_width: float | None = None
+    risk: RiskAsked = NOTHING_ASKED
 
 
 def assessed(
@@ -155,6 +159,7 @@ def assessed(
             safe.extend(safe_trajectories(plan, runners.others, progress))
         rating = rate(plan, objectives, safe, runners.rated, progress)
     rating = with_margins(rating, runners.here, progress, further.margin_limit, runners.ways)
+    rating = with_risks(rating, further.risk, runners.here, progress, runners.ways)
     if further.floor:
         rating = with_floors(rating, runners.here, progress)
     if further.curve:
@@ -188,6 +193,8 @@ def assess_in_process(
             warm_up_floor()
         if further.margin_limit:
             warm_up_margins()
+        if further.risk.behaviour is not None:
+            warm_up_risk(plan)
         runner.start(planners_of(plan, objectives))
         plan = learned_plan(plan, runner, progress, say)
         known = origin(plan)

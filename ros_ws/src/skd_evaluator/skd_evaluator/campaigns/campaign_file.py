@@ -23,10 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.options import Option, options_of
 from skd_sim.choices.suggestion import did_you_mean
-from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
 from skd_sim.former_names import options_of_today
 from skd_sim.inputs.outside import is_there
@@ -34,10 +35,15 @@ from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
+    BEHAVIOUR_TEXT,
     DEFAULT_MARGIN_LIMIT,
     MARGIN_LIMIT_TEXT,
+    NO_BEHAVIOUR,
     OWN,
+    RISK_RUNS_TEXT,
+    RISK_SUBSET_TEXT,
     SYNTHETIC,
+    WALKERS,
     CampaignOptions,
 )
 
@@ -50,10 +56,13 @@ _FURTHER = {
     "margin_limit": Option(
         MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
     ),
+    "behaviour": Option(BEHAVIOUR_TEXT, kind=str, name="behaviour", default=WALKERS),
+    "risk_runs": Option(RISK_RUNS_TEXT, low=1, high=10_000_000, kind=int, name="risk_runs", default=None),
+    "risk_subset": Option(RISK_SUBSET_TEXT, kind=bool, name="risk_subset", default=False),
     "curve": Option("whether kamikazes are held to largest deformations too", kind=bool, name="curve", default=False),
 }
 _OPTIONS = {**_CAMPAIGN, **_GRAPH, **_FURTHER}
-_OF_FILES = ("safe", "car_model", "message_folder")
+_OF_FILES = ("safe", "car_model", "message_folder", "behaviour")
 _OF_CAR = ("controller", "multiplier")
 _SCENARIO = "scenario"
 _ENTRY, _SECTIONS = ("name", "sweep"), ("defaults", "cars", "encounters", "sweep")
@@ -184,7 +193,7 @@ class _Reader:
                         f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
                     )
                 is_file = is_there(self._beside(value)) and self._beside(value).is_file()
-                if not is_file and value not in SCENARIOS:
+                if not is_file and not is_named(value):
                     raise UsageError(
                         f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
                         f"{did_you_mean(value, SCENARIOS.names())}"
@@ -196,7 +205,7 @@ class _Reader:
                 found[key] = tuple(self._path_of(one) for one in self._texts(value, what))
             else:
                 _OPTIONS[key].check(value, what)
-                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN)
+                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
                 found[key] = self._path_of(value) if is_path else _OPTIONS[key].kind(value)
         return found
 

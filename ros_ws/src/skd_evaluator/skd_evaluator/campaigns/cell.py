@@ -11,7 +11,6 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import OBJECTIVES, Objective, objectives_named
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.choices.simulators import SIMULATORS
-from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import sha256_of
@@ -28,6 +27,7 @@ from skd_evaluator.campaigns.episode_record import digest_of, digest_of_trajecto
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
+from skd_evaluator.risk.asked import RiskAsked, risk_asked
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class Cell:
         floor: whether the floor of SKD is computed.
         margin_limit: how many ticks the search for the margin may simulate in each attempt; 0: there is no margin.
         curve: whether kamikazes are held to largest deformations.
+        risk: what is asked of the risk.
         answer_limit: how long a call of a user's controller may take, s.
         swept: the values that the campaign sweeps, by key.
         identity: all that its figures depend on, as plain data.
@@ -55,6 +56,7 @@ class Cell:
     floor: bool
     margin_limit: int
     curve: bool
+    risk: RiskAsked
     answer_limit: float
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
@@ -109,7 +111,7 @@ def _cell(
     recorded: dict[tuple[object, ...], Sequence[Trajectory]],
 ) -> Cell:
     values = one.values
-    scenario = _changed(scenario_for(one.scenario, values["safe"]), one.changes)
+    scenario = scenario_for(one.scenario, values["safe"], one.changes)
     graph = bool(values["graph"])
     car = CarUnderTest(values["controller"], values["multiplier"])
     # To make a user's controller takes a process and all that its module imports: once for those that are alike.
@@ -135,6 +137,7 @@ def _cell(
             check_ends(safe, plan.scenario, objectives)
     if values["curve"] and graph:
         raise UsageError("curve goes with assessments in process: leave out graph")
+    risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
     return Cell(
         one.name,
         plan,
@@ -143,32 +146,20 @@ def _cell(
         values["floor"],
         values["margin_limit"],
         values["curve"],
+        risk,
         values["startup_timeout"],
         one.swept,
-        _identity(one, plan, objectives, safe),
+        _identity(one, plan, objectives, safe, risk),
         one.where,
     )
 
 
-def _changed(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
-    """Return a scenario with some of its keys changed, checked as one from a file."""
-    if not changes:
-        return scenario
-    data = scenario.as_dict()
-    for place, value in changes.items():
-        *sections, key = place.split(".")
-        section = data
-        for name in sections:
-            inner = section.get(name, {})
-            if not isinstance(inner, Mapping):
-                raise UsageError(f"scenario {scenario.name}: {place}: {name} has no keys")
-            section[name] = section = dict(inner)
-        section[key] = value
-    return scenario_from_dict(data, f"scenario {scenario.name}, changed")
-
-
 def _identity(
-    one: Combination, plan: Plan, objectives: Sequence[Objective], safe: Sequence[Trajectory] | None
+    one: Combination,
+    plan: Plan,
+    objectives: Sequence[Objective],
+    safe: Sequence[Trajectory] | None,
+    risk: RiskAsked,
 ) -> dict[str, Any]:
     """Return all that the figures of a cell depend on."""
     values = one.values
@@ -188,6 +179,8 @@ def _identity(
         **options,
         **{name: values[name] for name in further},
         **{name: list(value) if isinstance(value, tuple) else value for name, value in graph.items()},
+        "behaviour": None if risk.behaviour is None else risk.behaviour.as_dict(),
+        "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
         "file": {str(path): sha256_of(path) for path in files},

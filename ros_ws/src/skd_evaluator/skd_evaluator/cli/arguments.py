@@ -12,12 +12,21 @@ from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, CampaignOptions
+from skd_evaluator.campaign.plan.options import (
+    BEHAVIOUR_TEXT,
+    DEFAULT_MARGIN_LIMIT,
+    MARGIN_LIMIT_TEXT,
+    RISK_RUNS_TEXT,
+    RISK_SUBSET_TEXT,
+    WALKERS,
+    CampaignOptions,
+)
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.results import ResultFolder
     from skd_evaluator.campaign.store.signature import Signer
 
+CAR_GROUP = "car and test"
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
 
@@ -56,6 +65,26 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 
 
 positive_number = real_number(0.0, above=True)
+_MOST_STEPS = 100
+
+
+def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]:
+    """Return a parser of numbers above `low` and up to `high`, as FROM:TO:STEP, both ends included."""
+
+    def parse(text: str) -> list[float]:
+        try:
+            first, last, step = (float(part) for part in text.split(":"))
+            count = int((last - first) / step + 1e-9) + 1
+        except (ValueError, ZeroDivisionError, OverflowError):
+            first, last, step, count = 0.0, 0.0, 0.0, 0
+        if not (low < first <= last <= high and step > 0.0 and 1 <= count <= _MOST_STEPS):
+            raise argparse.ArgumentTypeError(
+                f"must be FROM:TO:STEP in {unit}, above {low:g} and up to {high:g}, at most {_MOST_STEPS} values, as "
+                f"10:60:10; got {text!r}"
+            )
+        return [first + step * number for number in range(count)]
+
+    return parse
 
 
 def add_count(
@@ -129,6 +158,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
     add_floor_argument(group)
+    add_risk_arguments(group)
     add_runner_arguments(group)
     add_output_arguments(parser)
 
@@ -153,6 +183,17 @@ def percentage(text: str) -> float:
     if not 0.0 <= value <= 100.0:
         raise argparse.ArgumentTypeError(f"must be a number from 0 to 100, got {text!r}")
     return value / 100.0
+
+
+def frame_place(text: str) -> tuple[float, float, float]:
+    """Parse X,Y,DEGREES: where one frame lies in another."""
+    try:
+        x, y, degrees = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = degrees = math.nan
+    if not all(math.isfinite(one) for one in (x, y, degrees)):
+        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
+    return x, y, degrees
 
 
 def command_line(text: str) -> str:
@@ -188,6 +229,13 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
         "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
         "exists for the basic controller only, since only there is known what the car would have done",
     )
+
+
+def add_risk_arguments(group: argparse._ActionsContainer) -> None:
+    """Add --behaviour, --risk-runs and --risk-subset."""
+    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
+    add_count(group, "--risk-runs", 1, 10_000_000, RISK_RUNS_TEXT)
+    group.add_argument("--risk-subset", action="store_true", help=RISK_SUBSET_TEXT)
 
 
 def add_details_argument(parser: argparse._ActionsContainer) -> None:
@@ -296,3 +344,15 @@ def output_path(arguments: argparse.Namespace) -> Path:
     )
 
     return default_folder(arguments.command)
+
+
+def add_car_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options that say which car meets whom."""
+    group = parser.add_argument_group(CAR_GROUP)
+    add_options(group, command, CAR_GROUP)
+    group.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
+        "or a YAML file (default: crossing; citr_crossing with CITR data)",
+    )

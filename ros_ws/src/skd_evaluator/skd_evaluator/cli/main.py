@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import sys
@@ -11,6 +10,7 @@ from contextlib import ExitStack, redirect_stdout
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import guarded, one_line, own
+from skd_sim.program.lasting import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
@@ -45,7 +45,7 @@ def _run(words: list[str]) -> int:
         if as_json:
             keep_for_json()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
-        command = importlib.import_module(f"skd_evaluator.cli.commands.{arguments.command}")
+        command = import_lasting(f"skd_evaluator.cli.commands.{getattr(arguments, 'module', arguments.command)}")
         with ExitStack() as stack:
             if getattr(arguments, "quiet", False) and not as_json:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123

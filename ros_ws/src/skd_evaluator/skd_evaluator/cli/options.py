@@ -9,7 +9,9 @@ from skd_sim.choices.objective import OBJECTIVES
 
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
     add_campaign_arguments,
+    add_car_arguments,
     add_count,
     add_damage_argument,
     add_details_argument,
@@ -20,14 +22,13 @@ from skd_evaluator.cli.arguments import (
     add_output_arguments,
     add_runner_arguments,
     add_verification_arguments,
-    add_workers_argument,
     positive_number,
     real_number,
+    steps_of,
     whole_number,
 )
 from skd_evaluator.cli.gate import add_gate_arguments
-
-CAR_GROUP = "car and test"
+from skd_evaluator.cli.model_options import add_model_commands
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -44,7 +45,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "Safe-Kamikaze Distance (SKD) of the paper says how far kamikazes stray that plan with what they know of the "
         "car.",
     )
-    _add_car(assess, "assess")
+    add_car_arguments(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
@@ -116,7 +117,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="run one episode through the node graph and record it",
         description="Run one episode through the node graph and record it as a bag.",
     )
-    _add_car(episode, "episode")
+    add_car_arguments(episode, "episode")
     episode.add_argument(
         "--mode",
         choices=("safe", "kamikaze", "replay"),
@@ -226,7 +227,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the basic car's figures vary by)",
     )
     wanted = plan.add_mutually_exclusive_group(required=True)
-    wanted.add_argument("--width", type=positive_number, metavar="W", help="wanted width of the 95 percent interval, m")
+    wanted.add_argument(
+        "--width",
+        type=positive_number,
+        metavar="W",
+        help="wanted width of the 95 percent interval, in the figure's unit: m, a share of runs, or m/s²",
+    )
     wanted.add_argument(
         "--difference", type=positive_number, metavar="D", help="difference between two cars that has to be found, m"
     )
@@ -240,10 +246,23 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
-        choices=("margin", "deformation", "skd", "collision_rate"),
+        choices=("margin", "deformation", "skd", "collision_rate", "clearance", "required_deceleration", "hit"),
         default="margin",
         help="the figure that is asked about: margin, deformation or skd (both of planned kamikazes), or "
-        "collision_rate, for which runs along φ are counted instead of kamikazes (default: margin)",
+        "collision_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
+        "required_deceleration, hit or margin (default: margin)",
+    )
+    plan.add_argument(
+        "--physical",
+        action="store_true",
+        help="say how many trials on a proving ground the width takes, alone and with the simulator; DIR is the folder "
+        "of skd fuse after the first trials, or of the simulated assessment",
+    )
+    plan.add_argument(
+        "--correlation",
+        type=real_number(0.0, 0.999),
+        metavar="R",
+        help="with --physical, how well the simulator is expected to predict from φ to φ (default: as skd fuse found)",
     )
     add_count(plan, "--kamikaze-count", 2, 1_000_000, "say only how many φ it takes with this many kamikazes for each")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -286,34 +305,29 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_output_arguments(show)
 
-    probe = commands.add_parser(
-        "probe",
-        help="run episodes that show how a car reacts, for skd fit",
-        description="Run varied crossings that show when and how a car brakes, and keep them for skd fit: with --graph "
-        "as bags, otherwise in a file episodes.npz.",
+    encounters = commands.add_parser(
+        "encounters",
+        help="list encounters, show one, check a file of your own",
+        description="list: the encounters that have a name, which --scenario takes. show: what happens in some of "
+        "them, with a picture each. check: the same of files of your own, after all checks that an assessment makes "
+        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds.",
     )
-    _add_car(probe, "probe")
-    add_count(probe, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
-    add_options(probe, "probe", "campaign")
-    add_workers_argument(probe)
-    add_graph_arguments(probe, "probe", optional=True, record=False)
-    add_output_arguments(probe)
+    encounters.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
+    encounters.add_argument("names", nargs="*", metavar="NAME", help="names or files of encounters")
+    encounters.add_argument(
+        "--speeds",
+        type=steps_of("km/h", 0.0, 200.0),
+        metavar="FROM:TO:STEP",
+        help="test speeds of the car, km/h, as 10:60:10; with campaign",
+    )
+    add_output_arguments(
+        encounters,
+        "PATH",
+        "folder for the pictures (default: skd_results/encounters-<time>; with list none are made), or with campaign "
+        "the file to write (default: standard output)",
+    )
 
-    fit = commands.add_parser(
-        "fit",
-        help="learn a model of a car from recorded episodes",
-        description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
-        "car_model.yaml. skd assess --car-model lets the adversary plan with it.",
-    )
-    fit.add_argument(
-        "paths",
-        type=Path,
-        nargs="+",
-        metavar="PATH",
-        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them",
-    )
-    add_damage_argument(fit)
-    add_output_arguments(fit)
+    add_model_commands(commands)
 
     completion = commands.add_parser(
         "completion",
@@ -322,17 +336,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         'it: eval "$(skd completion bash)".',
     )
     completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
-
-
-def _add_car(parser: argparse.ArgumentParser, command: str) -> None:
-    group = parser.add_argument_group(CAR_GROUP)
-    add_options(group, command, CAR_GROUP)
-    group.add_argument(
-        "--scenario",
-        metavar="NAME",
-        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
-        "or a YAML file (default: crossing; citr_crossing with CITR data)",
-    )
 
 
 class _Version(argparse.Action):

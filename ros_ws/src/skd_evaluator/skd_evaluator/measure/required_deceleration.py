@@ -1,10 +1,10 @@
 """Required deceleration: how hard a car that was hit into somebody would have had to brake when that came into its way.
 
-The deceleration rate to avoid the crash (Cooper and Ferguson, "Traffic studies at T-junctions: a conflict simulation
-model", Traffic Engineering and Control 17, 1976): Δv²/(2 d), with the speed Δv at which car and adversary come together
-along the road and the gap d between the car's front and the adversary's nearest point along it. It is taken at the
-first tick at which the adversary can reach into the strip that the car sweeps. Above some 8 m/s² on a dry road no brake
-could have helped, so that such a collision says more of the adversary than of the car.
+The deceleration rate to avoid the crash (Cooper and Ferguson, "Traffic studies at T-junctions. 2. A conflict simulation
+record", Traffic Engineering and Control 17, 1976): Δv²/(2 d), with the speed Δv at which car and adversary come
+together along the road and the gap d between the car's front and the adversary's nearest point along it. It is taken at
+the first tick at which the adversary can reach into the strip that the car sweeps. Above some 8 m/s² on a dry road no
+brake could have helped, so that such a collision says more of the adversary than of the car.
 """
 
 from __future__ import annotations

@@ -19,9 +19,9 @@ def believed_car(scenario: Scenario, car: FloatArray, belief: FloatArray) -> Flo
     the car moving on.
 
     Args:
-        scenario: of the test.
-        car: n × 2 or more, its reference point (x, y) at ticks, m.
-        belief: n × 4, as in `skd_sim.episode.episode.EpisodeLog`.
+        scenario: scenario of the test.
+        car: n × 2 or more, place (x, y) of the car's reference point at ticks, m.
+        belief: what was believed of the car at ticks, n × 4, as in `skd_sim.episode.episode.EpisodeLog`.
     """
     known = np.isfinite(belief).all(axis=1)
     if not known.any():

@@ -17,9 +17,9 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     """Return what is to be known of the margin, in one line each; nothing where it is not known.
 
     Args:
-        result: content of assessment.json; of it the entries of the margin, `impact_speed`, `closeness` and `scenario`.
-        touched: kamikazes that touched the car, at whatever speed.
-        hit: kamikazes and runs along φ that the moving car hit.
+        result: content of assessment.json; of it margin, `impact_speed`, `closeness` and `scenario` count.
+        touched: number of kamikazes that touched the car, at whatever speed.
+        hit: number of kamikazes and of runs along φ that the moving car hit.
     """
     if result["margin"] is None:
         return []

@@ -51,13 +51,13 @@ class ShownEpisode:
     """An episode that is to be drawn.
 
     Attributes:
-        title: what stands above it.
-        scenario: of the test.
+        title: text above the picture.
+        scenario: scenario of the test.
         phi: positions of φ at ticks, m.
-        adversary: n × 2 positions, m, at `times`.
-        car: n × 3: reference point (x, y), m, and speed, m/s, at `times`.
-        times: s since the start: ticks, and at the end the contact, if there is one.
-        collided: whether it ended in a collision.
+        adversary: positions of the adversary at `times`, n × 2, m.
+        car: the car's reference point (x, y), m, and its speed, m/s, at `times`, n × 3.
+        times: times since the start, s: those of the ticks and, if there is a contact, at the end its own.
+        collided: whether the episode ended in a collision.
         belief: what was believed of the car at `times`, as `believed_car` has it; None where nothing is known.
     """
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skd_evaluator.campaign.judge.figure_table import CI95, SPEEDS, THESE_PHI, Figure
+from skd_evaluator.campaign.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
 
 NOTHING = "–"
 
@@ -16,10 +16,10 @@ class Style:
     """How something is written.
 
     Attributes:
-        nothing: what is not defined.
-        around: an interval, with a place for each end.
-        minus: the sign.
-        percent: what follows a percentage.
+        nothing: text for a number that is not defined.
+        around: format of an interval, with a place for each end.
+        minus: minus sign.
+        percent: text that follows a percentage.
     """
 
     nothing: str
@@ -49,6 +49,14 @@ class Style:
             return self.nothing
         return self.around.format(*(f"{100.0 * end:.{digits}f}" for end in ends)) + self.percent
 
+    def probability(self, value: float | None, digits: int = 2) -> str:
+        """Return a probability, which may be very small, with so many significant digits."""
+        return self.nothing if value is None else f"{value:#.{digits}g}"
+
+    def probability_interval(self, ends: Sequence[float] | None, digits: int = 2) -> str:
+        """Return an interval of probabilities."""
+        return self.nothing if ends is None else self.around.format(*(f"{end:#.{digits}g}" for end in ends))
+
     def value(self, figure: Figure, result: Mapping[str, Any]) -> str:
         """Return a figure of an assessment; of one that is spoken, its text."""
         found = result.get(figure.key)
@@ -56,6 +64,8 @@ class Style:
             return str(result[f"{figure.key}_text"] or self.nothing)
         if figure.kind is SPEEDS:
             return self.number(found and found["mean"], figure.kind.digits)
+        if figure.kind is PROBABILITY:
+            return self.probability(found, figure.kind.digits)
         return (self.share if figure.kind.unit == "%" else self.number)(found, figure.kind.digits)
 
     def by_phi(self, figure: Figure, result: Mapping[str, Any]) -> str:
@@ -70,6 +80,8 @@ class Style:
         if figure.spoken:
             return str(result[f"{figure.key}_{end or CI95}_text"] or self.nothing)
         found = result.get(f"{figure.key}_{end}") if end else None
+        if figure.kind is PROBABILITY:
+            return self.probability_interval(found, figure.kind.digits)
         return (self.share_interval if figure.kind.unit == "%" else self.interval)(found, figure.kind.digits)
 
 

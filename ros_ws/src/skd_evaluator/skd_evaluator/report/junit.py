@@ -21,9 +21,9 @@ def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car:
     """Return the XML, with one test case for each check.
 
     Args:
-        result: content of assessment.json; none where there is no assessment.
-        checks: what became of each condition.
-        car: its name, where there is no assessment to take it from.
+        result: content of assessment.json; None if there is no assessment.
+        checks: result of each condition.
+        car: name of the car if there is no assessment to take it from.
     """
     name = _plain(car_name(result) if result is not None else car)
     seconds = f"{result['seconds']:.3f}" if result is not None else "0"

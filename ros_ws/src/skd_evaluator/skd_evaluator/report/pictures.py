@@ -196,9 +196,9 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
     """Draw the car of the episode whose contact is the median: how it came, tick by tick, and where it hits.
 
     Args:
-        axes: of the panel.
-        scenario: of the test.
-        logs: episodes that collided, at least one.
+        axes: axes of the panel.
+        scenario: scenario of the test.
+        logs: logs of at least one episode that collided.
         low: least y of the panel, m; what is below is left out.
     """
     log = sorted(logs, key=lambda one: one.last_car_position)[len(logs) // 2]
@@ -240,10 +240,10 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     In the picture of the kamikazes that rank the car are the ways of the margin too.
 
     Args:
-        path: of the picture.
-        rating: of the car.
-        assessment: the one of its assessments that is to be drawn.
-        shown: kamikaze trajectories per φ at the most; more would only blacken the panel.
+        path: file to which the picture is written.
+        rating: rating of the car.
+        assessment: assessment of the rating that is drawn.
+        shown: greatest number of kamikaze trajectories drawn for each φ; more would only blacken the panel.
     """
     scenario = assessment.plan.scenario
     groups = assessment.kamikaze[:PANELS]

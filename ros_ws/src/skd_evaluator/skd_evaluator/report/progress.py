@@ -106,8 +106,8 @@ class ProgressLines:
         """Begin.
 
         Args:
-            write: takes each line.
-            clock: s.
+            write: called with each line.
+            clock: returns the time, s.
         """
         self._write, self._clock = write, clock
         self._stages: dict[str, _Stage] = {}
@@ -135,11 +135,11 @@ def progress_line(label: str, done: int, total: int, recent: int, seconds: float
     """Return in one line how far a stage is.
 
     Args:
-        label: of the stage.
-        done: of its parts.
-        total: of its parts.
-        recent: those of `done` that the time is of.
-        seconds: that it has taken so far.
+        label: name of the stage.
+        done: number of parts of the stage that are done.
+        total: number of all parts of the stage.
+        recent: how many of the parts that are done took the time `seconds`.
+        seconds: time that the recent parts took, s.
     """
     line = f"{label}: {done} of {total}"
     if recent <= 0 or seconds <= 0.0:

@@ -9,7 +9,7 @@ from typing import Any
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import default_knowledge
 from skd_sim.choices.options import Option, options_of
-from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.known_scenarios import is_named
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
 
@@ -27,8 +27,8 @@ def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, numbe
 
     Args:
         figures: content of assessment.json.
-        mode: of the episode, kamikaze or replay.
-        objective: of a kamikaze.
+        mode: mode of the episode, kamikaze or replay.
+        objective: objective of a kamikaze; of no meaning for a replay.
         number: id of the episode.
     """
     _, safe_index, attempt = split_episode_id(number)
@@ -73,7 +73,7 @@ def scenario_name(figures: Mapping[str, Any]) -> str:
     """Return the name under which the scenario of results can be had; empty where there is none."""
     stored = dict(figures["scenario"])
     name = str(stored["name"])
-    if name not in SCENARIOS:  # a name only, no path: nothing that a result names is opened
+    if not is_named(name):  # a name only, no path: nothing that a result names is opened
         return ""
     known = json.loads(json.dumps(load_scenario(name).as_dict()))
     external = CarUnderTest(str(figures["controller"])).is_external

@@ -57,8 +57,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     """Return the table of several assessments side by side.
 
     Args:
-        rows: as in comparison.json.
-        ranked_by: the figure by which they stand in order, the most vulnerable car first; None: as they were given.
+        rows: rows of the table, as comparison.json has them.
+        ranked_by: figure by which cars are in order, the most vulnerable one first; None: in the order given.
     """
     order = f"; safer cars, by {_RANKED[ranked_by]}, further down" if ranked_by else "; in no order"
     table = narrow_table(f"Side by side{order}")

@@ -26,7 +26,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
 
     Args:
         result: content of assessment.json.
-        checks: what became of each condition.
+        checks: result of each condition.
     """
     verdict = "passed" if all(one.passed for one in checks) else "failed" if any(c.failed for c in checks) else "error"
     said = {"passed": "passed", "failed": "the car failed", "error": "no statement about the car"}[verdict]

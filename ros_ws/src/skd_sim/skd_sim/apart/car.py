@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 
 from skd_sim.apart.seclusion import seclude
+from skd_sim.program.lasting import import_lasting
 
 
 def main() -> None:
@@ -15,6 +16,5 @@ def main() -> None:
     seclude()
     questions, answers = (int(argument) for argument in sys.argv[1:])
     del sys.argv[1:]
-    from skd_sim.apart.answering import answer_all  # imports start threads, which are to be secluded as well
-
-    answer_all(questions, answers)
+    answering = import_lasting("skd_sim.apart.answering")  # imports start threads, which are to be secluded as well
+    answering.answer_all(questions, answers)

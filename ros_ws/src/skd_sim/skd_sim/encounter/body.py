@@ -21,10 +21,10 @@ class Body(Unchanging):
     """What the adversary and the others of a scenario have in common.
 
     Attributes:
-        radius: of a disc, m; none of a box.
-        length: of a box, along the way that it moves, m; none of a disc.
-        width: of a box, m; none of a disc.
-        kind: who it is.
+        radius: radius of a disc, m; a box has none.
+        length: length of a box along the way that it moves, m; a disc has none.
+        width: width of a box, m; a disc has none.
+        kind: kind of road user, such as pedestrian or car.
         start_heading: where a box points before it moves, rad, counter-clockwise from East.
     """
 
@@ -47,14 +47,14 @@ class Body(Unchanging):
 
     @property
     def reach(self) -> float:
-        """Distance from its centre to what of it is furthest away, m: a disc's radius, half of a box's diagonal."""
+        """Distance from its centre to its furthest point, m: a disc's radius, or half of a box's diagonal."""
         if self.radius is not None:
             return self.radius
         return 0.5 * math.hypot(self.length or 0.0, self.width or 0.0)
 
     @property
     def core(self) -> float:
-        """Radius of the largest disc about its centre that is all of it, m: what cannot pass through an obstacle."""
+        """Radius of the largest disc about its centre that lies within it, m; it cannot pass through an obstacle."""
         return self.radius if self.radius is not None else 0.5 * min(self.length or 0.0, self.width or 0.0)
 
     @property
@@ -68,9 +68,9 @@ class Body(Unchanging):
         """Return where it points (rad) while it moves at a velocity (m/s); a disc points nowhere: 0.
 
         Args:
-            before: where it pointed before, rad; kept while it stands.
-            vx: to the East.
-            vy: to the North.
+            before: heading before, rad; it is kept while the body stands.
+            vx: velocity to the East, m/s.
+            vy: velocity to the North, m/s.
         """
         if not self.is_box or vx == vy == 0.0:
             return before
@@ -80,7 +80,7 @@ class Body(Unchanging):
         """Return its outline after a way, as a polygon: k × 2, m.
 
         Args:
-            positions: of its centre so far, n × 2 with n ≥ 1, m; a box points along the last step that is one.
+            positions: places of its centre so far, n × 2 with n ≥ 1, m; a box points along its last move.
         """
         return self.outline_at(positions[-1], self.last_heading(positions))
 
@@ -105,11 +105,11 @@ class Body(Unchanging):
         return heading
 
     def check_body(self, where: str, section: str) -> None:
-        """Refuse one without a shape, or with two.
+        """Refuse a body without a shape, or with two.
 
         Args:
             where: file or other origin, for messages.
-            section: of the scenario that it is, for messages.
+            section: name of the scenario's section that describes it, for messages.
 
         Raises:
             UsageError: names the key.

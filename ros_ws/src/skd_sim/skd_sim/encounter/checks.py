@@ -25,7 +25,7 @@ _START_SPACING = 0.05  # m between the places at which a car on a curved road is
 
 
 def check_obstacles(scenario: Scenario, where: str) -> None:
-    """Refuse obstacles in the car's path, for it does not steer around them, and one where the adversary starts."""
+    """Refuse obstacles in the car's path, which it does not steer around, and those where the adversary starts."""
     needed, adversary = scenario.car.half_width, scenario.adversary
     for index, (row, obstacle) in enumerate(zip(scenario.rectangles, scenario.obstacles, strict=False)):
         apart = float(np.abs(right_and_along(scenario.road.line, _filled(obstacle))[:, 0]).min())
@@ -60,7 +60,7 @@ def _standing(scenario: Scenario) -> list[str]:
 
 
 def check_destination(scenario: Scenario, where: str) -> None:
-    """Refuse an adversary that wants to go nowhere, or to where it is."""
+    """Refuse an adversary that has no destination, or that starts at its destination."""
     adversary, endings = scenario.adversary, scenario.ending
     arrived = None if endings is None else endings.arrived
     if adversary.destination_x is None and arrived is None:
@@ -158,9 +158,9 @@ def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float
     """Return the least distance (m) from a point (m) to the car's footprint, wherever in its start range it starts.
 
     Args:
-        scenario: gives road and car.
-        x: of the point.
-        y: of the point.
+        scenario: scenario whose road and car count.
+        x: place of the point to the East, m.
+        y: place of the point to the North, m.
         gap: least distance from the front bumper to the crossing line, m.
     """
     car = scenario.car

@@ -12,6 +12,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.ending import Ending, Endings, ending_of
 from skd_sim.encounter.other import Other
+from skd_sim.encounter.protocol.section import Protocol
 from skd_sim.encounter.road import Road, right_and_along
 from skd_sim.encounter.road_user import RoadUser
 from skd_sim.encounter.sections import Car, Collision, Obstacle, Sensor
@@ -25,8 +26,9 @@ from skd_sim.state import AdversaryState, RoadUserState
 class Scenario(Unchanging):
     """Everything that is fixed about a test: see `load_scenario`.
 
-    The adversary decides every `time_step`, the car every `control_period`, which divides it and is it by default.
-    `eta_max` is η_max of the mean deformation: as far as an attempt counts that needs more, or that fails.
+    The adversary decides every `time_step`. The car decides every `control_period`, which divides the time step and
+    equals it by default. `eta_max` is η_max of the mean deformation, m: as much counts an attempt that fails or that
+    needs more.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Scenario(Unchanging):
     obstacles: tuple[Obstacle, ...] = ()
     others: tuple[Other, ...] = ()
     ending: Endings | None = None
+    protocol: Protocol | None = None
 
     @cached_property
     def ticks(self) -> int:
@@ -66,7 +69,7 @@ class Scenario(Unchanging):
 
     @cached_property
     def rectangles(self) -> FloatArray:
-        """What stands: the obstacles, then the others that stand, n × 5.
+        """Rectangles of all that stands, n × 5: the obstacles, then the others that stand.
 
         A row is centre (m), heading (rad), half length, half width (m); a disc takes the square about it.
         """
@@ -76,7 +79,7 @@ class Scenario(Unchanging):
 
     @cached_property
     def _tracks(self) -> list[list[RoadUserState]]:
-        """The others' states at each tick of the horizon, and one more."""
+        """States of each of the others at every tick of the horizon, and at one more."""
         return [other.states(self.ticks + 1, self.time_step) for other in self.others]
 
     def others_at(self, tick: int, period: int = 0) -> tuple[RoadUserState, ...]:
@@ -104,7 +107,7 @@ class Scenario(Unchanging):
 
     @cached_property
     def end(self) -> Ending:
-        """When it is over, by path coordinates."""
+        """When an episode of this scenario is over, by path coordinates."""
         here = np.array([[self.adversary.start_x, self.adversary.start_y]])
         start = float(right_and_along(self.road.line, here)[0, 0])
         return ending_of(self.road.line, self.path_edge, start, self.adversary.destination_x, self.ending)
@@ -121,7 +124,7 @@ def _given(data: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             given[key] = _given(value)
         elif isinstance(value, tuple) and value:
-            given[key] = tuple(_given(item) for item in value)
+            given[key] = tuple(_given(item) if isinstance(item, dict) else item for item in value)
         elif value not in (None, ()):
             given[key] = value
     return given

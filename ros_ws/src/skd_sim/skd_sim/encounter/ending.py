@@ -26,9 +26,10 @@ NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)
 
 @dataclass(frozen=True)
 class Region(Unchanging):
-    """Part of the ground, open at its edges; whatever is not given does not bound it, and without any it is nowhere.
+    """Part of the ground without its edges. A bound that is not given does not limit it; without any it is nowhere.
 
-    The first two are to the right of the road's centre line, the others along it from the crossing line.
+    The first two bounds are offsets to the right of the road's centre line, m; the others are distances along it from
+    the crossing line, m.
     """
 
     also: ClassVar = ("lane",)
@@ -68,7 +69,7 @@ def inside(bounds: tuple[float, float, float, float], across: float, along: floa
 
 @dataclass(frozen=True, eq=False)
 class Ending(Unchanging):
-    """Of one scenario.
+    """When an episode of one scenario is over; see the module.
 
     Attributes:
         line: the road's centre line (skd_sim/encounter/road.py).
@@ -137,10 +138,10 @@ def ending_of(
 
     Args:
         line: the road's centre line.
-        path_edge: as in `Ending`, m.
+        path_edge: offset (m) within which the adversary can reach into the strip that the car sweeps.
         start: how far to the right of the centre line the adversary starts, m.
-        destination: how far to the right of it the adversary wants to go, m; it has arrived there or beyond it.
-        endings: the scenario's section, if it has one.
+        destination: offset to the right of the centre line, m, at or beyond which the adversary has arrived.
+        endings: section `ending` of the scenario, if it has one.
     """
     arrived, missed = (None, None) if endings is None else (endings.arrived, endings.missed)
     goal = destination

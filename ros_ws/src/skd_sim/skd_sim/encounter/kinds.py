@@ -1,4 +1,4 @@
-"""The kinds of road user that there are, by name: what is special to each is its own module's, above this package."""
+"""The kinds of road user, by name; what is special to a kind stands in a module of its own, above this package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 from skd_sim.choices.registry import Registry
 from skd_sim.encounter.body import HEIGHT, Body
 
-_OWN = ("pedestrian", "child", "cyclist", "car")
+_OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
 ROAD_USERS: Final = Registry(
     "road user", "skd.road_users", {kind: f"skd_adversary.model.road_user.{kind}:ROAD_USER" for kind in _OWN}
 )

@@ -1,7 +1,8 @@
-"""Scenarios that have a name: those that come with SKD, and those of installed packages."""
+"""Scenarios that have a name, SKD's own and those of installed packages, and files that build upon others."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from skd_sim.choices.registry import Registry
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.former_names import scenario_of_today
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 _FOLDER = resources.files("skd_sim") / "scenarios"
@@ -24,23 +26,84 @@ SCENARIOS = Registry("scenario", "skd.scenarios", {name: f"skd_sim.scenarios:{na
 """SKD's own are files of a folder. An entry point leads to a path of a YAML file, or to a mapping with its keys."""
 
 
+_AT_PLACE = re.compile(r"(.+?)-(-?\d+)")
+_EXTENDS = "extends"
+
+
+def is_named(source: str) -> bool:
+    """Tell whether a source is the name of a scenario, with an impact place or without; no file is opened."""
+    at_place = _AT_PLACE.fullmatch(source)
+    return source in SCENARIOS or (at_place is not None and at_place[1] in SCENARIOS)
+
+
 def scenario_data(source: str) -> Any:
     """Return the content of a scenario: a shipped one, one of an installed package, or a YAML file.
 
+    A file that `extends` another scenario, by its name or its path beside it, has all of that one's keys but those that
+    it gives itself; a key of null is as if it were not given. The name of a scenario with a section `protocol` may be
+    followed by one of its impact places, as in `cpna-75`.
+
     Args:
-        source: its name, or the path of the file.
+        source: name of the scenario, or path of its file.
 
     Raises:
         UsageError: there is no such scenario, or it is no YAML.
     """
+    return _extended(source, ())
+
+
+def _extended(source: str, before: tuple[str, ...]) -> Any:
+    data = scenario_of_today(_own_data(source, before), source)
+    if not isinstance(data, Mapping) or _EXTENDS not in data:
+        return data
+    base = data[_EXTENDS]
+    if not isinstance(base, str):
+        raise UsageError(f"{source}: {_EXTENDS} must be the name or the path of a scenario")
+    beside = Path(source).parent / base
+    base = str(beside) if not is_named(base) and Path(source).is_file() else base
+    if base in (*before, source):
+        raise UsageError(f"{source}: {_EXTENDS} leads back to {base}: a scenario cannot build upon itself")
+    try:
+        found = _extended(base, (*before, source))
+    except UsageError as error:
+        raise error if before else UsageError(f"{source}: {_EXTENDS}: {error}") from error
+    return _merged(found, {key: value for key, value in data.items() if key != _EXTENDS})
+
+
+def _merged(base: Any, own: Any) -> Any:
+    """Return a mapping with the keys of two, section by section, without those of null; anything else is its own."""
+    if not isinstance(own, Mapping):
+        return own
+    base = base if isinstance(base, Mapping) else {}
+    both = {**base, **{key: _merged(base.get(key), value) for key, value in own.items()}}
+    return {key: value for key, value in both.items() if value is not None}
+
+
+def _own_data(source: str, before: tuple[str, ...]) -> Any:
+    """Return what stands in a scenario's own file."""
     if source in SCENARIOS.own:
         return parse_yaml((_FOLDER / f"{source}.yaml").read_text(encoding="utf-8"), source)
-    if source in SCENARIOS and not Path(source).is_file():
+    at_place = _AT_PLACE.fullmatch(source)
+    if is_named(source) and not Path(source).is_file():
+        if source not in SCENARIOS and at_place is not None:
+            return _at_place(_extended(at_place[1], (*before, source)), source, at_place[1], int(at_place[2]))
         found = SCENARIOS.find(source)
         if isinstance(found, Mapping):
             return found
         return parse_yaml(_read(Path(str(found)), f"scenario {source} ({SCENARIOS.target(source)})"), source)
     return parse_yaml(_read(Path(source), f"scenario {source}"), source)
+
+
+def _at_place(data: Any, source: str, name: str, place: int) -> Any:
+    """Return a scenario's content with one of its impact places alone."""
+    content: Mapping[str, Any] = data if isinstance(data, Mapping) else {}
+    protocol: Mapping[str, Any] = content.get("protocol", {})
+    places = protocol.get("impact_places", []) if isinstance(protocol, Mapping) else []
+    if place not in places:
+        known = ", ".join(f"{one:g}" for one in places)
+        what = f"its impact places are {known} %" if places else "it has no impact places"
+        raise UsageError(f"scenario {source}: {name} cannot be had with an impact place of {place} %: {what}")
+    return {**content, "name": source, "protocol": {**protocol, "impact_places": [place]}}
 
 
 def _read(path: Path, what: str) -> str:

@@ -32,9 +32,9 @@ class Waypoint:
 
 @dataclass(frozen=True, kw_only=True)
 class Other(Body):
-    """A disc (`radius`) or a box (`length`, `width`), and its way: one point where it stands, else several.
+    """A disc (`radius`) or a box (`length`, `width`), and its way: one point if it stands, several if it moves.
 
-    After the last point of its way it stands there. A box points the way that it moves, before that to `start_heading`.
+    After the last point of its way it stands there. A box points the way it moves; until then, to `start_heading`.
     """
 
     kind: str
@@ -68,7 +68,7 @@ class Other(Body):
         return found
 
     def check(self, where: str, section: str) -> None:
-        """Refuse one without a shape or a way, or whose times do not increase.
+        """Refuse a road user without a shape or without a way, or one whose times do not increase.
 
         Raises:
             UsageError: names the key.

@@ -44,7 +44,7 @@ def _value(kind: Any, value: Any, where: str, key: str) -> Any:
     if get_origin(kind) is tuple:
         if not isinstance(value, (list, tuple)):
             raise UsageError(f"{where}: {key} must be a list, got {type(value).__name__}")
-        return tuple(build(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
+        return tuple(_value(get_args(kind)[0], item, where, f"{key}[{index}]") for index, item in enumerate(value))
     if kind is str:
         if not isinstance(value, str):
             raise UsageError(f"{where}: {key} must be text, got {short(value)}")

@@ -40,7 +40,7 @@ class Part(Unchanging):
 
     @property
     def curvature(self) -> float:
-        """Of the centre line, 1/m, positive to the left."""
+        """Curvature of the centre line, 1/m, positive to the left."""
         if self.radius is None:
             return 0.0
         return 1.0 / self.radius if self.turn == "left" else -1.0 / self.radius
@@ -102,12 +102,12 @@ class Road(Unchanging):
 
     @property
     def length(self) -> float:
-        """Of all parts, m."""
+        """Length of all parts together, m."""
         return sum(part.length for part in self.parts)
 
     @cached_property
     def line(self) -> FloatArray:
-        """Centre line: see the module."""
+        """Centre line of the car's lane, as an array; see the module."""
         origin = 0.5 * self.length if self.origin is None else self.origin
         return centre_line([(part.length, part.curvature) for part in self.parts], origin)
 
@@ -155,8 +155,8 @@ class Road(Unchanging):
 
         Args:
             side: −1 for the left edge, 1 for the right one.
-            low: where it begins.
-            high: where it ends.
+            low: path coordinate at which the edge begins, m.
+            high: path coordinate at which the edge ends, m.
             number: number of the lane, by default the car's.
         """
         straight = self.straight or not self.every_lane[number].beside
@@ -236,8 +236,8 @@ def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:
     """Return the line of parts whose crossing point lies `origin` (m, ≥ 0) behind their beginning.
 
     Args:
-        parts: (length in m, curvature in 1/m) of each, in driving order; none of them curved: the straight lane.
-        origin: at most the length of all.
+        parts: (length in m, curvature in 1/m) of each part, in driving order; without curves: the straight lane.
+        origin: distance from the beginning of the parts to the crossing point, m; at most the length of all parts.
     """
     if all(curvature == 0.0 for _, curvature in parts):
         return np.array([STRAIGHT_NORTH])

@@ -51,7 +51,7 @@ class RoadUser(Body):
         return RoadUserState(float(x), float(y), *self.first_velocity, float(on_grid(self.first_heading)))
 
     def check(self, where: str) -> None:
-        """Refuse one without a shape, with two, or that comes faster than it can be.
+        """Refuse an adversary without a shape, with two, or that starts faster than it can move.
 
         Raises:
             UsageError: names the key under `where`.

@@ -1,12 +1,13 @@
 """Scenarios from validated YAML, by name or from a file.
 
 Every key is known and in range, and required unless it has a default: those of `car.dynamics: multi_body`, `eta_max`,
-the parts of a road that is not straight and its further lanes, and the sections `sensor`, `obstacles`, `others` and
-`ending`. A mistake is one line that names file, key and allowed range.
+the parts of a road that is not straight and its further lanes, and the sections `sensor`, `obstacles`, `others`,
+`ending` and `protocol`. A mistake is one line that names file, key and allowed range.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from skd_sim.choices.car_dynamics import DYNAMICS
@@ -20,6 +21,7 @@ from skd_sim.encounter.checks import (
 from skd_sim.encounter.definition import Scenario as Scenario
 from skd_sim.encounter.known_scenarios import scenario_data
 from skd_sim.encounter.lanes import off_lanes
+from skd_sim.encounter.protocol.relative import with_absolute_keys
 from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
@@ -36,11 +38,14 @@ def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     Raises:
         UsageError: a key is missing, unknown or out of range, or the car overlaps the adversary at the start.
     """
-    scenario = build(Scenario, off_lanes(scenario_of_today(data, where), where), where, "")
+    data = with_absolute_keys(off_lanes(scenario_of_today(data, where), where), where)
+    scenario = build(Scenario, data, where, "")
     scenario.road.check(where)
     scenario.adversary.check(where)
     for index, other in enumerate(scenario.others):
         other.check(where, f"others[{index}]")
+    if scenario.protocol is not None:
+        scenario.protocol.check(where)
     if scenario.horizon < scenario.time_step:
         raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
     check_control_period(scenario, where)
@@ -71,3 +76,31 @@ def load_scenario(source: str) -> Scenario:
         UsageError: no such scenario, not YAML, or not a valid scenario.
     """
     return scenario_from_dict(scenario_data(source), source)
+
+
+def changed_scenario(source: str, changes: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with some keys of its file changed; what is said relative to its test speed changes with it.
+
+    A place on a lane is coordinates before anything is changed.
+
+    Args:
+        source: its name, or the path of its YAML file.
+        changes: values by the key's place in the file, as `car.start_speed`.
+
+    Raises:
+        UsageError: there is no such scenario or place in it, or it is none with these values.
+    """
+    content = off_lanes(scenario_of_today(scenario_data(source), source), source)
+    if not isinstance(content, Mapping):
+        return load_scenario(source)  # says what is wrong
+    data = dict(content)
+    for place, value in changes.items():
+        *sections, key = place.split(".")
+        section = data
+        for name in sections:
+            inner = section.get(name, {})
+            if not isinstance(inner, Mapping):
+                raise UsageError(f"scenario {data.get('name', source)}: {place}: {name} has no keys")
+            section[name] = section = dict(inner)
+        section[key] = value
+    return scenario_from_dict(data, f"scenario {data.get('name', source)}, changed")

@@ -42,7 +42,7 @@ class Car(Unchanging):
 
     @property
     def half_width(self) -> float:
-        """Half of the width, m."""
+        """Half of the car's width, m."""
         return 0.5 * self.width
 
     @property
@@ -99,7 +99,7 @@ class Obstacle(Unchanging):
 
     @property
     def corners(self) -> FloatArray:
-        """Its corners, 4 × 2, m."""
+        """Corners of the rectangle, 4 × 2, m."""
         ahead = 0.5 * self.length * np.array([math.cos(self.heading), math.sin(self.heading)])
         left = 0.5 * self.width * np.array([-math.sin(self.heading), math.cos(self.heading)])
         corners = [ahead + left, left - ahead, -ahead - left, ahead - left]

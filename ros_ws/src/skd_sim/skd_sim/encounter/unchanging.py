@@ -1,4 +1,4 @@
-"""Objects that nobody changes: a copy of what holds one holds the same one."""
+"""Objects that nobody changes: a copy of something that holds such an object holds the same object."""
 
 from __future__ import annotations
 

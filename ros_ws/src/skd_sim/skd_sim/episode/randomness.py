@@ -25,6 +25,8 @@ class Role(IntEnum):
     FLOOR = 7
     ITSELF = 8
     ORDER = 9
+    WALKER = 10
+    RISK = 11
 
 
 def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:

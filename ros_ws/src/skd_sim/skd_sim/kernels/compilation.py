@@ -8,6 +8,7 @@ different trajectories. Here code is kept under a digest of all that it depends 
 from __future__ import annotations
 
 import functools
+import importlib
 import sys
 import types
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
+from numba.np import linalg
 
 from skd_sim.errors import UsageError
 from skd_sim.kernels.fingerprint import UnfathomableError, fingerprint
@@ -31,6 +33,22 @@ _specialised: dict[tuple[str, str, str], str] = {}
 """(module and name of the template, name of the specialisation) → fingerprint."""
 if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
     raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")
+
+
+def _import_array_functions() -> None:
+    """Import what numba itself imports before the first kernel, but for scipy.linalg, a fifth of a node's start.
+
+    Numba imports that only to see whether scipy has it, which it has. A kernel that multiplies matrices is told of it
+    when it is compiled.
+    """
+    ensure, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure
+
+
+_import_array_functions()
 
 
 @overload

@@ -1,4 +1,4 @@
-"""Where one kind of command comes from: who sends it, what was answered, and what is to be said where nothing comes."""
+"""Where one kind of command comes from: who sends it, what has been answered, and what to say if nothing comes."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Source:
     """One kind of command: who sends it, what was answered to which tick, and what was of no use.
 
     Attributes:
-        who: what the sender is called in messages.
-        topic: of its commands.
-        senders: who publishes there.
-        command: for the coming step, once it is there.
+        who: name of the sender, for messages.
+        topic: topic on which its commands are published.
+        senders: what the middleware knows of those who publish there.
+        command: command for the coming step; None until it has come.
     """
 
     def __init__(self, who: str, topic: str, senders: Senders) -> None:
-        """Know nothing yet."""
+        """Begin without any command and without any sender."""
         self.who = who
         self.topic = topic
         self.senders = senders
@@ -65,11 +65,12 @@ class Source:
     def contradiction(self, stamp: int, answer: tuple[float, ...], start: int) -> str | None:
         """Return what is wrong with a second answer to a tick, if anything.
 
-        Which of two would count would depend on which comes first. Tick 0 is repeated, and so may its answer be.
+        Of two different answers to one tick, it would be chance which one counts. The state of tick 0 is repeated, and
+        so its answer may be repeated, too.
 
         Args:
-            stamp: of the tick, ns.
-            answer: to it.
+            stamp: stamp of the tick, ns.
+            answer: command that answers the tick.
             start: stamp of tick 0, ns.
         """
         same = self._answers[stamp] == answer
@@ -96,9 +97,9 @@ class Source:
         """Return why there is no answer to a tick, as a reason.
 
         Args:
-            wanted: stamp of the tick, ns.
-            limit: how long it was waited for, s of wall time.
-            tick: its number.
+            wanted: stamp of the tick for which a command is missing, ns.
+            limit: how long the command was waited for, s of wall time.
+            tick: number of that tick.
         """
         silent = f"{self._alone} stayed silent for {limit:g} s at tick {tick}"
         if self._ignored:

@@ -1,6 +1,6 @@
 """What a car under test may publish: which message, which number in it, and what that number means.
 
-Those with a name of their own stand in one table; any other type is told by its ROS name, a field and a quantity.
+Types with a name of their own stand in one table; others are described by ROS name, field and quantity.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
 
 
 class Quantity(StrEnum):
-    """What a car is commanded."""
+    """Quantity that a command gives the car, such as an acceleration."""
 
     ACCELERATION = "acceleration"
     """m/s²."""
@@ -27,11 +27,11 @@ class Quantity(StrEnum):
 
 @dataclass(frozen=True)
 class CommandFormat:
-    """A kind of command.
+    """A kind of command that a car under test may publish.
 
     Attributes:
-        type: ROS name of the message, as in geometry_msgs/msg/AccelStamped.
-        field: path of the number in it, as in accel.linear.x or axes[1].
+        type: ROS name of the message, for example geometry_msgs/msg/AccelStamped.
+        field: path of the number in the message, for example accel.linear.x or axes[1].
         quantity: what the number is.
         limit: path of another number, the greatest change of speed that a speed target asks for, m/s², 0: any; or
             empty: there is none.
@@ -44,7 +44,7 @@ class CommandFormat:
 
     @property
     def package(self) -> str:
-        """Package of the message."""
+        """Name of the ROS package that defines the message."""
         return self.type.partition("/")[0]
 
 
@@ -64,11 +64,11 @@ def follow_speed(target: float, speed: float, duration: float, bounds: CommandLi
     """Return the acceleration (m/s²) with which a car follows a speed target.
 
     Args:
-        target: m/s.
-        speed: of the car now, m/s.
-        duration: s, after which it would have the target's speed.
-        bounds: within which it follows.
-        limit: greatest change of speed that the target itself asks for, m/s²; 0: any.
+        target: target speed, m/s.
+        speed: speed of the car now, m/s.
+        duration: time after which the car is to have the target speed, s.
+        bounds: least and greatest acceleration with which the car follows.
+        limit: greatest change of speed that the target itself allows, m/s²; with 0 any is allowed.
     """
     wanted = (target - speed) / duration
     if limit > 0.0:

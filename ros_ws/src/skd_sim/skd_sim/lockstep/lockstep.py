@@ -42,8 +42,8 @@ class Step(NamedTuple):
 
     Attributes:
         drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
-        velocity: of the adversary, (East, North), m/s.
-        limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
+        velocity: velocity of the adversary, (East, North), m/s.
+        limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
     """
 
     drive: float
@@ -53,7 +53,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Start:
-    """Real time only: both have spoken, and the control periods may begin."""
+    """In real time only: car and adversary have each sent a command, and the control periods may begin."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ class End(NamedTuple):
     """The episode is over.
 
     Attributes:
-        outcome: how it ended.
-        frame: at its end.
-        stamp: of that frame, ns.
-        reason: why it was aborted, else empty; begins with a kind of `skd_sim.episode.aborts`.
+        outcome: how the episode ended.
+        frame: frame at the end of the episode.
+        stamp: stamp of that frame, ns.
+        reason: why the episode was aborted, beginning with a kind of `skd_sim.episode.aborts`; empty if it was not.
     """
 
     outcome: Outcome
@@ -90,10 +90,10 @@ class Limits(NamedTuple):
 class Lockstep:
     """The state of one episode after another; idle before `begin` and after an `End`.
 
-    Whoever gets a `Step` hands in the frame that comes of it, or what failed, before anything else.
+    After a `Step` its frame, or what failed, has to be handed in before anything else.
 
     Attributes:
-        ages: of the car's commands in this episode.
+        ages: ages of the car's commands in this episode.
         lead: how far the clock is to be behind the state that is published now, ns.
     """
 
@@ -104,9 +104,9 @@ class Lockstep:
 
         Args:
             car: the source of the car's commands.
-            adversary: the source of the adversary's.
-            limits: how long to wait for them.
-            real_time: hold commands rather than wait for those of each tick.
+            adversary: the source of the adversary's commands.
+            limits: how long commands are waited for.
+            real_time: whether commands are held, instead of waiting for those of each tick.
             quiet_time: how long a car that follows the clock is waited for, s of wall time; 0: one that answers each
                 state is, as long as its limit says.
         """
@@ -124,13 +124,13 @@ class Lockstep:
         return frame_stamp(self._start, self._frame, self._scenario)
 
     def begin(self, start: int, scenario: Scenario, frame: Frame, now: float) -> End | None:
-        """Begin an episode, and end the last one without a word.
+        """Begin an episode; if one is still running, leave it without a message.
 
         Args:
             start: stamp of tick 0, ns.
-            scenario: with the time step and the control periods.
-            frame: of tick 0.
-            now: monotonic time, s.
+            scenario: scenario that gives the time step and the control periods.
+            frame: frame of tick 0.
+            now: time on the monotonic clock, s.
         """
         self._start, self._scenario = start, scenario
         self._car.begin()
@@ -146,17 +146,17 @@ class Lockstep:
         return self._refuse_crowds()
 
     def stop(self) -> None:
-        """Leave the episode without a word."""
+        """Leave the running episode without a message."""
         self._frame = None
 
     def drive(self, stamp: int | None, command: float, limit: float = 0.0, *, now: float = math.nan) -> Action | None:
         """Take a command of the car.
 
         Args:
-            stamp: that it carries, ns; a type of message that has none is for the tick now.
+            stamp: stamp that the command carries, ns; a message without one is for the running tick.
             command: acceleration (m/s²) or speed target (m/s).
-            limit: greatest change of speed that a speed target asks for, m/s²; 0: any.
-            now: monotonic time, s; without it the command's age is not known.
+            limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
+            now: time on the monotonic clock, s; without it the command's age is not known.
         """
         answer = (command, limit) if limit else (command,)
         if self._quiet_time:
@@ -191,11 +191,11 @@ class Lockstep:
         return self._refuse_crowds() or self._end(frame.outcome, "")
 
     def fail(self, reason: str) -> End | None:
-        """Abort the episode, if there is one, for what the simulator says."""
+        """Abort the running episode, if there is one, for the reason that the simulator gives."""
         return self._end(Outcome.ABORTED, reason) if self._frame is not None else None
 
     def watch(self, now: float) -> Repeat | End | None:
-        """Look at the time (monotonic, s), now and then: who is silent, gone or too many ends the episode."""
+        """End the episode if a sender is silent, gone or one too many; to be asked now and then (monotonic time, s)."""
         frame = self._frame
         if frame is None:
             return None
@@ -269,13 +269,13 @@ class Lockstep:
         return self._take(now)
 
     def _wants(self, stamp: int) -> bool:
-        """Whether a command is for the tick now: lockstep takes no other, real time takes any of this episode."""
+        """Whether a command is for the running tick: lockstep takes no other, real time takes any of this episode."""
         if self._real_time:
             return stamp >= (self._start if self._began else self._start - LEAD)
         return stamp == self.stamp
 
     def _waits_for(self, source: Source) -> bool:
-        """Whether there is no command of a source that the control period now needs."""
+        """Whether the running control period still needs a command of some source."""
         if self._quiet_time and source is self._car:
             return not self._spoken
         return source.command is None and (source is self._car or self._velocity is None)

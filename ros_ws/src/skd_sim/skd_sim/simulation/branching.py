@@ -30,19 +30,19 @@ Velocity = tuple[float, float]
 
 
 class Branch:
-    """World and controller after some ticks. Where the adversary is then is given when it goes on.
+    """World and controller after some ticks; the adversary's place is given when the car is led on.
 
     Attributes:
-        world: after those ticks.
+        world: world after those ticks.
     """
 
     def __init__(self, episode: Episode, make: ControllerFactory | None = None, *, copies: bool = True) -> None:
         """Start an episode.
 
         Args:
-            episode: what to run.
-            make: the car under test; from the specification by default.
-            copies: whether the controller may be copied; else every branch runs it again from the start.
+            episode: specification of the episode.
+            make: makes the controller of the car under test; by default from the specification.
+            copies: whether the controller may be copied; if not, every branch runs it again from the start.
         """
         self._episode = episode
         self._make = make or (lambda: make_controller(episode.controller, episode.multiplier))
@@ -103,7 +103,7 @@ class Branch:
         return again
 
     def can_be_copied(self) -> bool:
-        """Tell whether a copy of the controller can be made at all; a user's may hold what cannot be copied."""
+        """Tell whether a copy of the controller can be made; a user's controller may hold what cannot be copied."""
         try:
             self.copy()
         except Exception:
@@ -125,13 +125,13 @@ class Way:
     """The ways on from a branch in one tick, by what the adversary does in it.
 
     Attributes:
-        ticks: of the car that were simulated.
-        shared: whether all actions share one.
-        after: the car behind the tick, where they do.
+        ticks: number of ticks of the car that were simulated.
+        shared: whether all actions of the adversary share one tick of the car.
+        after: state of the car after the tick, where they share it.
     """
 
     def __init__(self, branch: Branch, adversary: AdversaryState) -> None:
-        """Let the car drive, as far as it does not depend on the adversary's action."""
+        """Let the car drive as far as its motion does not depend on the adversary's action."""
         self._before, self._adversary = branch, adversary
         self.ticks, self.shared = 0, branch.shares
         self.after: Branch | None = None

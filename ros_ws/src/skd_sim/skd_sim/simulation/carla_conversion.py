@@ -15,7 +15,7 @@ from skd_sim.state import AdversaryState, CarState
 
 
 class Pedals(NamedTuple):
-    """Positions of the pedals, each in [0, 1]; never both above 0."""
+    """Positions of the pedals, each in [0, 1]; at most one of them is above 0."""
 
     throttle: float
     brake: float
@@ -69,7 +69,7 @@ def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Peda
     """Return the pedals for an acceleration command (m/s²), linear up to what a full pedal gives.
 
     Args:
-        acceleration: commanded, m/s².
+        acceleration: commanded acceleration of the car, m/s².
         full_throttle: acceleration at full throttle, m/s², > 0.
         full_brake: deceleration at full brake, m/s², > 0.
     """

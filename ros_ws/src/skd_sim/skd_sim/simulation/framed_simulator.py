@@ -29,17 +29,17 @@ class FrameSource(Protocol):
 
     Attributes:
         frame_step: time between frames, s.
-        limits: of what its car can be commanded.
+        limits: least and greatest acceleration that its car can be commanded.
     """
 
     frame_step: float
     limits: CommandLimits
 
     def place(self, car: CarState, adversary: AdversaryState) -> States:
-        """Put both at the start, and return where they really are then."""
+        """Put car and adversary at the start, and return their states as they really are then."""
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
-        """Command both, from the next frame on: acceleration within the limits (m/s²), velocity (m/s)."""
+        """Command car (acceleration within the limits, m/s²) and adversary (velocity, m/s) from the next frame on."""
 
     def advance(self) -> States:
         """Advance by one frame and return the states at its end."""
@@ -60,7 +60,7 @@ class FramedSimulator:
     """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`."""
 
     def __init__(self, source: FrameSource) -> None:
-        """Take the source of the frames."""
+        """Take the simulator that gives the frames."""
         self._source = source
         self._stage = source if isinstance(source, StagedFrameSource) else None
         self.clipped = 0
@@ -71,7 +71,7 @@ class FramedSimulator:
         return self._stage is not None
 
     def reset(self, episode: Episode) -> Frame:
-        """Draw the start as the world does, and place both there.
+        """Draw the start as the world does, and place car and adversary there.
 
         Raises:
             UsageError: a control period is not a whole number of frames, the road has curves, or the source has no

@@ -33,7 +33,7 @@ def make_simulator(name: str) -> Simulator:
 
 
 class NamedSimulator:
-    """The simulator that each episode names, kept from one to the next; see `Simulator`."""
+    """The simulator that an episode names, kept from one episode to the next; see `Simulator`."""
 
     places_others: Final = True
     """It asks the one that is named."""
@@ -44,7 +44,7 @@ class NamedSimulator:
         self._simulator: Simulator
 
     def reset(self, episode: Episode) -> Frame:
-        """Make the simulator, where it is another than before, and begin."""
+        """Make the simulator if the episode names another one than the last did, and begin the episode."""
         if episode.simulator != self._name:
             self._simulator = make_simulator(episode.simulator)
             self._name = episode.simulator
@@ -52,15 +52,15 @@ class NamedSimulator:
         return self._simulator.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Advance it."""
+        """Advance the simulator by one control period."""
         return self._simulator.step(acceleration, velocity)
 
     @property
     def world(self) -> World | None:
-        """SKD's own world, where that is the simulator: see `WorldSimulator.world`."""
+        """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
         return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
 
     @property
     def clipped(self) -> int:
-        """How many commands its car could not follow."""
+        """How many commands of this episode asked more of the car than it can do."""
         return self._simulator.clipped

@@ -24,9 +24,9 @@ class Frame(NamedTuple):
         tick: number of the tick; 0 is the start.
         car: state of the car under test.
         adversary: state of the adversary.
-        contact: in the tick that has just ended, if any; its fraction is of the tick.
-        outcome: `RUNNING` while there is something to decide; anything else only at a tick.
-        period: number of control periods since the tick; 0: this is it.
+        contact: collision in the tick that has just ended, if there was one; its fraction is of the tick.
+        outcome: outcome of the episode: `RUNNING` while there is something to decide, anything else only at a tick.
+        period: number of control periods since the tick; 0 at the tick itself.
     """
 
     tick: int
@@ -51,12 +51,12 @@ class SimulatorError(Exception):
     """A simulator cannot go on with this episode, which is aborted; the next one may be better."""
 
     def __init__(self, kind: AbortKind, what: str) -> None:
-        """Say what went wrong, and of which kind it is."""
+        """Say what went wrong, and which kind of fault it is."""
         super().__init__(abort_reason(kind, what))
 
 
 class Simulator(Protocol):
-    """Runs one episode after another, each control period when it is told to; it may take as long as it needs."""
+    """Runs one episode after another, a control period at a time when told to; it may take as long as it needs."""
 
     @property
     def clipped(self) -> int:
@@ -77,8 +77,8 @@ class Simulator(Protocol):
         `Episode.outcome` says how an episode stands at a tick.
 
         Args:
-            acceleration: of the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the adversary, (East, North), m/s, finite; the same throughout a tick.
+            acceleration: acceleration of the car, m/s², finite; what the car cannot do is clipped and counted.
+            velocity: velocity of the adversary, (East, North), m/s, finite; the same throughout a tick.
 
         Raises:
             SimulatorError: it fails.
@@ -105,13 +105,13 @@ class WorldSimulator:
     """Whether the others of a scenario are there: of a simulator that does not say so, they are not."""
 
     def reset(self, episode: Episode) -> Frame:
-        """Make the world of an episode, with its draws."""
+        """Make the world of an episode, with all that is drawn for it."""
         self._episode = episode
         self._world = make_world(episode)
         return Frame(0, self._world.car, self._world.adversary)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        """Advance the world."""
+        """Advance the world by one control period."""
         world = self._world
         contact = world.step(acceleration, velocity)
         if world.period:
@@ -121,10 +121,10 @@ class WorldSimulator:
 
     @property
     def world(self) -> World:
-        """That of the episode, for those who may look at it; it is theirs to leave as it is."""
+        """World of the running episode, to be looked at and not to be changed."""
         return self._world
 
     @property
     def clipped(self) -> int:
-        """How many commands the car could not follow."""
+        """How many commands of this episode asked more of the car than it can do."""
         return self._world.clipped

@@ -20,7 +20,7 @@ from skd_sim.state import AdversaryState, CarState, RoadUserState
 
 
 class Contact(NamedTuple):
-    """First touch within a tick: fraction of the tick at which it happened, and the car's speed there (m/s).
+    """First touch within a tick: the fraction of the tick at which it happened, and the car's speed at that time (m/s).
 
     It is the adversary whom the car touches, or one of the others of the scenario.
     """
@@ -36,9 +36,9 @@ class World:
         car: state of the car now.
         adversary: state of the adversary now.
         tick: number of time steps taken.
-        period: number of control periods taken since.
-        limits: of the car's commands.
-        clipped: how many commands were beyond them.
+        period: number of control periods taken since the last tick.
+        limits: least and greatest acceleration that the car can be commanded.
+        clipped: how many commands were beyond these limits.
     """
 
     def __init__(
@@ -50,14 +50,14 @@ class World:
         start_rng: np.random.Generator,
         car_rng: np.random.Generator,
     ) -> None:
-        """Place both road users.
+        """Place the car and the adversary.
 
         Args:
             scenario: fixed description of the test.
-            adversary_start: (x, y) in m; the scenario's start by default.
-            gap: front bumper to the crossing line before the draw, m; the scenario's by default.
-            start_rng: draws the start distance.
-            car_rng: draws the car's motion noise.
+            adversary_start: place (x, y) at which the adversary starts, m; by default the scenario's.
+            gap: distance from the front bumper to the crossing line before the draw, m; by default the scenario's.
+            start_rng: generator that draws the car's start distance.
+            car_rng: generator that draws the noise of the car's motion.
         """
         car, adversary = scenario.car, scenario.adversary
         x, y = adversary_start if adversary_start is not None else (adversary.start_x, adversary.start_y)
@@ -86,7 +86,7 @@ class World:
 
     @property
     def dynamics(self) -> CarDynamics:
-        """Those of the car, as they are now."""
+        """Dynamics of the car, as they are now."""
         return self._dynamics
 
     @property
@@ -100,8 +100,8 @@ class World:
         A tick in which there is one runs to its end under the same command: nobody decides after the contact.
 
         Args:
-            acceleration: commanded to the car, m/s², finite; what it cannot do is clipped and counted.
-            velocity: of the adversary over the time step, (East, North), m/s: the same for all its control periods.
+            acceleration: commanded acceleration of the car, m/s², finite; what it cannot do is clipped, counted.
+            velocity: velocity of the adversary over the time step, (East, North), m/s; constant in it.
         """
         vx, vy = float(velocity[0]), float(velocity[1])
         if self.period == 0:
@@ -146,8 +146,8 @@ class World:
         """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
-            path: of the car, as from `drive`.
-            velocity: of the adversary, (East, North), m/s.
+            path: path of the car in the period, as from `drive`.
+            velocity: velocity of the adversary, (East, North), m/s.
 
         Returns:
             The state at the end of the period, or of the tick where there is a collision; its fraction is of the tick.
@@ -180,12 +180,12 @@ def first_contact_of(
 
     Args:
         scenario: fixed description of the test.
-        path: of the car in the period, as from `World.drive`.
-        adversary: where it was when the tick began.
-        velocity: of the adversary over the tick, (East, North), m/s.
-        heading: of the adversary's box in the tick, rad.
-        tick: in which the period is.
-        period: its number in the tick.
+        path: path of the car in the period, as from `World.drive`.
+        adversary: state of the adversary when the tick began.
+        velocity: velocity of the adversary over the tick, (East, North), m/s.
+        heading: heading of the adversary's box in the tick, rad.
+        tick: number of the tick in which the period is.
+        period: number of the period in the tick.
 
     Returns:
         Fraction of the tick, infinity without a contact that counts as a collision, and the car's speed there, m/s.

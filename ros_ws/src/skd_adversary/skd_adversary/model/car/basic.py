@@ -101,8 +101,8 @@ class CarModel:
     """Predicted policy of the car: brake within C·κ, with C ~ U[multiplier_low, multiplier_high].
 
     Attributes:
-        multiplier_low: least C thought possible.
-        multiplier_high: greatest C thought possible; equal to the least where C is known.
+        multiplier_low: least C that the adversary thinks possible.
+        multiplier_high: greatest C that it thinks possible; equal to the least where C is known.
         observes_position: whether the adversary senses the relative position (basic car) or the distance only.
     """
 
@@ -116,12 +116,12 @@ class CarModel:
 
     @property
     def kernels(self) -> CarKernels:
-        """How it moves."""
+        """Kernels of how the predicted car moves."""
         return KERNELS
 
     @property
     def sensor(self) -> Sensor:
-        """What the adversary sees of it."""
+        """Sensor by which the adversary sees the car."""
         return relative_position.SENSOR if self.observes_position else distance.SENSOR
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:

@@ -202,11 +202,11 @@ KERNELS = CarKernels(
 
 @dataclass(frozen=True)
 class LearnedCar:
-    """A car that follows what logs showed.
+    """A car that behaves by the law that was fitted to its logs.
 
     Attributes:
-        car: what the logs showed.
-        known: what is known of the car without them: which sensor goes with it.
+        car: fitted law of the car, with its parameters.
+        known: what is known of the car without its logs; it gives the sensor.
     """
 
     car: FittedCar
@@ -214,12 +214,12 @@ class LearnedCar:
 
     @property
     def kernels(self) -> CarKernels:
-        """How it moves."""
+        """Kernels of how the predicted car moves."""
         return KERNELS
 
     @property
     def sensor(self) -> Sensor:
-        """What the adversary sees of it."""
+        """Sensor by which the adversary sees the car."""
         return self.known.sensor
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:

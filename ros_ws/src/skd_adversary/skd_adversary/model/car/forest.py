@@ -179,12 +179,12 @@ KERNELS = CarKernels(
 
 @dataclass(frozen=True)
 class ForestCar:
-    """A car that does what it was seen doing.
+    """A car that does in each situation what it was seen doing in similar ones.
 
     Attributes:
-        forest: of what it was seen doing.
-        known: what is known of the car without it: which sensor goes with it.
-        waiting_reward: as `basic.WAITING_REWARD`.
+        forest: forest that was learned from what the car was seen doing.
+        known: what is known of the car without the forest; it gives the sensor.
+        waiting_reward: reward of a tick of waiting after φ's end, as `basic.WAITING_REWARD`.
     """
 
     forest: CarForest
@@ -193,12 +193,12 @@ class ForestCar:
 
     @property
     def kernels(self) -> CarKernels:
-        """How it moves."""
+        """Kernels of how the predicted car moves."""
         return KERNELS
 
     @property
     def sensor(self) -> Sensor:
-        """What the adversary sees of it."""
+        """Sensor by which the adversary sees the car."""
         return self.known.sensor
 
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:

@@ -75,7 +75,7 @@ _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
 
 @template("ROW")
 def begin(parameters: Any, state: FloatArray) -> None:
-    """Write the own part of a first state; the adversary is where φ begins, or nearly so."""
+    """Write the objective's own part of a first state, in which the adversary is where φ begins, or near there."""
     dx, dy = state[ADVERSARY_X] - parameters.path[0, 0], state[ADVERSARY_Y] - parameters.path[0, 1]
     state[ROW] = dx * dx + dy * dy
     state[ROW + 1] = 0.0
@@ -87,11 +87,11 @@ def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> 
     """Return the velocity (East, North), m/s, of somebody who goes one of `steer`'s ways, or as φ, at a tick.
 
     Args:
-        parameters: of the model.
-        vx: velocity in the tick before, m/s.
-        vy: likewise.
-        action: way.
-        tick: now.
+        parameters: parameters of the model.
+        vx: velocity to the East in the tick before, m/s.
+        vy: velocity to the North in the tick before, m/s.
+        action: action whose velocity is asked.
+        tick: number of the tick now.
     """
     if action == _FOLLOW:
         return path_velocity(parameters.path, tick, parameters.time_step)
@@ -201,16 +201,16 @@ def _foreseen(
     action: int,
     bound: float,
 ) -> tuple[float, int, int]:
-    """Play a plan, as φ until a tick and one action from then on, against a car without noise.
+    """Play a plan against a car without noise: as φ until a tick, and one action from then on.
 
     Args:
-        parameters: of the model.
-        state: from where.
-        car_s: where the car's reference point is thought to be, m.
+        parameters: parameters of the model.
+        state: state in which the plan begins.
+        car_s: path coordinate at which the car's reference point is believed to be, m.
         worst: greatest squared distance from φ so far, m².
-        now: tick.
+        now: number of the tick now.
         switch: tick from which on `action` is taken.
-        action: taken then.
+        action: action that is taken from then on.
         bound: squared distance (m²) from φ beyond which the plan is of no interest.
 
     Returns:

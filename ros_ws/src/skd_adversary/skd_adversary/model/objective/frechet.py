@@ -43,7 +43,7 @@ _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the
 
 @template("ROW")
 def begin(parameters: Any, state: FloatArray) -> None:
-    """Write the row of a ψ that is its first point."""
+    """Write the row of a ψ that has only its first point."""
     first_row(state[ADVERSARY_X], state[ADVERSARY_Y], parameters.path, state, ROW)
 
 
@@ -83,9 +83,9 @@ def _diagonals(room: float, stride: float, ticks: float) -> int:
     """Return how many diagonal steps, among straight ones, lead nearest to the edge of the path and not beyond.
 
     Args:
-        room: way East to the edge, m.
-        stride: length of a step, m.
-        ticks: until the car is here; infinity if it will not come.
+        room: way to the edge of the car's path, m.
+        stride: length of a step of the adversary, m.
+        ticks: number of ticks until the car is here; infinity if it will not come.
     """
     diagonal = DIRECTION_EAST[NORTH_EAST] * stride
     nearest = math.inf

@@ -76,6 +76,8 @@ def ridden(
     """
     effort = limits.acceleration * _ACCELERATES[action] - limits.deceleration * _BRAKES[action]
     after = min(max(0.0, speed + time_step * effort), max(most, speed))
+    if after < _SAME:  # what rounding leaves of braking to a stand: nobody who stands turns
+        after = 0.0
     direction = heading + _SIDE[action] * _sharpest(limits, after, time_step)
     return after * math.cos(direction), after * math.sin(direction)
 

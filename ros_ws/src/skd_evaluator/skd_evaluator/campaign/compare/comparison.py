@@ -1,6 +1,7 @@
 """Compare two assessments: whether one car is safer than the other, and how sure that is.
 
-The margin decides, for it depends on the car alone. Figures of planned kamikazes depend on car and adversary: they are
+Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
+so or tie, and one of them says so. Figures of planned kamikazes depend on car and adversary: they are
 compared only if the kamikazes had the same knowledge and the same objective. Then they may object: if planned
 deformations surely say the opposite of the margins, the cars are not told apart.
 """
@@ -15,7 +16,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import scenario_from_dict
 
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, shown_in
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
@@ -23,6 +24,7 @@ from skd_evaluator.measure.statistics.difference import Difference, difference
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
+RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
 
 
@@ -68,8 +70,15 @@ class Comparison:
         judge = self.judged_by
         if judge is None:
             return NOT_COMPARED
-        upwards = 1 if AT_THE_TOP[judge].better is Better.MORE else -1
-        return NOT_TOLD_APART if self.disagree else _VERDICTS[upwards * self.differences[judge].direction]
+        says = {one for one in self.votes.values() if one}
+        return NOT_TOLD_APART if self.disagree or len(says) != 1 else _VERDICTS[says.pop()]
+
+    @property
+    def votes(self) -> dict[str, int]:
+        """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
+        names = [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
+        better = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in names}
+        return {name: better[name] * self.differences[name].direction for name in names}
 
     @property
     def design(self) -> str:
@@ -118,13 +127,21 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
         )
     left_out = _left_out(first, second, planned=not unlike)
     found = {
-        name: difference(_of(first, name, ours), _of(second, name, theirs), paired=paired, confidence=confidence)
+        name: difference(
+            _of(first, name, ours),
+            _of(second, name, theirs),
+            paired=paired,
+            # All scales of the risk together err no more often than the margin.
+            confidence=1.0 - (1.0 - confidence) / len(RISKS) if name in RISKS else confidence,
+        )
         for name in (one.key for one in shown_in("difference"))
         if name not in left_out
     }
     differences = {name: one for name, one in found.items() if one is not None}
     held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
-    return Comparison(first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *doubts))
+    return Comparison(
+        first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *doubts)
+    )
 
 
 def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> set[str]:
@@ -140,7 +157,32 @@ def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> se
         left_out.add(MARGIN)
     if any(one["hit_rate"] is None for one in figures):
         left_out.add("hit_rate")
+    unlike = unlike_behaviours(first, second)
+    left_out |= {name for name in RISKS if unlike or any(name not in one.groups for one in (first, second))}
     return left_out
+
+
+def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
+    """Return which behaviour models two risks are of; empty where they are of one, or where there is none."""
+    both = [one.figures["risk"]["behaviour"] for one in (first, second) if one.figures.get("risk")]
+    if len(both) < 2 or both[0] == both[1]:
+        return ""
+    return " and ".join(str(one["name"]) for one in both)
+
+
+def _of_the_risks(held: Comparison) -> list[str]:
+    """Return what a reader should know of the risks beside the verdict, a line each."""
+    between = f"{held.first.folder} and {held.second.folder}"
+    if unlike := unlike_behaviours(held.first, held.second):
+        return [f"risks of {between} are of different behaviour models, {unlike}, and are not compared"]
+    better, worse = ([AT_THE_TOP[name].label for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
+    if better and worse:
+        said = f"better by {', '.join(better)} and worse by {', '.join(worse)}"
+        return [f"{between} are not told apart: the second is {said}"]
+    judge = held.judged_by
+    if (better or worse) and judge is not None and not held.votes[judge]:
+        return [f"{between} are told apart by {', '.join(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
+    return []
 
 
 def _of_the_judge(held: Comparison) -> list[str]:

@@ -18,13 +18,14 @@ CI95, THESE_PHI = "ci95", "ci95_these_phi"
 class Of(Enum):
     """Whose a figure is, which says where it stands and what computes it.
 
-    At the top stand those of the margin (`Margins.figures`), of the car (`Rating.as_dict`) and settings, which no gate
-    may ask for. Those of the deformation, by which planned kamikazes rank cars, and of SKD stand under each objective
-    (`Assessment.figures`), and at the top those of the kamikazes that rank the car, or that SKD is of; those of an
-    objective stand there alone. In the rows of each φ stand those of φ; of PHI_TOP at the top alone.
+    At the top stand those of the margin (`Margins.figures`), of the risk (`Risks.figures`), of the car
+    (`Rating.as_dict`) and settings, which no gate may ask for. Those of the deformation, by which planned kamikazes
+    rank cars, and of SKD stand under each objective (`Assessment.figures`), and at the top those of the kamikazes that
+    rank the car, or that SKD is of; those of an objective stand there alone. In the rows of each φ stand those of φ; of
+    PHI_TOP at the top alone.
     """
 
-    MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP = range(8)
+    MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK = range(9)
 
 
 class Told(StrEnum):
@@ -84,6 +85,7 @@ def _each(schema: Schema) -> Kind:
 LENGTH, NUMBER = Kind(ref("number_or_null"), "m"), Kind(ref("number_or_null"))
 SPEED, RATIO = Kind(ref("number_or_null"), "m/s", 2), Kind(ref("number_or_null"), digits=2)
 SHARE = Kind(ref("rate"), "%", 1)
+PROBABILITY = Kind(ref("rate"), digits=2)  # significant ones: it may be very small
 SPEEDS = Kind(or_null(ref("speeds")), "m/s", 1)  # their mean and 90 % quantile
 COUNT, COUNT_OR_NULL = _typed("integer", minimum=0), _typed("integer", "null", minimum=0)
 FLAG, FLAG_OR_NULL = _typed("boolean"), _typed("boolean", "null")
@@ -178,6 +180,8 @@ class Figure:
         yield self.key, self.described()
         unit = ", m" if self.kind is LENGTH else ""
         independent = _WILSON if self.kind is SHARE else f"{_OF_INDEPENDENT}{unit}"
+        if self.kind is PROBABILITY:
+            independent = _OF_THESE_PHI
         for end in self.ends:
             by_phi = self.by_phi and end == f"_{CI95}"
             said = f"95 % interval of it over φ{unit}" if by_phi else independent
@@ -189,8 +193,10 @@ class Figure:
 
 
 _OF_INDEPENDENT = "95 % interval of it, attempts or pairs taken as independent"
+_OF_THESE_PHI = "95 % interval of the estimate, for these φ"
 _WILSON = "Wilson's 95 % interval, episodes taken as independent"
 _MARGIN, _DEFORMATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
+_RISK = Of.RISK
 _MORE, _LESS = Better.MORE, Better.LESS
 
 FIGURES = (
@@ -212,6 +218,16 @@ FIGURES = (
            told=Told.SEARCH, campaign=4, compare=4),
     Figure("impact_speed", SPEEDS, "speed of the car when it hits on the ways of the margin, m/s: mean and 90 % "
            "quantile", _MARGIN, "impact speed", _LESS, firm=True, summary=4, first=True, campaign=6, compare=13),
+    Figure("risk_1", PROBABILITY, "R(1): how likely the front of the moving car hits somebody who walks φ as people do",
+           _RISK, "risk R(1)", _LESS, by_phi=True, independent="ci95_runs", newer=True,
+           summary=11, first=True, details=4, difference=7, campaign=26, compare=25, junit=12),
+    Figure("risk_2", PROBABILITY, "R(2): the same of people who deviate twice as much", _RISK, "risk R(2)", _LESS,
+           by_phi=True, independent="ci95_runs", newer=True,
+           summary=12, details=5, difference=8, campaign=27, compare=26),
+    Figure("risk_3", PROBABILITY, "R(3): three times as much", _RISK, "risk R(3)", _LESS, by_phi=True,
+           independent="ci95_runs", newer=True, summary=13, details=6, difference=9, campaign=28, compare=27),
+    Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK, newer=True),
+    Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, newer=True, campaign=29),
     Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
     Figure("closeness", RATIO, "planned deformation over margin, in the same attempts",
            label="closeness, planned / margin", better=Better.NEAR_1, by_phi=True,

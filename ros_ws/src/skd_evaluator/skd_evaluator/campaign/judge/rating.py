@@ -33,6 +33,7 @@ from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.measure.distances.measures import load_measures
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins, closeness
+from skd_evaluator.measure.risks import Risks
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.sequential import UntilWidth
@@ -57,6 +58,8 @@ class Rating:
         seconds: wall-clock time it took.
         margins: the least way of each attempt; None where the margin is not known.
         margin_note: why the margin is not known; else empty.
+        risks: the risk; None where it is not known.
+        risk_note: why the risk is not known; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: how it was found, or why there is none.
         budgets: how often kamikazes were hit that were held to a largest deformation, if that was asked for.
@@ -72,6 +75,8 @@ class Rating:
     seconds: float
     margins: Margins | None = None
     margin_note: str = ""
+    risks: Risks | None = None
+    risk_note: str = ""
     equivalent: EquivalentMultiplier | None = None
     equivalent_note: str = ""
     budgets: tuple[BudgetPoint, ...] = ()
@@ -241,6 +246,8 @@ class Rating:
         }
         found = {
             **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
+            **(dict.fromkeys(keys_of(Of.RISK)) if self.risks is None else self.risks.figures()),
+            "risk_note": self.risk_note,
             **taken(Of.RANKING, of_deformation),
             **taken(Of.SKD, of_skd),
             "margin_note": self.margin_note,

@@ -16,6 +16,21 @@ MARGIN_LIMIT_TEXT = (
     "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
     "exact and needs no search"
 )
+WALKERS = "walkers"
+NO_BEHAVIOUR = "none"
+BEHAVIOUR_TEXT = (
+    "how people walk who are not out to be hit, for the risk R(s): how likely the front of the moving car hits them. "
+    "walkers (pedestrians who cross before a slow vehicle), a file that skd behaviour fit has written, or none: then "
+    "there is no risk"
+)
+RISK_RUNS_TEXT = (
+    "by how many crossings the risk is estimated at each scale s (default: 2000 of the basic car, 500 of any other, "
+    "through the node graph 100; at most four for each of --collision-runs, through the node graph one)"
+)
+RISK_SUBSET_TEXT = (
+    "estimate a risk of which crossings show fewer than 50 hits by subset simulation even where the car is not the "
+    "basic one, whose risk always is: it takes 16000 crossings and more at each scale"
+)
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
 
@@ -26,8 +41,9 @@ class CampaignOptions(EpisodeOptions):
     safe: str = option(
         SYNTHETIC,
         "where the safe trajectories come from: synthetic (planned by an adversary that avoids a basic car), own (by "
-        "one that avoids the car under test), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file "
-        "with columns t, x, y, or a folder of such files. If the car hits in more than 95 percent of the runs along a "
+        "one that avoids the car under test), regulatory (what the scenario's section protocol prescribes for a test's "
+        "target), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file with columns t, x, y, or a "
+        "folder of such files. If the car hits in more than 95 percent of the runs along a "
         "trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",

@@ -41,6 +41,7 @@ class Stage(IntEnum):
     COLLISION_RATE = 2
     PROBE = 3
     LEARNING = 4
+    RISK = 5
 
 
 STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
@@ -66,8 +67,9 @@ def split_episode_id(number: int) -> tuple[Stage, int, int]:
 
 
 def walks_a_way(episode: Episode) -> bool:
-    """Tell whether an episode tries a way of the margin: somebody follows it under the draws of an attempt."""
-    return episode.mode == Mode.REPLAY and split_episode_id(episode.episode_id)[0] == Stage.KAMIKAZE
+    """Tell whether somebody follows a way that is no φ: one of the margin under an attempt's draws, or of the risk."""
+    stage = split_episode_id(episode.episode_id)[0]
+    return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)
 
 
 @dataclass(frozen=True)

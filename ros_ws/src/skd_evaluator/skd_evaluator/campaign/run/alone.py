@@ -43,9 +43,9 @@ class Questions:
     """All that a controller was given in an episode.
 
     Attributes:
-        scenario: given to `reset`.
-        rng: given to `reset`.
-        asked: in the order of the control periods.
+        scenario: scenario that `reset` was given.
+        rng: generator that `reset` was given.
+        asked: questions in the order of the control periods.
     """
 
     scenario: Scenario | None = None
@@ -54,7 +54,7 @@ class Questions:
 
 
 class OverheardController(WrappedController):
-    """A controller, and all that it is asked and answers."""
+    """A controller of which all questions and answers are kept."""
 
     def __init__(self, controller: Controller, name: str) -> None:
         """Listen to a controller, called `name` in messages."""
@@ -96,9 +96,9 @@ def answered_alone(car: CarUnderTest, conversations: Sequence[Questions], limit:
     """Ask a controller anew, in a process of its own, and return its answers to each conversation.
 
     Args:
-        car: whose controller is asked.
+        car: car whose controller is asked.
         conversations: what it was asked, in the order in which it is to be asked now.
-        limit: s that its answers may take.
+        limit: time that its answers may take, s.
 
     Returns:
         Answers, m/s²; or why there are none, in a few words.

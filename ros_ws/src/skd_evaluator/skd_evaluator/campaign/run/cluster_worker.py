@@ -46,11 +46,11 @@ class SentController:
     """A controller of a user's own, for workers on other machines.
 
     Attributes:
-        name: of the controller.
-        module: that its class is in.
-        path: of the module's file, where the campaign runs.
-        sha256: of that file; empty where none was found.
-        source: the file itself, where the module is no part of a package; none: workers have to have it.
+        name: name of the controller.
+        module: name of the module that holds its class.
+        path: path of the module's file on the machine where the campaign runs.
+        sha256: digest of that file; empty if no file was found.
+        source: content of the file if the module is no part of a package; None: workers have to have it installed.
     """
 
     name: str
@@ -101,9 +101,9 @@ class Setting:
     """What a worker has to know of a campaign.
 
     Attributes:
-        description: of the campaign's own process.
-        controllers: of users' own, which are run in a process apart: their code may do anything.
-        answer_limit: s that a call of one may take.
+        description: description of the campaign's own process; see `description`.
+        controllers: users' own controllers, which run in a process apart because their code may do anything.
+        answer_limit: time that a call of a controller may take, s.
     """
 
     description: Mapping[str, str]

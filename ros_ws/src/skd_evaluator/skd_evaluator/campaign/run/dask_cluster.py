@@ -54,8 +54,8 @@ class DaskRunner(ExecutorRunner):
         """Prepare to run.
 
         Args:
-            address: of the scheduler, as tcp://host:8786.
-            answer_limit: s that a call of a user's controller may take.
+            address: address of the scheduler, for example tcp://host:8786.
+            answer_limit: time that a call of a user's controller may take, s.
 
         Raises:
             UsageError: the address is none.
@@ -177,7 +177,7 @@ class DaskRunner(ExecutorRunner):
             self._look()
 
     def _look(self) -> None:
-        """See who is there.
+        """Look which workers there are.
 
         Raises:
             AssessmentError: the scheduler does not answer.

@@ -37,9 +37,9 @@ class Answer(NamedTuple):
     """What became of one item.
 
     Attributes:
-        fine: whether `value` is its result; else it is what was raised.
-        value: of it.
-        seconds: wall-clock time it took.
+        fine: whether `value` is the item's result; if not, it is the exception that was raised.
+        value: result of the item, or the exception.
+        seconds: wall-clock time that the item took, s.
     """
 
     fine: bool
@@ -66,8 +66,8 @@ class Pace:
     """How long a task should take.
 
     Attributes:
-        target: s; long beside what sending a task costs.
-        least: s; not shorter even near the end, as far as items allow.
+        target: time that a task should take, s; long beside what sending a task costs.
+        least: time that a task should take at least, even near the end, s, as far as items allow.
     """
 
     target: float
@@ -77,9 +77,9 @@ class Pace:
         """Return how many items the next task should have.
 
         Args:
-            seconds: that an item takes; None: nobody knows yet.
-            remaining: items that are not handed out.
-            workers: that share them.
+            seconds: time that an item takes, s; None if it is not known yet.
+            remaining: number of items that are not handed out yet.
+            workers: number of workers that share them.
         """
         if seconds is None:
             return 1
@@ -124,7 +124,7 @@ class ExecutorRunner(ABC):
     """Of its tasks."""
 
     def __init__(self) -> None:
-        """Know nothing yet of how long anything takes."""
+        """Begin without knowing how long anything takes."""
         self._seconds: dict[Callable[[Any], Any], float] = {}
 
     def __enter__(self) -> Self:
@@ -161,7 +161,7 @@ class ExecutorRunner(ABC):
         return True
 
     def _expect(self, episodes: Sequence[Episode]) -> None:
-        """Learn what is to come."""
+        """Be told which episodes are to come."""
         return
 
     def _check(self) -> None:
@@ -200,8 +200,8 @@ class ExecutorRunner(ABC):
         """Do `work`, a function of a module, on every item and yield what it returns in the same order.
 
         Args:
-            work: what it raises is raised here.
-            items: what to work on.
+            work: function that is called with each item; what it raises is raised here.
+            items: items to work on, one by one.
             lost: what stands for the result of an item that no worker has finished, for the reason given; an
                 AssessmentError by default.
 

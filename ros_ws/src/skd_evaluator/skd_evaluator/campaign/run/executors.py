@@ -15,10 +15,10 @@ def make_runner(
     It may be used by several threads at once. Call its `start` before other threads start.
 
     Args:
-        scheduler: address of a Dask scheduler, as tcp://host:8786; None: processes of this machine.
-        workers: processes of this machine; of no meaning with a scheduler.
-        isolated: whether a controller of a user's own is to come.
-        answer_limit: s that a call of a user's controller may take.
+        scheduler: address of a Dask scheduler, for example tcp://host:8786; None: processes of this machine.
+        workers: number of processes on this machine; of no meaning with a scheduler.
+        isolated: whether episodes with a user's own controller are to come.
+        answer_limit: time that a call of a user's controller may take, s.
 
     Raises:
         UsageError: the address is none.

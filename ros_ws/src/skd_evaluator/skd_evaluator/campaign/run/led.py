@@ -15,9 +15,9 @@ class LedWay(NamedTuple):
     """Some ticks of an episode as a search has simulated them, from the start.
 
     Attributes:
-        episode: of whose draws they are.
-        velocities: of the adversary in each tick, n × 2, m/s.
-        cars: states of the car after each, n × 4, as `CarState` has them.
+        episode: episode whose random draws the ticks have.
+        velocities: velocity of the adversary in each tick, n × 2, m/s.
+        cars: state of the car after each tick, n × 4, as `CarState` has it.
     """
 
     episode: Episode

@@ -36,10 +36,10 @@ def run_episode(
     """Run one episode to its end.
 
     Args:
-        episode: what to run.
-        controller: the car under test; made from the specification by default.
-        adversary: decides how it moves; made from the specification by default.
-        simulator: where both move; the one that the specification names by default. One that fails aborts the episode.
+        episode: specification of the episode.
+        controller: controller of the car under test; by default made from the specification.
+        adversary: decides how the adversary moves; by default made from the specification.
+        simulator: moves both; by default the one that the specification names. If it fails, the episode is aborted.
     """
     try:
         return _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)

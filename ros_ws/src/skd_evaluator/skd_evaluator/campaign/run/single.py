@@ -15,11 +15,11 @@ def single_episode(
     """Return one episode of a plan, the same that a campaign would run.
 
     Args:
-        plan: what to assess.
+        plan: plan of the assessment.
         mode: what the adversary does.
-        attempt: number within its stage and φ.
-        safe: φ, where it is known already; needed in no mode but kamikaze and replay.
-        safe_number: of φ among those of the plan, from 0; of no meaning in safe mode.
+        attempt: number of the attempt within its stage and φ.
+        safe: φ, if it is known already; only modes kamikaze and replay need it.
+        safe_number: number of φ among those of the plan, counted from 0; of no meaning in safe mode.
     """
     if mode == Mode.SAFE:
         return plan.episode(mode, 0, attempt, None)

@@ -57,7 +57,7 @@ class _Here:
     """The worker that this process is, if it is one.
 
     Attributes:
-        signs: what it writes and its pool reads.
+        signs: array that this worker writes and its pool reads.
     """
 
     signs: Any = [0] * _SIGNS
@@ -73,13 +73,13 @@ class LostWorkerError(Exception):
     """A worker ended in the middle of a task.
 
     Attributes:
-        reason: why, as an episode's; see `skd_sim.episode.aborts`.
-        finished: items of the task that it had finished; None where nobody knows.
-        foreign: it was ended by somebody else, not by what it was at.
+        reason: why it ended, as the reason of an aborted episode; see `skd_sim.episode.aborts`.
+        finished: number of items of the task that it had finished; None if it is not known.
+        foreign: whether somebody else ended it, and not the item that it was working on.
     """
 
     def __init__(self, reason: str, finished: int | None, foreign: bool) -> None:
-        """Remember."""
+        """Keep what is known of the end."""
         super().__init__(reason, finished, foreign)
         self.reason, self.finished, self.foreign = reason, finished, foreign
 
@@ -96,7 +96,7 @@ def portable(error: BaseException) -> BaseException:
 
 
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
-    """Work until there is no more: in the worker, below its keeper."""
+    """Work on tasks until there are no more; this runs in the worker, below its keeper."""
     with contextlib.suppress(OSError):
         os.setsid()  # who kills this process's group leaves the keepers to end the workers
     keep()
@@ -142,14 +142,14 @@ class _Task(NamedTuple):
 
 
 class _Trouble(NamedTuple):
-    """Why a worker must be replaced, and whether that is somebody else's doing: then its item is done again."""
+    """Why a worker has to be replaced, and whether somebody else ended it: if so, its item is done again."""
 
     reason: str
     foreign: bool
 
 
 class _Worker:
-    """One process, and what it is at."""
+    """One process, and the task that it is working on."""
 
     def __init__(self, answer_limit: float) -> None:
         context = multiprocessing.get_context("fork")
@@ -213,15 +213,15 @@ class WorkerPool(Executor):
     which it uses nothing. A thread of the pool's own hands out tasks and looks after the workers.
 
     Attributes:
-        answer_limit: s that a call of a controller may take.
+        answer_limit: time that a call of a controller may take, s.
     """
 
     def __init__(self, count: int, *, answer_limit: float = ANSWER_LIMIT) -> None:
         """Start `count` workers.
 
         Args:
-            count: of processes.
-            answer_limit: s that a call of a controller may take.
+            count: number of processes.
+            answer_limit: time that a call of a controller may take, s.
         """
         self.answer_limit = answer_limit
         self._failed_starts = 0
@@ -353,8 +353,8 @@ class WorkerPool(Executor):
         """End the workers; what is under way is dropped unless `wait`.
 
         Args:
-            wait: for what has begun, and for what has not unless `cancel_futures`.
-            cancel_futures: drop what has not begun.
+            wait: whether to wait for what has begun, and, unless `cancel_futures`, for what has not.
+            cancel_futures: whether what has not begun is dropped.
         """
         if cancel_futures or not wait:
             with self._lock:

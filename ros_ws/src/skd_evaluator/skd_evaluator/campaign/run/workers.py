@@ -74,9 +74,9 @@ class InProcessRunner(ExecutorRunner):
         """Prepare to run.
 
         Args:
-            workers: processes; with one, episodes of our own controllers run in the caller's.
-            isolated: whether a controller of a user's own is to come: `start` then starts a worker even for one.
-            answer_limit: s that a call of a user's controller may take.
+            workers: number of processes; with one, episodes of SKD's own controllers run in the caller's process.
+            isolated: whether a user's own controller is to come; then `start` starts a worker even if one is asked for.
+            answer_limit: time that a call of a user's controller may take, s.
         """
         super().__init__()
         if workers < 1:

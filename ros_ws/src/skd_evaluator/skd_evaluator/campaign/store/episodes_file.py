@@ -64,6 +64,7 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
         objective=np.array([*[""] * count, *objectives], "U16"),
         safe_name=_texts([one.name for one in rating.safe]),
         **_margin_columns(rating),
+        **_risk_columns(rating),
         **_settings(rating),
     )
 
@@ -189,4 +190,25 @@ def _margin_columns(rating: Rating) -> Columns:
             [np.empty((0, 2)), *(w.trajectory.positions for w in ways if w is not None)]
         ),
         "margin_offsets": np.cumsum([0, *lengths], dtype=np.int64),
+    }
+
+
+def _risk_columns(rating: Rating) -> Columns:
+    """Return how the crossings of the risk ended, scale by scale; nothing where the risk is not known.
+
+    What subset simulation estimates on each φ is replicates × φ, nan at scales at which it was not asked.
+    """
+    if rating.risks is None:
+        return {}
+    scales = rating.risks.scales
+    subsets = [one.subsets for one in scales]
+    replicates = max((len(one.levels) for one in subsets if one is not None), default=0)
+    shares, levels = np.full((replicates, len(rating.safe)), math.nan), np.zeros(replicates, np.int64)
+    return {
+        "risk_scale": np.array([one.scale for one in scales]),
+        "risk_touch": np.array([one.touches for one in scales], np.int8).reshape(-1),
+        "risk_share": np.array([shares if one is None else one.shares for one in subsets]).reshape(-1),
+        "risk_levels": np.array([levels if one is None else one.levels for one in subsets], np.int64).reshape(-1),
+        "risk_per_level": np.array([0 if one is None else one.per_level for one in subsets], np.int64),
+        "risk_open": np.array([0 if one is None else one.open_levels for one in subsets], np.int64),
     }

@@ -27,6 +27,7 @@ from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins
+from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch
 
 NEEDED = ("clipped", "reason", "safe_name", "objectives", "plans_deformation", "eta_max", "maximum_distance", "seed")
 """Arrays without which a file of an older version does not say enough."""
@@ -131,7 +132,8 @@ def rebuilt(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
     confidence = _confidence(figures)
     rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
     rating = replace(rating, assessments=tuple(_with_floors(one, stored) for one in rating.assessments))
-    return replace(rating, margins=_margins(figures, stored, scenario, confidence))
+    margins = _margins(figures, stored, scenario, confidence)
+    return replace(rating, margins=margins, risks=stored_risks(figures, stored, confidence))
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:
@@ -196,6 +198,30 @@ def _margins(
         ways.append(tuple(found))
     budget, converged = figures["margin_budget"], figures["margin_converged"]
     return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), confidence, figures["margin_how"] or "")
+
+
+def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:
+    """Return the risk that the stored ends of its crossings give; None where the file has none.
+
+    Raises:
+        ValueError, LookupError: its arrays do not go together.
+    """
+    further, phis = stored.further, len(stored.safe)
+    if "risk_touch" not in further:
+        return None
+    scales = further["risk_scale"].tolist()
+    touches = further["risk_touch"].astype(np.int64).reshape(len(scales), -1)
+    levels = further["risk_levels"].reshape(len(scales), -1)
+    shares = further["risk_share"].reshape(len(scales), -1, phis)
+    if not np.isin(touches, [*map(int, Touch)]).all():
+        raise ValueError("risk_touch has a value that this version does not know")
+    found = []
+    for row, scale in enumerate(scales):
+        per_level, subsets = int(further["risk_per_level"][row]), None
+        if per_level:
+            subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
+        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence))
+    return Risks(figures["risk"]["behaviour"], found)
 
 
 def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:

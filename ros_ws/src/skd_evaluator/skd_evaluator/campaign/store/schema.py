@@ -64,6 +64,22 @@ def _definitions() -> dict[str, Any]:
         "measure": _object(
             label=_TEXT, unit=_TEXT, shown=_FLAG, mean=_FIGURE, ci95_pairs=_BETWEEN, ci95=_BETWEEN, pairs=_COUNT,
             undefined=_COUNT, error={"type": ["string", "null"]}),
+        "risk": _object(
+            behaviour=_said(_object(
+                name=_TEXT, kind=_TEXT, description=_TEXT,
+                parameters={"type": "object", "additionalProperties": {
+                    "type": "object", "required": ["value", "source"],
+                    "properties": {"value": _NUMBER, "source": _TEXT, "interval_95": _BETWEEN},
+                    "additionalProperties": False}}), "as in its file"),
+            scales=_list(_object(
+                scale=_said(_NUMBER, "s, by which all deviations are multiplied"), value=_SHARE,
+                ci95=_said(_BETWEEN, "of the estimate, for these φ"), ci95_by_phi=_BETWEEN, method=_TEXT,
+                episodes=_COUNT,
+                gain=_said(_FIGURE, "times as many crude crossings would have the same error; null: crude"),
+                runs=_said(_COUNT, "crude crossings, aborted ones left out"),
+                hits=_said(_COUNT, "of these, by the front of the moving car"),
+                flank=_said(_COUNT, "contacts with a side or the rear of the moving car"),
+                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT, note=_TEXT))),
         "clustering": _object(
             safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
             variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),

@@ -56,6 +56,12 @@ _FURTHER = {
     "maximum_distance": Column(np.float64, ()),
     "seed": Column(np.int64, ()),
     "margin_gap": Column(np.float64, (-1,)),
+    "risk_scale": Column(np.float64, (-1,)),
+    "risk_touch": Column(np.int8, (-1,)),
+    "risk_share": Column(np.float64, (-1,)),
+    "risk_levels": Column(np.int64, (-1,)),
+    "risk_per_level": Column(np.int64, (-1,)),
+    "risk_open": Column(np.int64, (-1,)),
 }
 """What figures follow from beside the trajectories; see `rebuilt`."""
 _OF_EPISODES = ("clipped", "reason", "floor")
@@ -69,11 +75,11 @@ class StoredWay:
     """The way of least deformation of an attempt.
 
     Attributes:
-        attempt: number of it.
-        distance: its deformation, m.
-        positions: n × 2, at ticks, the last of them at the contact, m.
-        duration: until the contact, ticks.
-        impact_speed: of the car then, m/s.
+        attempt: number of the attempt.
+        distance: deformation of the way, m.
+        positions: positions at ticks, n × 2, m; the last of them is at the contact.
+        duration: time until the contact, in ticks.
+        impact_speed: speed of the car at the contact, m/s.
     """
 
     attempt: int
@@ -85,21 +91,21 @@ class StoredWay:
 
 @dataclass(frozen=True, eq=False)
 class StoredEpisodes:
-    """Episodes read back; row k of every array is episode k, φ are none of them.
+    """Episodes read back from disk; row k of every array is of episode k, and safe trajectories are no episodes here.
 
     Attributes:
         safe: positions of each φ at ticks, m.
-        time_step: s.
-        adversary: per episode n × 2 positions at ticks, m.
-        car: per episode n × 3: reference point (x, y), m, and speed, m/s.
-        mode: kamikaze or replay (`skd_sim.episode.episode.Mode`).
-        objective: of a kamikaze, empty for a run along φ.
-        safe_index: number of φ, from 0.
-        outcome: how it ended (`skd_sim.episode.episode.Outcome`).
-        episode_id: as `skd_evaluator.campaign.plan.plan.episode_id` makes it.
-        impact_time: s, nan without a collision.
-        impact_speed: m/s, nan without a collision.
-        hit_speed: of the car, m/s, from which on a collision is a hit by it; 0 in files of before it was told apart.
+        time_step: time step of the scenario, s.
+        adversary: for each episode the adversary's positions at ticks, n × 2, m.
+        car: for each episode the car's reference point (x, y), m, and speed, m/s, at ticks, n × 3.
+        mode: mode of each episode, kamikaze or replay (`skd_sim.episode.episode.Mode`).
+        objective: objective of each kamikaze; empty for a run along φ.
+        safe_index: number of the φ of each episode, counted from 0.
+        outcome: how each episode ended (`skd_sim.episode.episode.Outcome`).
+        episode_id: id of each episode, as `skd_evaluator.campaign.plan.plan.episode_id` makes it.
+        impact_time: time of the contact, s; nan without a collision.
+        impact_speed: speed of the car at the contact, m/s; nan without a collision.
+        hit_speed: speed of the car, m/s, from which on a collision is a hit; 0 in files of before there were hits.
         margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
             η_max. None where the file holds none.
         margin_ways: per φ the ways of least deformation, of those attempts that have one.
@@ -131,12 +137,12 @@ class StoredEpisodes:
 
     @cached_property
     def collided(self) -> npt.NDArray[np.bool_]:
-        """Of each episode whether it ended in a collision."""
+        """For each episode, whether it ended in a collision."""
         return np.asarray(self.outcome == Outcome.COLLISION)
 
     @cached_property
     def hit(self) -> npt.NDArray[np.bool_]:
-        """Of each episode whether it ended in a hit by the moving car."""
+        """For each episode, whether it ended in a hit by the moving car."""
         with np.errstate(invalid="ignore"):
             return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
 
@@ -149,7 +155,7 @@ class StoredEpisodes:
 
     @cached_property
     def deformation(self) -> FloatArray:
-        """Of each episode that collided its deformation, m; nan for others."""
+        """Deformation of each episode that collided, m; nan for the others."""
         found = np.full(len(self), np.nan)
         for index, phi in enumerate(self.safe):
             mine = np.flatnonzero(self.collided & (self.safe_index == index))
@@ -159,7 +165,7 @@ class StoredEpisodes:
 
     @cached_property
     def frechet(self) -> FloatArray:
-        """Of each kamikaze that collided its discrete Fréchet distance to φ, m; nan for others."""
+        """Discrete Fréchet distance to φ of each kamikaze that collided, m; nan for the others."""
         found = np.full(len(self), np.nan)
         kamikaze = self.collided & (self.mode == Mode.KAMIKAZE)
         for index, phi in enumerate(self.safe):

@@ -15,6 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.store.checked import check_files, check_result
+from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.measure.skd import prefix_distances
@@ -29,18 +30,19 @@ class StoredResult:
     """An assessment read back.
 
     Attributes:
-        folder: where it is.
+        folder: folder of the assessment.
         figures: content of its assessment.json, under the keys of today (`former_names.of_today`).
         safe: positions of each φ, m.
-        curve: of the kamikazes that rank the car; None where every one of them was aborted.
-        objective: of these.
+        curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
+        objective: objective of these kamikazes.
         groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
             hit, and not there where the margin is not known; `deformation`, what each attempt of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
             SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
             that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
-            both.
-        remarks: what is to be said of it, a line each.
+            both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
+            simulation estimates, not there where the risk is not known.
+        remarks: remarks on the assessment, a line each.
     """
 
     folder: Path
@@ -102,6 +104,10 @@ def read_result(folder: Path) -> StoredResult:
         "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
         "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
+    with understood(path):
+        risks = stored_risks(figures, stored)
+    if risks is not None:
+        groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
     return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
 
 

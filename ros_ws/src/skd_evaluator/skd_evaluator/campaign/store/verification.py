@@ -27,14 +27,14 @@ class Verified:
     """What was found out about a folder.
 
     Attributes:
-        folder: it.
-        files: held against its manifest; None where it has none.
+        folder: folder that was looked at.
+        files: comparison of its files with its manifest; None if it has no manifest.
         agree: names of figures that follow from its episodes.
         contradict: figures that do not, a line each.
-        unknown: by reason, names of figures that cannot be recomputed from the folder.
-        problems: what else is wrong, a line each.
-        remarks: what is to be known, a line each.
-        decisions: what came of making those of its kamikazes again, as JSON has it; None where nobody asked for it.
+        unknown: names of figures that cannot be recomputed from the folder, by the reason.
+        problems: whatever else is wrong, a line each.
+        remarks: remarks for the reader, a line each.
+        decisions: result of planning its kamikazes' decisions again, as JSON has it; None if nobody asked for it.
     """
 
     folder: Path
@@ -48,7 +48,7 @@ class Verified:
 
     @property
     def fine(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether nothing was found that speaks against the folder."""
         files = self.files
         return not (self.contradict or self.problems or (files is not None and (files.changed or files.missing)))
 

@@ -52,6 +52,7 @@ from skd_evaluator.report.terminal import (
     print_table,
     safe_trajectory_table,
 )
+from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.ros.programs.node_logs import log_of
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 
@@ -172,6 +173,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     objectives = objectives_named(arguments.objective)
     plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
+    further = further_of(arguments)
     if arguments.floor:
         check_floor(plan.car, plan.scenario, objectives, plan.simulator)
         if plan.safe != SYNTHETIC:
@@ -185,7 +187,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, out, begin)
+        rating, problem = _assess_graph(arguments, plan, further, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
@@ -195,7 +197,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:
-            rating = assess_in_process(plan, objectives, runners, progress, further_of(arguments), origin, tell, safe)
+            rating = assess_in_process(plan, objectives, runners, progress, further, origin, tell, safe)
     except KeyboardInterrupt:
         if not recorder.logs:
             raise
@@ -207,7 +209,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
 
 def further_of(arguments: argparse.Namespace) -> Further:
     """Return what else the assessment is to have, as the options say."""
-    return Further(arguments.margin_limit, arguments.floor, arguments.curve, arguments.until_width)
+    risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
+    return Further(arguments.margin_limit, arguments.floor, arguments.curve, arguments.until_width, risk)
 
 
 def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
@@ -222,7 +225,7 @@ def say(command: str, line: str) -> None:
 
 
 def _assess_graph(
-    arguments: argparse.Namespace, plan: Plan, out: ResultFolder, begin: float
+    arguments: argparse.Namespace, plan: Plan, further: Further, out: ResultFolder, begin: float
 ) -> tuple[Rating, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
@@ -239,7 +242,7 @@ def _assess_graph(
             plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
             # Only nodes that wait for one another can walk a way again.
             runners = Runners.of_graph(plan, evaluator, evaluator if graph.pacing == LOCKSTEP else None)
-            rating = assessed(plan, objectives, runners, progress, further_of(arguments))
+            rating = assessed(plan, objectives, runners, progress, further)
             evaluator.publish_assessment(rating)
         rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))

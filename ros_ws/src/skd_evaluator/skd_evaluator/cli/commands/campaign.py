@@ -31,6 +31,7 @@ from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import campaign_table, plan_table
 from skd_evaluator.report.terminal import counted, print_table
+from skd_evaluator.risk.assessment_risk import warm_up_risk
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8
@@ -92,6 +93,9 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
                 warm_up_floor()
             if any(cell.margin_limit for cell in in_process):
                 warm_up_margins()
+            for cell in in_process:
+                if cell.risk.behaviour is not None:
+                    warm_up_risk(cell.plan)
             runner.start(_planners(in_process))
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet) as progress:

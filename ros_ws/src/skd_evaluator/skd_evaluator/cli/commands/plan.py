@@ -18,6 +18,7 @@ from skd_evaluator.campaign.judge.planned_figures import PLANNED
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.physical_plan import run_physical
 from skd_evaluator.measure.statistics.clustered import VarianceComponents, variance_components
 from skd_evaluator.measure.statistics.prior import DISTANCES
 from skd_evaluator.measure.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
@@ -31,6 +32,7 @@ _STATED = {
 and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
 where no result is given."""
 _FEW = 10
+_SIMULATED = ("margin", "deformation", "skd", "collision_rate")
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,11 @@ class _Source:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if arguments.physical:
+        return run_physical(arguments)
+    if arguments.correlation is not None or arguments.figure not in _SIMULATED:
+        what = "--correlation" if arguments.correlation is not None else f"--figure {arguments.figure}"
+        raise UsageError(f"{what} is for --physical")
     with understood(Path("one of the results")):
         return _run(arguments)
 

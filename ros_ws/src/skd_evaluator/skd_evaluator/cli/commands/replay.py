@@ -18,7 +18,7 @@ from skd_evaluator.bags.verification import Sample, verified
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.commands.assess import print_result
-from skd_evaluator.cli.commands.damage import say_damage, say_left_out
+from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins

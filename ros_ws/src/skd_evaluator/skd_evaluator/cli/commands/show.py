@@ -16,6 +16,7 @@ from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.measure.surrogate.episode import episode_measures
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
@@ -39,7 +40,10 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     out = result_folder(arguments)
     refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
-    entries = [_entry(subject, number, name) for number, name in zip(numbers, names, strict=True)]
+    entries = [
+        {**_entry(subject, number, name), "measures": _measures(subject, number)}
+        for number, name in zip(numbers, names, strict=True)
+    ]
     content = {"result": str(arguments.path), "episodes": entries}
 
     def write(folder: Path) -> None:
@@ -55,6 +59,7 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
         print(f"skd show: warning: {line}", file=sys.stderr)
     for one in entries:
         print(f"{out.path / str(one['file'])}: {one['title']}")
+        print(f"  {_said(one['measures'])}")
         print(f"  {one['command']}")
     return 0
 
@@ -103,6 +108,26 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
         bool(episodes.collided[number]),
         believed_car(subject.scenario, episodes.car[number], episodes.belief[number]) if episodes.belief else None,
     )
+
+
+def _measures(subject: Subject, number: int) -> dict[str, Any]:
+    """Return the surrogate safety measures of an episode; none of one that never began."""
+    shown = shown_episode(subject, number)
+    if len(shown.times) < 2 or not np.isfinite(shown.car).all():
+        return {}
+    return episode_measures(shown.scenario, shown.times, shown.adversary, shown.car, shown.phi, collided=shown.collided)
+
+
+def _said(measures: dict[str, Any]) -> str:
+    """Return the surrogate safety measures of an episode in one line."""
+    texts = {
+        "clearance": "least clearance {:.2f} m",
+        "collision_time": "time to collision {:.2f} s",
+        "post_encroachment_time": "post-encroachment time {:.2f} s",
+        "closing_speed": "closing speed {:.1f} m/s",
+        "fatality_risk": "risk of a fatality {:.1%}",
+    }
+    return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)
 
 
 def _title(subject: Subject, number: int) -> str:

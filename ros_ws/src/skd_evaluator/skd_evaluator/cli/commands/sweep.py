@@ -33,6 +33,8 @@ from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import sweep_table
 from skd_evaluator.report.terminal import print_table
+from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import warm_up_risk
 
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
@@ -91,7 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
     objectives = objectives_named(arguments.objective)
     asked = plans["synthetic"]
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
-    further = Further(arguments.margin_limit, arguments.floor)
+    risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
+    further = Further(arguments.margin_limit, arguments.floor, risk=risk)
     ratings: list[tuple[str, Rating]] = []
     try:
         with runner_of(arguments) as runner:
@@ -105,6 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
                 warm_up_floor()
             if arguments.margin_limit:
                 warm_up_margins()
+            if risk.behaviour is not None:
+                warm_up_risk(asked)
             runner.start(planners_of(plans["synthetic"], objectives))
             with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():

@@ -32,7 +32,7 @@ def pack(content: Mapping[str, Any], columns: Mapping[str, Array]) -> str:
     """Return the block, as base64.
 
     Args:
-        content: JSON of it; `columns` is added.
+        content: data of the page as JSON has it; the key `columns` is added.
         columns: one-dimensional arrays of the types in `_TYPES`, by name.
     """
     listed = [{"name": name, "type": str(one.dtype), "length": len(one)} for name, one in columns.items()]
@@ -68,9 +68,9 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
     `beliefs` likewise has, of the episodes whose `believed` is 1, what `report.believed_car` says of each tick.
 
     Args:
-        subjects: whose.
-        order: (subject, number of its episode) in the order of the page.
-        ways: of how many of them, from the first, the positions are to be in the page.
+        subjects: assessments whose episodes are packed.
+        order: episodes in the order of the page, each as (index of the subject, number of its episode).
+        ways: for how many episodes, counted from the first, the page holds the positions.
     """
     objectives = objective_names(subjects)
     columns: dict[str, list[Any]] = {name: [] for name in _KINDS}

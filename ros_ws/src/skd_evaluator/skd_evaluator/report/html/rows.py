@@ -20,13 +20,13 @@ class Row:
     """A figure with its intervals.
 
     Attributes:
-        name: of the figure.
-        value: of it.
-        clustered: its 95 % interval by φ.
-        plain: its 95 % interval with attempts, pairs or runs taken as independent of one another.
-        basis: of how many it is.
-        main: it is one of those that are read first.
-        alert: it is one that a warning is about.
+        name: name of the figure.
+        value: value of the figure, as text.
+        clustered: 95 % interval of the figure by φ, as text.
+        plain: 95 % interval that takes attempts, pairs or runs as independent of one another, as text.
+        basis: how many attempts, pairs or runs the figure is of, as text.
+        main: whether the figure is one of those that are read first.
+        alert: whether a warning is about the figure.
     """
 
     name: str
@@ -173,10 +173,10 @@ class Bound:
     """What mean and variance alone say of a point of the vulnerability curve, beside what was found.
 
     Attributes:
-        eta: η, m.
-        found: P(η).
-        theorem: Theorem 1's bound of it.
-        cantelli: Cantelli's.
+        eta: deformation η, m.
+        found: share P(η) of attempts that needed at most η.
+        theorem: upper bound of P(η) by Theorem 1.
+        cantelli: upper bound of P(η) by Cantelli's inequality.
     """
 
     eta: str

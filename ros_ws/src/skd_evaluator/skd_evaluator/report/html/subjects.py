@@ -32,13 +32,13 @@ class Subject:
     """An assessment of one car.
 
     Attributes:
-        folder: where it is.
-        label: what it is called in the report; two subjects have two labels.
-        kind: of its φ, where it is of a sweep; else empty.
+        folder: folder of the assessment.
+        label: name in the report, which no other assessment in it has.
+        kind: kind of φ if the assessment is part of a sweep, else empty.
         figures: content of assessment.json, under the keys of today (`former_names.of_today`).
-        scenario: of the test.
+        scenario: scenario of the test.
         episodes: content of episodes.npz.
-        remarks: what is to be said of its figures, a line each.
+        remarks: remarks on its figures, a line each.
     """
 
     folder: Path

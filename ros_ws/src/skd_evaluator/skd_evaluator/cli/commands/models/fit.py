@@ -20,7 +20,7 @@ from skd_adversary.fitted_car import FittedCar
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
-from skd_evaluator.cli.commands.damage import say_damage
+from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.version import version

@@ -1,0 +1,243 @@
+"""Whether the risk is right: subset simulation beside crude crossings, and how often its intervals hold the truth.
+
+Two families of cars, whose crossings are compiled so that millions can be run: the paper's basic car, which brakes for
+whoever is within a distance, and one that brakes for whoever it would reach within a time. For each case the truth is
+the share of --crude crossings that end in a hit. The risk is estimated --repetitions times, by 16 replicates of 1000
+crossings a level each, as in an assessment; counted is how often the log-t interval holds the truth, which is itself
+known up to its own error. `gain` is how many times as many crude crossings would have had the same error.
+
+    python benchmarks/risk_coverage.py [--case NAME ...] [--repetitions 200] [--crude N] [--workers 2] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.measure.risks import ScaleRisk, Touch
+from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_evaluator.risk.behaviour.model import load_behaviour
+from skd_evaluator.risk.behaviour.walking import walk
+from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.known_car import KnownCar
+from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
+from skd_evaluator.risk.touching import clearance_of, side_touched
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.geometry.contact import sweep
+from skd_sim.geometry.motion import next_speed, travelled
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.kernels.compilation import kernel
+
+PART = 20_000
+"""Crude crossings of a worker's task."""
+DECELERATION = 6.0  # m/s², of the car that goes by time
+
+
+@dataclass(frozen=True)
+class Case:
+    """A car at a scale of the behaviour.
+
+    Attributes:
+        name: in the output.
+        family: `distance` (the basic car) or `time`.
+        law: C of the basic car, or the time, s.
+        scale: of the behaviour.
+        crude: crossings that tell the truth, by default.
+    """
+
+    name: str
+    family: str
+    law: float
+    scale: float
+    crude: int
+
+
+CASES = (
+    Case("distance, 1e-2", "distance", 1.38, 1.0, 200_000),
+    Case("distance, 1e-3", "distance", 1.5, 1.05, 1_000_000),
+    Case("distance, 1e-4", "distance", 1.8, 1.2, 4_000_000),
+    Case("distance, 1e-5", "distance", 1.8, 0.75, 20_000_000),
+    Case("time, 1e-2", "time", 1.1, 1.0, 200_000),
+    Case("time, 1e-3", "time", 1.18, 1.0, 1_000_000),
+    Case("time, 1e-4", "time", 1.25, 1.0, 4_000_000),
+    Case("time, 1e-5", "time", 1.3, 0.9, 20_000_000),
+)
+
+
+@kernel
+def _cross_by_time(
+    paths: np.ndarray, lengths: np.ndarray, values: np.ndarray, phi: np.ndarray, walker: np.ndarray, car: np.ndarray,
+    scale: float, law: float, touch: np.ndarray, clearance: np.ndarray,
+) -> None:  # fmt: skip
+    """Run crossings of scenario crossing in front of a car that brakes where it would be there within a time."""
+    ticks, front, half_width, radius, least_speed = (car.shape[1] - 1) // 2, 2.25, 0.9, 0.25, 0.556
+    way, path = np.empty((ticks + 1, 2)), np.empty((2, 4))
+    footprint = (front, front, half_width)
+    for row in range(phi.shape[0]):
+        count = walk(paths[phi[row], : lengths[phi[row]]], values, walker[row], scale, 0.3, way)
+        y = -(13.0 + 2.5 * 0.5 * math.erfc(-car[row, 0] * math.sqrt(0.5))) - front
+        speed, least, end = 25.0 / 3.0, math.inf, 0
+        for tick in range(count - 1):
+            here, there = (way[tick, 0], way[tick, 1]), (way[tick + 1, 0], way[tick + 1, 1])
+            gap = here[1] - y - front
+            brakes = 0.0 <= gap <= law * speed and here[0] < 1.5
+            command = -DECELERATION if brakes else 0.0
+            of_speed = 0.05 * (math.erfc(-car[row, 1 + 2 * tick] * math.sqrt(0.5)) - 1.0)
+            of_brake = 0.1 * (math.erfc(-car[row, 2 + 2 * tick] * math.sqrt(0.5)) - 1.0)
+            after = next_speed(speed, command * (1.0 + of_brake), of_speed, 0.3)
+            distance = travelled(speed, after, 0.3)
+            path[0, 0], path[0, 1], path[0, 2], path[0, 3] = 0.0, y, HEADING_NORTH, speed
+            path[1, 0], path[1, 1], path[1, 2], path[1, 3] = 0.0, y + distance, HEADING_NORTH, after
+            velocity = ((there[0] - here[0]) / 0.3, (there[1] - here[1]) / 0.3)
+            share, impact = sweep(path, here, there, velocity, 0.0, footprint, (radius, 0.0, 0.0), 0.3, 0, 1)
+            until = share if share <= 1.0 else 1.0
+            least = min(least, clearance_of(path, here, there, until, footprint, radius, least_speed))
+            if share <= 1.0:
+                end = side_touched(path, here, there, share, footprint, radius, impact, least_speed)
+                break
+            y, speed = y + distance, after
+        touch[row], clearance[row] = end, 0.0 if end == 1 else max(least, 1e-9)
+
+
+class CarByTime:
+    """Runs crossings in front of a car that goes by time."""
+
+    def __init__(self, encounter: Encounter, law: float) -> None:
+        """Take the encounter apart into numbers."""
+        self.car_normals = 1 + 2 * encounter.ticks
+        self._law, self._values = law, encounter.values
+        self._lengths = np.array([len(phi) for phi in encounter.safe], np.int64)
+        self._paths = np.zeros((len(encounter.safe), int(self._lengths.max()), 2))
+        for index, phi in enumerate(encounter.safe):
+            self._paths[index, : len(phi)] = phi.positions
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        """Run crossings by the car's normals."""
+        touch, clearance = np.empty(len(crossings), np.int64), np.empty(len(crossings))
+        _cross_by_time(
+            self._paths, self._lengths, self._values, crossings.phi, crossings.walker, crossings.car, scale, self._law,
+            touch, clearance,
+        )  # fmt: skip
+        return Ends(touch, clearance)
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A replicate, or a part of the crude crossings, of a case."""
+
+    case: Case
+    safe: tuple[Trajectory, ...]
+    number: int
+    levels: Levels | None = None
+
+
+def made(job: Job) -> tuple[Encounter, Any]:
+    case = job.case
+    multiplier = case.law if case.family == "distance" else 1.0
+    plan = Plan(load_scenario("crossing"), safe_count=len(job.safe), multiplier=multiplier, seed=7)
+    encounter = Encounter(plan, job.safe, load_behaviour("walkers").values)
+    return encounter, KnownCar(encounter) if case.family == "distance" else CarByTime(encounter, case.law)
+
+
+def one_replicate(job: Job) -> Replicate:
+    encounter, car = made(job)
+    assert job.levels is not None
+    return replicate(encounter, car, job.case.scale, job.number, Effort(), job.levels)
+
+
+def levels_for(job: Job) -> Levels:
+    encounter, car = made(job)
+    again = replace(encounter, plan=replace(encounter.plan, seed=job.number))
+    return levels_of(again, car, job.case.scale, Effort())
+
+
+def crude_part(job: Job) -> int:
+    encounter, car = made(job)
+    rng = np.random.default_rng(np.random.SeedSequence(11, spawn_key=(job.number,)))
+    hits = 0
+    for first in range(0, PART, 1000):
+        crossings = Crossings(
+            (np.arange(1000) + first) % len(job.safe),
+            rng.standard_normal((1000, encounter.walker_normals)),
+            rng.standard_normal((1000, car.car_normals)),
+            np.zeros(1000, np.int64),
+        )
+        hits += int((car.run(crossings, job.case.scale).touch == Touch.FRONT).sum())
+    return hits
+
+
+def examined(case: Case, repetitions: int, crude: int, runner: InProcessRunner, safe: tuple[Trajectory, ...]) -> dict:
+    """Return what was found of a case."""
+    parts, begin = math.ceil(crude / PART), time.perf_counter()
+    hits = sum(runner.map(crude_part, [Job(case, safe, number) for number in range(parts)]))
+    runs, crude_seconds = parts * PART, time.perf_counter() - begin
+    truth, interval = hits / runs, wilson_interval(hits, runs)
+    begin = time.perf_counter()
+    numbers = range(repetitions * REPLICATES)
+    levels = list(runner.map(levels_for, [Job(case, safe, number) for number in range(repetitions)]))
+    jobs = [Job(case, safe, number, levels[number // REPLICATES]) for number in numbers]
+    found = list(runner.map(one_replicate, jobs))
+    none = np.zeros(len(safe), np.int64)  # crude crossings: no estimate goes by them
+    risks = [
+        ScaleRisk(case.scale, none, len(safe), gathered(found[first : first + REPLICATES], Effort()))
+        for first in range(0, len(found), REPLICATES)
+    ]
+    values = np.array([one.value for one in risks])
+    held = [one.ci95[0] <= truth <= one.ci95[1] for one in risks]
+    spread = float(np.std(values, ddof=1)) if repetitions > 1 else math.nan
+    episodes = float(np.mean([one.subsets.episodes for one in risks]))
+    return {
+        "case": case.name,
+        "crude": {"hits": hits, "runs": runs, "value": truth, "ci95": interval, "seconds": crude_seconds},
+        "repetitions": repetitions,
+        "mean": float(values.mean()),
+        "ratio": float(values.mean()) / truth if truth else None,
+        "held": sum(held),
+        "held_ci95": wilson_interval(sum(held), repetitions),
+        "variation": spread / float(values.mean()),
+        "episodes": episodes,
+        "gain": truth * (1.0 - truth) / spread**2 / episodes if repetitions > 1 else None,
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--case", nargs="+", choices=[one.name for one in CASES])
+    parser.add_argument("--repetitions", type=int, default=200)
+    parser.add_argument("--crude", type=int)
+    parser.add_argument("--workers", type=int, default=available_workers())
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    plan = Plan(load_scenario("crossing"), safe_count=20, seed=7)
+    safe = tuple(safe_trajectories(plan, InProcessRunner(1)))
+    for case in CASES:
+        if arguments.case is not None and case.name not in arguments.case:
+            continue
+        with InProcessRunner(arguments.workers) as runner:
+            row = examined(case, arguments.repetitions, arguments.crude or case.crude, runner, safe)
+        if arguments.json:
+            print(json.dumps(row), flush=True)
+            continue
+        crude, low, high = row["crude"], *row["held_ci95"]
+        print(
+            f"{row['case']}: crude {crude['hits']} of {crude['runs']} = {crude['value']:.3g} "
+            f"[{crude['ci95'][0]:.3g}, {crude['ci95'][1]:.3g}]; subset simulation {row['mean']:.3g}, "
+            f"{row['ratio'] or math.nan:.3f} times; intervals hold {row['held']} of {row['repetitions']} "
+            f"[{100 * low:.0f}, {100 * high:.0f}] %; coefficient of variation {row['variation']:.2f} with "
+            f"{row['episodes']:.0f} crossings, gain {row['gain'] or math.nan:.1f}; {crude['seconds']:.0f} + "
+            f"{row['seconds']:.0f} s",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

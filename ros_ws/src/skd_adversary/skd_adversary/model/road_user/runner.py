@@ -1,0 +1,14 @@
+"""Somebody who runs: starts, turns and stops faster than a child; docs/decisions.md says why these numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from skd_adversary.model.road_user.walker import walker
+
+ACCELERATION: Final = 3.0
+"""m/s², in any direction: to start, to turn and to stop."""
+ROAD_USER: Final = replace(
+    walker("runner", ACCELERATION, fastest=12.0, height=1.8), called={"carla": "walker.pedestrian.0001"}
+)

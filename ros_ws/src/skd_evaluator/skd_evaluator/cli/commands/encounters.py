@@ -1,0 +1,134 @@
+"""`skd encounters`: those that have a name, one of them, a file of one's own; with a picture each."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.markup import escape
+from skd_adversary.model.road_users import check_kind
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
+from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.margin.basic_margins import unknown_for
+from skd_evaluator.report.encounter.picture import save_encounter
+from skd_evaluator.report.encounter.words import encounter_data, encounter_lines, places_of
+from skd_evaluator.report.terminal import narrow_table, print_table
+
+_KMH = 3.6
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    if arguments.action == "list":
+        if arguments.names:
+            raise UsageError("skd encounters list takes no names; skd encounters show does")
+        return _list(arguments)
+    if not arguments.names:
+        what = "a file" if arguments.action == "check" else "a name, as cpna or cpna-75"
+        raise UsageError(f"skd encounters {arguments.action} needs {what}")
+    if arguments.action == "campaign":
+        return _campaign(arguments)
+    if arguments.speeds:
+        raise UsageError("--speeds goes with skd encounters campaign")
+    return _show(arguments, [load_scenario(name) for name in arguments.names])
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    scenarios = [load_scenario(name) for name in SCENARIOS.names()]
+    if arguments.out is not None:
+        return _show(arguments, scenarios)
+    if arguments.json:
+        print_json({"encounters": [encounter_data(one, _unknown(one)) for one in scenarios]})
+        return 0
+    table = narrow_table("Encounters; with an impact place after a dash, as cpna-75")
+    for name in ("name", "adversary"):
+        table.add_column(name)
+    table.add_column("km/h", justify="right")
+    table.add_column("impact places (%)", overflow="fold")
+    table.add_column("what happens", overflow="fold")
+    for one in scenarios:
+        places = " ".join(f"{place:g}" for place in places_of(one)) or "–"
+        speed = f"{_KMH * one.car.start_speed:.0f}"
+        table.add_row(one.name, one.adversary.kind, speed, places, escape(one.description))
+    print_table(table)
+    return 0
+
+
+def _show(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
+    ways = [_ways(one) for one in scenarios]
+    known = [_unknown(one) for one in scenarios]
+    names = [f"{one.name}.png" for one in scenarios]
+    if len(set(names)) < len(names):
+        raise UsageError("two of these encounters have one name; give one of them at a time")
+    entries = [
+        {**encounter_data(one, why), "picture": name} for one, why, name in zip(scenarios, known, names, strict=True)
+    ]
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+
+    def write(folder: Path) -> None:
+        for one, drawn, name in zip(scenarios, ways, names, strict=True):
+            save_encounter(folder / name, one, drawn)
+        write_json(folder / "encounters.json", {"encounters": entries})
+
+    out.write(write)
+    if arguments.json:
+        print_json({"encounters": entries})
+        return 0
+    for one, why, name in zip(scenarios, known, names, strict=True):
+        print("\n".join(encounter_lines(one, why)))
+        print(f"  picture: {out.path / name}")
+    return 0
+
+
+def _ways(scenario: Scenario) -> list[Trajectory]:
+    """Return the ways of an encounter's protocol, after all checks that an assessment makes before any work."""
+    check_kind(scenario)
+    if scenario.protocol is None:
+        return []
+    return load_safe_trajectories(REGULATORY, scenario, len(scenario.protocol.impact_places))
+
+
+def _unknown(scenario: Scenario) -> str | None:
+    return unknown_for(Plan(scenario))
+
+
+def _campaign(arguments: argparse.Namespace) -> int:
+    """Print a campaign's file, or write it."""
+    if not arguments.speeds:
+        raise UsageError("skd encounters campaign needs --speeds, as 10:60:10")
+    for name in arguments.names:
+        for speed in arguments.speeds:
+            count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
+    text = "\n".join(_campaign_lines(arguments.names, arguments.speeds)) + "\n"
+    if arguments.out is None:
+        print(text, end="")
+        return 0
+    if arguments.out.exists() and not arguments.overwrite:
+        raise UsageError(f"--out {arguments.out}: is there already; add --overwrite to replace it")
+    arguments.out.write_text(text, encoding="utf-8")
+    print(f"campaign in {arguments.out}; skd campaign {arguments.out} runs it")
+    return 0
+
+
+def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
+    metres = ", ".join(repr(speed / _KMH) for speed in speeds)
+    return [
+        f"# {', '.join(names)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h",
+        "defaults:",
+        "  safe: regulatory",
+        "  kamikaze_count: 20",
+        "  objective: deformation",
+        "encounters:",
+        *(f"  - scenario: {name}" for name in names),
+        "sweep:",
+        f"  scenario.car.start_speed: [{metres}] # m/s",
+    ]

@@ -1,0 +1,1 @@
+"""Commands that make a model of a car, of people or of a proving ground from what was recorded."""

@@ -1,0 +1,116 @@
+"""`skd plan --physical`: how many trials on a proving ground a wanted width takes, alone and with the simulator."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json
+
+from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.fusion.figures import FIGURES, Figure
+from skd_evaluator.fusion.planning import trials_for_width
+from skd_evaluator.fusion.simulated import read_simulated
+from skd_evaluator.report.terminal import counted, narrow_table, print_table
+
+FUSION = "fusion.json"
+CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What is planned with: deviation of the figure from φ to φ, correlation, simulated φ; and where they are from."""
+
+    deviation: float
+    correlation: float | None
+    simulated: int
+    text: str
+
+
+def run_physical(arguments: argparse.Namespace) -> int:
+    """Run the command with --physical; return its exit code."""
+    if arguments.width is None or arguments.kamikaze_count is not None or arguments.unpaired:
+        raise UsageError("--physical goes with --width, and without --difference, --kamikaze-count and --unpaired")
+    if len(arguments.paths) != 1:
+        raise UsageError("--physical needs one folder: of skd fuse, or of the simulated assessment")
+    if arguments.figure not in FIGURES:
+        raise UsageError(f"--physical knows --figure {', '.join(FIGURES)}; got {arguments.figure}")
+    figure, source = FIGURES[arguments.figure], _source(arguments)
+    known = source.correlation if arguments.correlation is None else arguments.correlation
+    alone = trials_for_width(arguments.width, source.deviation)
+    rows = [(one, trials_for_width(arguments.width, source.deviation, one, source.simulated)) for one in _shown(known)]
+    content: dict[str, Any] = {
+        "figure": figure.key,
+        "width": arguments.width,
+        "deviation": source.deviation,
+        "correlation": known,
+        "simulated_phi": source.simulated,
+        "source": source.text,
+        "physical_alone": alone,
+        "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
+    }
+    if arguments.json:
+        print_json(content)
+        return 0
+    unit = f" {figure.unit}" if figure.unit else ""
+    print(f"{figure.text}: standard deviation {source.deviation:.3f}{unit} from φ to φ; {source.text}")
+    table = narrow_table(f"Physical trials, one on each φ, until the 95 % interval is {arguments.width:g}{unit} wide")
+    for name in ("", "trials"):
+        table.add_column(name, justify="right" if name else "left")
+    table.add_row("physical trials alone", _count(alone))
+    for one, trials in rows:
+        _add(table, one, trials, chosen=one == known)
+    print_table(table)
+    if known is None:
+        print("how well the simulator predicts is known when at least 5 trials are fused: skd fuse")
+    return 0
+
+
+def _add(table: Table, correlation: float, trials: int | None, *, chosen: bool) -> None:
+    name, count = f"with the simulator, where ρ = {correlation:.2f}", _count(trials)
+    table.add_row(*(f"[bold]{cell}[/]" if chosen else cell for cell in (name, count)))
+
+
+def _count(trials: int | None) -> str:
+    return "never" if trials is None else str(trials)
+
+
+def _shown(known: float | None) -> tuple[float, ...]:
+    return tuple(sorted({*CORRELATIONS, *(() if known is None else (known,))}))
+
+
+def _source(arguments: argparse.Namespace) -> _Source:
+    path: Path = arguments.paths[0]
+    key = arguments.figure
+    if (path / FUSION).exists():
+        content = read_json(path / FUSION)
+        with understood(path / FUSION):
+            if key not in content["figures"]:
+                raise UsageError(f"{path}: has no {key} but {', '.join(content['figures'])}")
+            one = content["figures"][key]
+            known = one["correlation"] if one["predicts"] else None
+            return _Source(
+                _positive(float(one["deviation"]), path, FIGURES[key]),
+                known,
+                int(one["simulated_phi"]),
+                f"by {counted(int(one['trials']), 'physical trial')} in {path}",
+            )
+    simulated = read_simulated(path)
+    means = [np.mean([one.values[key] for one in trials if key in one.values]) for trials in simulated.trials.values()
+             if any(key in one.values for one in trials)]  # fmt: skip
+    if len(means) < 2:
+        raise UsageError(f"{path}: has no {key} of two φ")
+    text = f"as simulated in {path}: the physical car may vary more"
+    return _Source(_positive(float(np.std(means, ddof=1)), path, FIGURES[key]), None, len(means), text)
+
+
+def _positive(deviation: float, path: Path, figure: Figure) -> float:
+    if not deviation > 0.0:
+        raise UsageError(f"{path}: {figure.text} is the same on every φ, so nothing can be planned with it")
+    return deviation

@@ -1,0 +1,166 @@
+"""A physical trial's figures from its recording: laid over its φ in space and time, and looked at like an episode.
+
+The recording's clock says nothing of when φ began, so that is the moment from which the tracked road user is nearest to
+φ, in the mean of squares. From there to the end of φ, or to the contact, is the trial.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.choices.suggestion import did_you_mean
+from skd_sim.encounter.road import right_and_along, road_pose
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
+
+from skd_evaluator.fusion.recording import read_tracks
+from skd_evaluator.fusion.track import Frame, Track
+from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
+from skd_evaluator.measure.surrogate.clearance import clearances
+from skd_evaluator.measure.surrogate.scene import Scene
+
+PATH_TOLERANCE = 0.5
+"""m that the tracked road user may be off φ at any moment: beyond, it was not a trial on that φ."""
+_STEP = 0.05  # s between moments
+_SHIFTS = 0.02  # s between beginnings of φ that are tried; then finer
+_OVER = 0.3  # s over which velocities are taken: a sensor's noise of 2 cm is 0.1 m/s then
+_LEAST_SHARE = 0.5  # of φ that must be tracked, or nobody can say where it began
+_TURNED = math.radians(30.0)  # off the lane's heading, from which frames do not fit
+_MARGIN = 0.3  # m: noise of two tracked places
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """How recordings of trials are read.
+
+    Attributes:
+        scenario: road and shapes.
+        safe: positions of each φ at ticks, m, by name.
+        car: topic or id of the car; None: SKD's own name.
+        other: topic or id of the road user.
+        frame: where `map` lies in the recording's frame.
+        reference: how far ahead of the scenario's reference point of the car the tracked point is, m.
+        tolerance: m that the road user may be off φ.
+    """
+
+    scenario: Scenario
+    safe: Mapping[str, FloatArray]
+    car: str | None = None
+    other: str | None = None
+    frame: Frame = field(default_factory=Frame)
+    reference: float = 0.0
+    tolerance: float = PATH_TOLERANCE
+
+    def measured(self, path: Path, trial: Trial) -> Trial:
+        """Return a trial with timing and figures as its recording has them.
+
+        Raises:
+            UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
+        """
+        if trial.phi not in self.safe:
+            raise UsageError(f"{trial.where}: φ {trial.phi!r} was not simulated{did_you_mean(trial.phi, self.safe)}")
+        car, other = (track.placed(self.frame) for track in read_tracks(path, self.car, self.other))
+        phi = self.safe[trial.phi]
+        begin = self._beginning(other, phi, path)
+        scene = self._scene(car, other, begin, self.scenario.time_step * (len(phi) - 1))
+        touching = np.flatnonzero(clearances(scene) <= 0.0)
+        if touching.size:
+            scene = _until(scene, int(touching[0]) + 1)
+        self._check_follows(scene, phi, path)
+        self._check_road(scene, path)
+        impact = float(scene.car[-1, 3]) if touching.size else 0.0
+        hit = bool(touching.size) and self.scenario.collision.is_hit(impact)
+        values = figures_of(scene, hit=hit)
+        _check_agrees(trial, values)
+        if trial.values.get("hit") == 1.0:
+            values["clearance"] = 0.0
+        gap = gap_to_crossing(self.scenario, scene.car[0])
+        return replace(trial, values={**values, **trial.values}, gap=gap if trial.gap is None else trial.gap)
+
+    def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
+        """Return when φ began, s on the recording's clock."""
+        ticks = self.scenario.time_step * np.arange(len(phi))
+        first, last = other.times[0], other.times[-1] - _LEAST_SHARE * ticks[-1]
+        if last < first:
+            raise UsageError(
+                f"{path}: the road user is tracked for {other.times[-1] - other.times[0]:.1f} s, less than half of its "
+                f"φ ({ticks[-1]:.1f} s)"
+            )
+
+        def off(begin: float) -> float:
+            tracked = (begin + ticks <= other.times[-1] + 1e-9) & (begin + ticks >= other.times[0] - 1e-9)
+            x, y = (np.interp(begin + ticks[tracked], other.times, column) for column in other.places.T)
+            return float(np.mean((x - phi[tracked, 0]) ** 2 + (y - phi[tracked, 1]) ** 2))
+
+        shifts = np.arange(first, last + _SHIFTS, _SHIFTS)
+        best = float(shifts[int(np.argmin([off(float(shift)) for shift in shifts]))])
+        finer = np.clip(best + np.linspace(-_SHIFTS, _SHIFTS, 81), first, None)
+        return float(finer[int(np.argmin([off(float(shift)) for shift in finer]))])
+
+    def _scene(self, car: Track, other: Track, begin: float, duration: float) -> Scene:
+        end = min(begin + duration, other.times[-1])
+        times = np.append(np.arange(begin, end - 1e-9, _STEP), end)
+        headings = car.headings_at(times, _OVER)
+        ahead = np.column_stack([np.cos(headings), np.sin(headings)])
+        places = car.at(times) - self.reference * ahead
+        body = self.scenario.adversary
+        turned = other.headings_at(times, _OVER) if body.is_box else np.zeros(len(times))
+        states = np.column_stack([places, headings, car.speeds_at(times, _OVER)])
+        footprint = self.scenario.car.front, self.scenario.car.rear, self.scenario.car.half_width
+        velocity = other.velocity_at(times, _OVER)
+        return Scene(times - begin, states, other.at(times), velocity, turned, footprint, body.shape)
+
+    def _check_follows(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+        ticks = self.scenario.time_step * np.arange(len(phi))
+        wanted = np.column_stack([np.interp(scene.times, ticks, column) for column in phi.T])
+        off = np.hypot(*(scene.other - wanted).T)
+        worst = int(np.argmax(off))
+        if off[worst] > self.tolerance:
+            raise UsageError(
+                f"{path}: the road user is {off[worst]:.2f} m off its φ after {scene.times[worst]:.1f} s, more than "
+                f"{self.tolerance:g} m: is it the φ of this trial, and does --frame say where map lies?"
+            )
+
+    def _check_road(self, scene: Scene, path: Path) -> None:
+        line = self.scenario.road.line
+        places = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))
+        aside = float(np.abs(places[:, 0]).max())
+        if aside > 0.5 * self.scenario.road.lane_width:
+            raise UsageError(
+                f"{path}: the car is {aside:.1f} m beside its lane's centre: does --frame say where map lies?"
+            )
+        lane = road_pose(line, float(places[0, 1]))[2]
+        turned = abs(math.remainder(float(scene.car[0, 2]) - lane, 2.0 * math.pi))
+        if turned > _TURNED:
+            raise UsageError(f"{path}: the car points {math.degrees(turned):.0f}° off its lane: does --frame turn it?")
+
+
+def _until(scene: Scene, count: int) -> Scene:
+    return Scene(
+        scene.times[:count],
+        scene.car[:count],
+        scene.other[:count],
+        scene.velocity[:count],
+        scene.turned[:count],
+        scene.footprint,
+        scene.shape,
+    )
+
+
+def _check_agrees(trial: Trial, measured: Mapping[str, float]) -> None:
+    """Refuse a table that says otherwise than the recording beside it, noise left aside."""
+    said = trial.values.get("hit")
+    if said == 1.0 and measured["clearance"] > _MARGIN:
+        raise UsageError(
+            f"{trial.where}: says that the car hit, and in the recording it stays {measured['clearance']:.2f} m away"
+        )
+    for key in ("clearance", "required_deceleration"):
+        if key in trial.values and abs(trial.values[key] - measured[key]) > _MARGIN:
+            raise UsageError(
+                f"{trial.where}: {key} is said to be {trial.values[key]:g}, and the recording gives {measured[key]:.3g}"
+            )

@@ -1,0 +1,141 @@
+"""Tracked objects: where one was over time, in a recording's own frame, at a rate of its own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+
+LONGEST_HOLE = 0.5
+"""s without a position, above which a track is refused: a car at 50 km/h moves 7 m in it."""
+FASTEST = 70.0
+"""m/s that nobody on a proving ground exceeds between two positions, jumps of a few centimetres left aside."""
+_JITTER = 0.3  # m
+_MOVES = 1.0  # m/s, from which directions and speeds of positions say something
+_SAME_SPEED = 1.3  # ratio of a stated speed to that of the positions from which on they are in different units
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where the frame `map` of the scenario lies in a recording's frame.
+
+    Attributes:
+        x: its origin, m.
+        y: its origin, m.
+        turned: heading of its x axis (East), rad.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    turned: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One tracked object.
+
+    Attributes:
+        times: n, s, strictly increasing.
+        places: n × 2, m.
+        headings: n, rad; None where the recording does not say.
+        speeds: n, m/s; None where the recording does not say.
+        where: file and topic or id, for messages.
+    """
+
+    times: FloatArray
+    places: FloatArray
+    headings: FloatArray | None
+    speeds: FloatArray | None
+    where: str
+
+    def checked(self) -> Track:
+        """Return it, once it is looked at.
+
+        Raises:
+            UsageError: too few positions, times that do not increase, numbers that are not finite, jumps, or speeds
+                that are not those of the positions.
+        """
+        if len(self.times) < 5:
+            raise UsageError(f"{self.where}: {len(self.times)} positions are no track")
+        rows = [self.times, *self.places.T, *(one for one in (self.headings, self.speeds) if one is not None)]
+        if not all(np.isfinite(one).all() for one in rows):
+            raise UsageError(f"{self.where}: has a time, position, heading or speed that is no finite number")
+        steps = np.diff(self.times)
+        if (steps <= 0.0).any():
+            raise UsageError(f"{self.where}: times must increase strictly, in s")
+        moved = np.hypot(*np.diff(self.places, axis=0).T)
+        worst = int(np.argmax(moved - FASTEST * steps))
+        if moved[worst] > FASTEST * steps[worst] + _JITTER:
+            raise UsageError(
+                f"{self.where}: moves {moved[worst]:.3g} m in {steps[worst]:.3g} s: are positions in m and times in s?"
+            )
+        if self.speeds is not None:
+            self._check_speeds(float(moved.sum()), self.speeds)
+        return self
+
+    def _check_speeds(self, way: float, speeds: FloatArray) -> None:
+        """Refuse speeds over which the object would have gone another way than it did."""
+        said = float(np.trapezoid(np.abs(speeds), self.times))
+        if max(way, said) < _MOVES * (self.times[-1] - self.times[0]):
+            return
+        ratio = said / max(way, 1e-9)
+        if not 1.0 / _SAME_SPEED <= ratio <= _SAME_SPEED:
+            hint = ": is it in km/h?" if abs(ratio - 3.6) < 0.5 else ""
+            raise UsageError(f"{self.where}: its speed is {ratio:.2g} times that of its positions{hint}")
+
+    def placed(self, frame: Frame) -> Track:
+        """Return it in the frame `map`."""
+        cos, sin = math.cos(frame.turned), math.sin(frame.turned)
+        x, y = (self.places - np.array([frame.x, frame.y])).T
+        headings = None if self.headings is None else self.headings - frame.turned
+        places = np.column_stack([cos * x + sin * y, cos * y - sin * x])
+        return Track(self.times, places, headings, self.speeds, self.where)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Return where it was at some times (s), n × 2, m, in straight lines between positions.
+
+        Raises:
+            UsageError: it was not tracked at one of them, or has a hole there.
+        """
+        if times[0] < self.times[0] - 1e-6 or times[-1] > self.times[-1] + 1e-6:
+            raise UsageError(
+                f"{self.where}: is tracked from {self.times[0]:.2f} to {self.times[-1]:.2f} s, and the trial is from "
+                f"{times[0]:.2f} to {times[-1]:.2f} s"
+            )
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        holes = np.diff(self.times)[after - 1]
+        if holes.max() > LONGEST_HOLE:
+            raise UsageError(f"{self.where}: has a hole of {holes.max():.2f} s, more than {LONGEST_HOLE:g} s")
+        return np.column_stack([np.interp(times, self.times, column) for column in self.places.T])
+
+    def velocity_at(self, times: FloatArray, over: float) -> FloatArray:
+        """Return its velocity at some times (s), n × 2, m/s: by where it was half of `over` (s) before and after."""
+        before = np.maximum(times - 0.5 * over, self.times[0])
+        after = np.minimum(times + 0.5 * over, self.times[-1])
+        return np.asarray((self.at(after) - self.at(before)) / (after - before)[:, None])
+
+    def headings_at(self, times: FloatArray, over: float) -> FloatArray:
+        """Return where it points at some times (s), rad: as is said, else the way that it moves, kept while it stands.
+
+        Raises:
+            UsageError: nothing is said, and it stands all the time.
+        """
+        if self.headings is not None:
+            return np.interp(times, self.times, np.unwrap(self.headings))
+        velocity = self.velocity_at(times, over)
+        moves = np.flatnonzero(np.hypot(*velocity.T) >= _MOVES)
+        if not moves.size:
+            raise UsageError(
+                f"{self.where}: stands all the time and says no heading, so nothing is known of where it points"
+            )
+        kept = moves[np.maximum(0, np.searchsorted(moves, np.arange(len(times)), side="right") - 1)]
+        return np.unwrap(np.arctan2(velocity[kept, 1], velocity[kept, 0]))
+
+    def speeds_at(self, times: FloatArray, over: float) -> FloatArray:
+        """Return its speed at some times (s), m/s: as is said, or else that of its positions."""
+        if self.speeds is not None:
+            return np.interp(times, self.times, np.abs(self.speeds))
+        return np.asarray(np.hypot(*self.velocity_at(times, over).T))

@@ -1,0 +1,49 @@
+"""One trial, played by the physical car or simulated: on which φ, with which timing, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from skd_sim.arrays import FloatArray
+from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.scenario import Scenario
+
+from skd_evaluator.measure.surrogate.braking import greatest_required_deceleration
+from skd_evaluator.measure.surrogate.clearance import least_clearance
+from skd_evaluator.measure.surrogate.scene import Scene
+
+GRID = 0.05
+"""s between the moments at which trials are looked at, whatever their rate: greatest values over time depend on it."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial.
+
+    Attributes:
+        phi: name of the φ that the adversary was to walk.
+        values: by key of `figures.FIGURES`.
+        gap: timing: how far the car's front was before the crossing line when φ began, m; None where it is not known.
+        where: file and line, for messages.
+    """
+
+    phi: str
+    values: Mapping[str, float] = field(default_factory=dict)
+    gap: float | None = None
+    where: str = ""
+
+
+def figures_of(scene: Scene, *, hit: bool) -> dict[str, float]:
+    """Return the figures of a trial by what happened in it."""
+    return {
+        "clearance": least_clearance(scene),
+        "required_deceleration": greatest_required_deceleration(scene.every(GRID)),
+        "hit": float(hit),
+    }
+
+
+def gap_to_crossing(scenario: Scenario, car: FloatArray) -> float:
+    """Return how far the front of a car (reference point (x, y), m) is before the crossing line, m."""
+    along = right_and_along(scenario.road.line, car[None, :2].copy())[0, 1]
+    return float(-along - scenario.car.front)

@@ -1,0 +1,81 @@
+"""How far apart the outlines of car and other are, at every moment and at the least.
+
+Between two moments the other's centre runs along a straight segment in the car's frame. The distance of two convex
+bodies is convex along it, so the least one between two moments is found exactly by bisection of its course.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.arrays import FloatArray
+
+from skd_evaluator.measure.surrogate.scene import Scene
+
+_SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
+_STEPS = 60  # of it: to 1e-12 of a segment
+
+
+def clearances(scene: Scene) -> FloatArray:
+    """Return the distance between the outlines at each moment, n, m; 0 where they touch."""
+    return _apart(scene, scene.seen, scene.turned_from_car)
+
+
+def least_clearance(scene: Scene) -> float:
+    """Return the least distance between the outlines, m, over the whole time: between the given moments as well."""
+    if len(scene) < 2:
+        return float(clearances(scene).min())
+    start, way = scene.seen[:-1], np.diff(scene.seen, axis=0)
+    turned = scene.turned_from_car[:-1]
+
+    def at(share: FloatArray) -> FloatArray:
+        return _apart(scene, start + share[:, None] * way, turned)
+
+    low, high = np.zeros(len(start)), np.ones(len(start))
+    for _ in range(_STEPS):
+        width = _SHRINK * (high - low)
+        left, right = high - width, low + width
+        nearer = at(left) < at(right)
+        low, high = np.where(nearer, low, left), np.where(nearer, right, high)
+    return float(min(clearances(scene).min(), at(0.5 * (low + high)).min()))
+
+
+def _apart(scene: Scene, seen: FloatArray, turned: FloatArray) -> FloatArray:
+    """Return the distance of the outlines with the other's centre at places of the car's frame (n × 2, m)."""
+    front, rear, half_width = scene.footprint
+    radius, half_length, other_half_width = scene.shape
+    if radius > 0.0:
+        return np.asarray(np.maximum(0.0, _outside(seen, front, rear, half_width) - radius))
+    cos, sin = np.cos(turned), np.sin(turned)
+    found = np.full(len(seen), np.inf)
+    for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        # A corner of the other in the car's frame, and one of the car in the other's.
+        a, b = along * half_length, across * other_half_width
+        corner = seen + np.column_stack([cos * a - sin * b, sin * a + cos * b])
+        found = np.minimum(found, _outside(corner, front, rear, half_width))
+        x, y = np.where(along > 0, front, -rear) - seen[:, 0], across * half_width - seen[:, 1]
+        own = np.column_stack([cos * x + sin * y, cos * y - sin * x])
+        found = np.minimum(found, _outside(own, half_length, half_length, other_half_width))
+    return np.where(_overlap(scene, seen, cos, sin), 0.0, found)
+
+
+def _outside(points: FloatArray, front: float, rear: float, half_width: float) -> FloatArray:
+    """Return how far points are from a rectangle about the origin, n, m; 0 inside."""
+    ahead, left = points.T
+    beyond = np.maximum(0.0, np.maximum(ahead - front, -rear - ahead))
+    return np.asarray(np.hypot(beyond, np.maximum(0.0, np.abs(left) - half_width)))
+
+
+def _overlap(scene: Scene, seen: FloatArray, cos: FloatArray, sin: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return whether two rectangles overlap: no edge's direction separates them."""
+    front, rear, half_width = scene.footprint
+    _, other_length, other_width = scene.shape
+    half_length = 0.5 * (front + rear)
+    x, y = seen[:, 0] - 0.5 * (front - rear), seen[:, 1]
+    c, s = np.abs(cos), np.abs(sin)
+    return np.asarray(
+        (np.abs(x) <= half_length + c * other_length + s * other_width)
+        & (np.abs(y) <= half_width + s * other_length + c * other_width)
+        & (np.abs(cos * x + sin * y) <= c * half_length + s * half_width + other_length)
+        & (np.abs(cos * y - sin * x) <= s * half_length + c * half_width + other_width)
+    )

@@ -1,0 +1,1 @@
+"""Encounters as people see them: a picture, and what is said of one."""

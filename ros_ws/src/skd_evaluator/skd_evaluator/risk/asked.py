@@ -1,0 +1,38 @@
+"""What options ask of the risk: by which behaviour model, and by how many crossings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR
+from skd_evaluator.risk.behaviour.model import Behaviour, load_behaviour
+
+NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
+
+
+@dataclass(frozen=True)
+class RiskAsked:
+    """What is asked.
+
+    Attributes:
+        behaviour: the behaviour model; None: there is to be no risk.
+        runs: crude crossings at each scale; None: as many as is usual.
+        subset: whether there is subset simulation of a car that is not known, too.
+    """
+
+    behaviour: Behaviour | None = None
+    runs: int | None = None
+    subset: bool = False
+
+
+NOTHING_ASKED: Final = RiskAsked()
+
+
+def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False) -> RiskAsked:
+    """Return what options ask.
+
+    Raises:
+        UsageError: there is no such behaviour model.
+    """
+    return RiskAsked(None if behaviour == NO_BEHAVIOUR else load_behaviour(behaviour), runs, subset)

@@ -1,0 +1,207 @@
+"""The risk of an assessment: crude crossings of every car, and subset simulation where they show few hits.
+
+Nothing in it depends on time or on who computes it: crude crossings draw by their numbers, replicates by theirs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from skd_adversary.model.road_users import road_user_named
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.choices.simulators import is_own_world
+from skd_sim.episode.randomness import Role, generator
+
+from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
+from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
+from skd_evaluator.risk.behaviour.model import Behaviour
+from skd_evaluator.risk.crossings import Crossings, Encounter, Runner
+from skd_evaluator.risk.known_car import KnownCar
+from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
+
+LABEL: Final = "risk"
+RUNS: Final = 2000
+"""Crude crossings at each scale, of a car that is known."""
+OTHER_RUNS: Final = 500
+"""And of any other car."""
+GRAPH_RUNS: Final = 100
+"""And through the node graph."""
+_AT_A_TIME = 100  # crossings of which the progress is told
+
+
+def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
+    """Return why there is no risk of a plan, in one line; empty where there is one."""
+    scenario = plan.scenario
+    if behaviour is None:
+        return NOT_ASKED
+    if not is_own_world(plan.simulator):
+        return f"the risk needs SKD's own world: crossings in simulator {plan.simulator} are not run"
+    kind = road_user_named(scenario.adversary.kind).name
+    if kind != behaviour.kind:
+        return f"behaviour {behaviour.name} is of a {behaviour.kind}, and the adversary is a {kind}: give --behaviour"
+    if scenario.adversary.is_box:
+        return "the side of a contact is known of an adversary that is a disc alone"
+    return ""
+
+
+def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
+    """Return how many crude crossings there are at each scale: at most four for each run along φ, by default."""
+    if asked.runs is not None:
+        return asked.runs
+    most = GRAPH_RUNS if graph else RUNS if foretold(plan.car, plan.scenario) else OTHER_RUNS
+    return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
+
+
+def crude_crossings(encounter: Encounter, runs: int) -> Crossings:
+    """Return the crude crossings, the same for every car and at every scale; φ take turns."""
+    phis = len(encounter.safe)
+    phi, draw = np.arange(runs) % phis, np.arange(runs) // phis
+    seed, count = encounter.plan.seed, encounter.walker_normals
+    walker = np.empty((runs, count))
+    for row, number in enumerate(numbers_of(phi, draw)):
+        walker[row] = generator(seed, number, Role.WALKER).standard_normal(count)
+    return Crossings(phi, walker, np.empty((runs, 0)), draw)
+
+
+def numbers_of(phi: IntArray, draw: IntArray) -> list[int]:
+    """Return the ids of the episodes that crossings are."""
+    return [episode_id(Stage.RISK, one, other) for one, other in zip(phi.tolist(), draw.tolist(), strict=True)]
+
+
+def draws_of(encounter: Encounter, crossings: Crossings) -> FloatArray:
+    """Return what the basic car draws in the episodes that crossings are, uniform in [0, 1)."""
+    seed, count = encounter.plan.seed, 2 * encounter.ticks
+    found = np.empty((len(crossings), 1 + count))
+    for row, number in enumerate(numbers_of(crossings.phi, crossings.draw)):
+        found[row, 0] = generator(seed, number, Role.START).random()
+        found[row, 1:] = generator(seed, number, Role.CAR).random(count)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """A replicate of subset simulation of a car that is known, in whatever process."""
+
+    encounter: Encounter
+    scale: float
+    number: int
+    effort: Effort
+    levels: Levels
+
+
+def _do(job: _Job) -> Replicate:
+    return replicate(job.encounter, KnownCar(job.encounter), job.scale, job.number, job.effort, job.levels)
+
+
+def warm_up_risk(plan: Plan) -> None:
+    """Compile what crossings of a known car need, before it is timed or forked."""
+    if not foretold(plan.car, plan.scenario):
+        return
+    from skd_adversary.warm_up import warm_up_episodes
+    from skd_sim.episode.episode import Mode
+
+    episode = next(one for one in warm_up_episodes() if one.mode == Mode.KAMIKAZE)
+    assert episode.safe_trajectory is not None
+    here = replace(plan, scenario=episode.scenario)
+    encounter = Encounter(here, (episode.safe_trajectory,), np.ones(12) * 0.1)
+    car, crossings = KnownCar(encounter), crude_crossings(encounter, 2)
+    car.run_drawn(crossings, draws_of(encounter, crossings), 1.0)
+
+
+def with_risks(
+    rating: Rating,
+    asked: RiskAsked,
+    runner: ExecutorRunner,
+    progress: Progress,
+    graph: EpisodeRunner | None = None,
+) -> Rating:
+    """Return the rating with the risk of the car.
+
+    Args:
+        rating: the rating, whose episodes have been run.
+        asked: by which behaviour model, and how much.
+        runner: runs crossings, in several processes.
+        progress: called with how far the work is.
+        graph: runs episodes of a car that is a node of its own; None: such a car has no risk.
+    """
+    begin = time.perf_counter()
+    plan = rating.for_deformation.plan
+    why = why_no_risk(plan, asked.behaviour)
+    external = plan.car.is_external
+    if not why and external and graph is None:
+        why = "the risk of a node of its own takes episodes in lockstep: leave out --pacing real_time"
+    if not why and external and 2 * len(rating.reasons) > rating.episodes:
+        why = "most episodes were aborted, and so would be those of the risk"
+    if why or asked.behaviour is None:
+        return replace(rating, risk_note=why)
+    encounter = Encounter(plan, rating.safe, asked.behaviour.values)
+    runs = runs_of(plan, asked, graph=external)
+    by_whom: EpisodeRunner = graph if external and graph is not None else runner
+    try:
+        scales = list(_scales(encounter, asked, runs, runner, by_whom, rating.assessments[0].confidence, progress))
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
+        return replace(rating, risk_note=f"its crossings ended: {error}")
+    seconds = rating.seconds + time.perf_counter() - begin
+    return replace(rating, risks=Risks(asked.behaviour.as_dict(), scales), seconds=seconds)
+
+
+def _scales(
+    encounter: Encounter,
+    asked: RiskAsked,
+    runs: int,
+    runner: ExecutorRunner,
+    by_whom: EpisodeRunner,
+    confidence: float,
+    progress: Progress,
+) -> Iterator[ScaleRisk]:
+    plan = encounter.plan
+    known = KnownCar(encounter) if foretold(plan.car, plan.scenario) else None
+    crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
+    draws = None if known is None else draws_of(encounter, crossings)
+    other = AnyCar(encounter, by_whom)
+    effort = Effort()
+    for number, scale in enumerate(SCALES):
+        if known is not None and draws is not None:
+            touch = known.run_drawn(crossings, draws, scale).touch
+            progress(LABEL, (number + 1) * runs, total)
+        else:
+            parts = []
+            for first in range(0, runs, _AT_A_TIME):
+                rows = np.arange(first, min(first + _AT_A_TIME, runs))
+                parts.append(other.run(crossings.of(rows), scale).touch)
+                progress(LABEL, number * runs + int(rows[-1]) + 1, total)
+            touch = np.concatenate(parts)
+        subsets = None
+        if int((touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
+            subsets = _subsets(encounter, scale, effort, runner, None if known is not None else other, progress)
+        yield ScaleRisk(scale, touch, len(encounter.safe), subsets, confidence)
+
+
+def _subsets(
+    encounter: Encounter, scale: float, effort: Effort, runner: ExecutorRunner, other: Runner | None, progress: Progress
+) -> Subsets:
+    """Return what subset simulation finds; `other` runs crossings of a car that is not known."""
+    found: list[Replicate] = []
+    numbers = range(effort.replicates)
+    levels = levels_of(encounter, KnownCar(encounter) if other is None else other, scale, effort)
+    if other is None:
+        jobs = [_Job(encounter, scale, one, effort, levels) for one in numbers]
+        results: Iterator[Replicate] = runner.map(_do, jobs)
+    else:
+        results = (replicate(encounter, other, scale, one, effort, levels) for one in numbers)
+    for count, one in enumerate(results, start=1):
+        found.append(one)
+        progress(f"{LABEL}, R({scale:g})", count, effort.replicates)
+    return gathered(found, effort)

@@ -1,0 +1,1 @@
+"""Tests of regulators: what their target does, and files of encounters that build upon others."""

@@ -1,0 +1,179 @@
+"""The way of a regulator's target: from the section `protocol` of a scenario to a safe trajectory per impact place.
+
+The car comes unbraked at its start speed, from the middle of the range of places in which it starts. The target's
+centre moves along a straight line. When the car's front reaches the target's nearest surface, the target is at its
+impact place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from skd_sim.arrays import FloatArray
+from skd_sim.encounter.definition import Scenario
+from skd_sim.encounter.protocol.section import Protocol
+from skd_sim.encounter.road import road_pose
+from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
+
+_ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane, the place is across, not in time
+_LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved
+Covered = Callable[[FloatArray], FloatArray]
+"""Times since the start (s) → how far the target has got along its way by then, m."""
+
+
+def regulatory_trajectories(scenario: Scenario) -> list[Trajectory]:
+    """Return the target's way for each impact place of the scenario's protocol, in its order.
+
+    A way ends where the adversary has arrived, or at the horizon. It is exact at each tick; between two ticks its speed
+    is uniform, whatever it accelerates.
+
+    Raises:
+        UsageError: the scenario has no protocol, its road has curves where the car meets the target, or its target
+            cannot be met.
+    """
+    protocol = scenario.protocol
+    if protocol is None:
+        raise UsageError(
+            f"scenario {scenario.name} has no section protocol, so there are no regulatory safe trajectories; give "
+            "synthetic, own, or the path of recorded ones"
+        )
+    return [_trajectory(scenario, protocol, place) for place in protocol.impact_places]
+
+
+def meeting_time(scenario: Scenario) -> float:
+    """Return how long the unbraked car takes to the crossing line from the middle of its start range, s."""
+    car = scenario.car
+    if car.start_speed <= 0.0:
+        raise UsageError(f"scenario {scenario.name}: regulatory safe trajectories are for a car that drives; it stands")
+    return (car.start_gap + 0.5 * car.start_gap_range) / car.start_speed
+
+
+def target_heading(scenario: Scenario) -> float:
+    """Return the direction in which the target moves, rad: the adversary's start heading, or across the lane."""
+    heading = scenario.adversary.start_heading
+    if heading is not None:
+        return heading
+    return 0.0 if scenario.end.crossing > 0.0 else math.pi
+
+
+def impact_offset(scenario: Scenario, place: float) -> float:
+    """Return where an impact place (%) is, m to the right of the car's axis."""
+    heading = target_heading(scenario)
+    from_left = abs(math.sin(heading)) < _ALONG and math.cos(heading) > 0.0
+    return (1.0 if from_left else -1.0) * (place / 100.0 - 0.5) * scenario.car.width
+
+
+def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Trajectory:
+    heading, offset = target_heading(scenario), impact_offset(scenario, place)
+    direction = np.array([round(math.cos(heading), 12), round(math.sin(heading), 12)])  # whatever π's last digit is
+    along = abs(direction[1]) >= _ALONG
+    start = np.array([offset if along else scenario.adversary.start_x, scenario.adversary.start_y])
+    times = scenario.time_step * np.arange(scenario.ticks + 1, dtype=np.float64)
+    if along:
+        start[1] = _first_place_along(scenario, protocol, float(direction[1]))
+        covered = _from_moving(protocol)(times)
+    else:
+        meeting, front = _front_reaches(scenario, start, direction)
+        way = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
+        covered = _crossing(scenario, protocol, place, way, meeting, times)
+    positions = start + covered[:, None] * direction
+    last = next((tick for tick, (x, y) in enumerate(positions.tolist()) if scenario.end.arrived(x, y)), len(times) - 1)
+    return Trajectory(positions[: max(1, last) + 1], scenario.time_step, f"regulatory/{place:g}")
+
+
+def _depth(scenario: Scenario, *, along: bool) -> float:
+    """Return how far the target reaches from its centre along the lane, m."""
+    radius, half_length, half_width = scenario.adversary.shape
+    return radius or (half_length if along else half_width)
+
+
+def _first_place_along(scenario: Scenario, protocol: Protocol, north: float) -> float:
+    """Return where the centre of a target that moves along the lane is at the start, m along the lane."""
+    depth, car = _depth(scenario, along=True), scenario.car
+    if protocol.headway is not None:
+        return -car.start_gap - 0.5 * car.start_gap_range + protocol.headway * car.start_speed + depth
+    if protocol.brake_after is not None:
+        raise UsageError(f"scenario {scenario.name}: protocol.brake_after goes with protocol.headway: give it, too")
+    return depth - north * protocol.speed * meeting_time(scenario)
+
+
+def _from_moving(protocol: Protocol) -> Covered:
+    """Return the way of one that comes at its speed, and may brake."""
+
+    def covered(times: FloatArray) -> FloatArray:
+        if protocol.brake_after is None:
+            return protocol.speed * times
+        stopping = protocol.speed / protocol.deceleration
+        braked = np.clip(times - protocol.brake_after, 0.0, stopping)
+        steady = np.minimum(times, protocol.brake_after)
+        return np.asarray(protocol.speed * (steady + braked) - 0.5 * protocol.deceleration * braked**2)
+
+    return covered
+
+
+def _front_reaches(scenario: Scenario, start: FloatArray, direction: FloatArray) -> tuple[float, FloatArray]:
+    """Return when (s) the middle of the unbraked car's front reaches a target that crosses, and where (x, y) (m) it is.
+
+    Args:
+        scenario: fixed description of the test.
+        start: a point of the way of the target's centre (x, y), m.
+        direction: in which it goes, of length 1.
+
+    Raises:
+        UsageError: it never does within the horizon.
+    """
+    car, depth = scenario.car, _depth(scenario, along=False)
+    begin = -meeting_time(scenario) * car.start_speed - car.front
+
+    def front(time: float) -> FloatArray:
+        x, y, heading = road_pose(scenario.road.line, begin + car.start_speed * time)
+        return np.array([x + car.front * math.cos(heading), y + car.front * math.sin(heading)])
+
+    def beside(time: float) -> float:
+        ahead = front(time) - start
+        return float(direction[0] * ahead[1] - direction[1] * ahead[0])
+
+    side = math.copysign(1.0, beside(0.0))
+    before, after = 0.0, 0.0
+    while side * beside(after) > depth:
+        before, after = after, after + _LOOK
+        if after > scenario.horizon:
+            raise UsageError(
+                f"scenario {scenario.name}: the unbraked car does not get to the way of its protocol's target within "
+                f"the horizon of {scenario.horizon:g} s; make horizon longer, or car.start_gap shorter"
+            )
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + after)
+        before, after = (middle, after) if side * beside(middle) > depth else (before, middle)
+    return after, front(after)
+
+
+def _crossing(
+    scenario: Scenario, protocol: Protocol, place: float, way: float, meeting: float, times: FloatArray
+) -> FloatArray:
+    """Return how far the target has got across the lane at some times (s), m: at its place when the car's front is.
+
+    Args:
+        scenario: fixed description of the test.
+        protocol: its section.
+        place: the impact place, for messages.
+        way: how far it is from the start to there, m.
+        meeting: when the car's front is there, s since the start.
+        times: s since the start.
+    """
+    if protocol.speed <= 0.0 or way <= protocol.acceleration_distance:
+        raise UsageError(
+            f"scenario {scenario.name}: the target cannot be at {place:g} % of the car's width at its speed: from its "
+            f"start it is {way:.3g} m to there; move adversary.start_x, or change protocol.speed"
+        )
+    speeding = 2.0 * protocol.acceleration_distance / protocol.speed  # s, from standing to its speed
+    begins = meeting - speeding - (way - protocol.acceleration_distance) / protocol.speed
+    if protocol.acceleration_distance <= 0.0:
+        return np.asarray(way - protocol.speed * (meeting - times))  # it has been moving before
+    moved = np.clip(times - begins, 0.0, speeding)
+    steady = np.maximum(0.0, times - begins - speeding)
+    return np.asarray(protocol.acceleration_distance * (moved / speeding) ** 2 + protocol.speed * steady)

@@ -1,0 +1,119 @@
+"""`skd encounters`: names, pictures, files of one's own, campaigns of test speeds; and assessing on regulatory φ."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+from cli_support import names, one_line
+from matplotlib.image import imread
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaigns.campaign_file import read_campaign
+from skd_evaluator.campaigns.cell import make_cells
+from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+
+
+def test_every_name_is_listed(skd_here):
+    done = skd_here("encounters", "list", "--json")
+    assert done.returncode == 0, done.stderr
+    listed = {one["name"]: one for one in json.loads(done.stdout)["encounters"]}
+    assert set(listed) == set(SCENARIOS.own)
+    assert listed["cpna"]["impact_places"] == [0, 10, 25, 50, 75, 90, 100]
+    assert all("Euro NCAP" in one["source"] for one in listed.values() if "regulatory" in one["safe"])
+    assert listed["crossing"]["basic_margin"] == "exact"
+    assert "not exact" in listed["cpna"]["basic_margin"]
+
+
+def test_shown_ones_are_drawn(skd_here, here):
+    done = skd_here("encounters", "show", "cpnco-50", "ccftap", "cut_out", "--out", "shown")
+    assert done.returncode == 0, done.stderr
+    pictures = ["ccftap.png", "cpnco-50.png", "cut_out.png"]
+    assert names(here / "shown") == [*pictures, "encounters.json", "manifest.sha256"]
+    assert all(imread(here / "shown" / name).shape[1] > 300 for name in pictures)
+    assert "2 parked" in done.stdout
+    assert skd_here("encounters", "show", "cpna", "--out", "shown", "--overwrite").returncode == 0
+
+
+def test_a_file_of_five_lines_is_checked(skd_here, here):
+    good = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
+    (here / "mine.yaml").write_text(good)
+    done = skd_here("encounters", "check", "mine.yaml", "--out", "checked", "--json")
+    assert done.returncode == 0, done.stderr
+    (found,) = json.loads(done.stdout)["encounters"]
+    assert (found["car_speed"], found["impact_places"], found["picture"]) == (5.0, [75.0], "mine.png")
+    for text, said in (
+        ("adversary:\n  kind: unicorn\n", "unicorn"),
+        ("adversary:\n  start_x: 0.5\n", "cannot be at 75 %"),
+        ("obstacles:\n  - {x: 3.0, y: 0.0, heading: 0.0, length: 1.0, width: 1.0}\n", "runs into obstacles"),
+        ("car:\n  start_sped: 3.0\n", "start_sped"),
+    ):
+        (here / "bad.yaml").write_text(f"name: bad\ndescription: bad\nextends: cpna-75\n{text}")
+        one_line(skd_here("encounters", "check", "bad.yaml", "--out", "bad"), 2, said)
+        assert not (here / "bad").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("show",), "needs a name"),
+        (("check",), "needs a file"),
+        (("list", "cpna"), "takes no names"),
+        (("show", "cpna", "--speeds", "10:20:10"), "goes with skd encounters campaign"),
+        (("campaign", "cpna"), "needs --speeds"),
+        (("campaign", "crossing", "--speeds", "10:20:10"), "has no section protocol"),
+        (("show", "cpna-33"), "impact places are 0, 10, 25"),
+        (("show", "cpna", "cpna"), "have one name"),
+    ],
+)
+def test_what_is_not_there_is_said_in_one_line(skd_here, words, said):
+    one_line(skd_here("encounters", *words), 2, said)
+
+
+@pytest.mark.parametrize("speeds", ["10", "10:60", "60:10:10", "10:60:0", "a:b:c", "0:60:10", "1:60:0.1", "10:inf:1"])
+def test_speeds_that_are_none_are_refused(skd_here, speeds):
+    done = skd_here("encounters", "campaign", "cpna", "--speeds", speeds)
+    assert done.returncode == 2
+    assert "must be FROM:TO:STEP" in done.stderr
+
+
+def test_a_campaign_of_test_speeds(skd_here, here):
+    done = skd_here("encounters", "campaign", "cpna", "cbfa-50", "--speeds", "10:60:10", "--out", "grid.yaml")
+    assert done.returncode == 0, done.stderr
+    assert yaml.safe_load((here / "grid.yaml").read_text())["defaults"]["safe"] == "regulatory"
+    cells = make_cells(read_campaign(here / "grid.yaml"))
+    assert len(cells) == 12
+    for cell in cells:
+        car = cell.plan.scenario.car
+        assert car.start_gap == pytest.approx(4.5 * car.start_speed)
+        assert cell.plan.safe_count == (7 if cell.plan.scenario.name == "cpna" else 1)
+    assert {round(3.6 * cell.plan.scenario.car.start_speed) for cell in cells} == {10, 20, 30, 40, 50, 60}
+    one_line(
+        skd_here("encounters", "campaign", "cpna", "--speeds", "10:20:10", "--out", "grid.yaml"), 2, "is there already"
+    )
+
+
+def test_an_assessment_on_the_protocols_own_ways(skd_here, here):
+    done = skd_here(
+        *("assess", "--scenario", "cpna", "--safe", "regulatory", "--kamikaze-count", "1", "--collision-runs", "7"),
+        *("--objective", "deformation", "--simulations", "60", "--margin-limit", "0", "--out", "result"),
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads((here / "result" / "assessment.json").read_text())
+    named = [one["name"] for one in found["per_safe_trajectory"]]
+    assert named == [f"regulatory/{place}" for place in (0, 10, 25, 50, 75, 90, 100)]
+    verified = skd_here("verify", "result")
+    assert verified.returncode == 0, verified.stdout
+
+
+def test_as_many_as_are_asked_for():
+    scenario = load_scenario("cpna")
+    found = safe_trajectories(Plan(scenario, safe="regulatory", safe_count=3), InProcessRunner(1))
+    assert [one.name for one in found] == ["regulatory/0", "regulatory/50", "regulatory/100"]
+    with pytest.raises(UsageError, match="7 usable safe trajectories where 8 were asked for"):
+        safe_trajectories(Plan(scenario, safe="regulatory", safe_count=8), InProcessRunner(1))
+    with pytest.raises(UsageError, match="scenario crossing has no section protocol"):
+        safe_trajectories(Plan(load_scenario("crossing"), safe="regulatory", safe_count=1), InProcessRunner(1))

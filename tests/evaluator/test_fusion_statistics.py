@@ -1,0 +1,251 @@
+"""Control variates, rates and gaps against closed forms, scipy's regression, and how often intervals hold."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from skd_evaluator.fusion.control_variate import (
+    LEAST_PAIRS,
+    alone,
+    checked_pairs,
+    fitted_line,
+    fused,
+    skewness,
+    trials_saved,
+)
+from skd_evaluator.fusion.figures import FIGURES
+from skd_evaluator.fusion.fusion import NotSaidError, fuse, fused_figure
+from skd_evaluator.fusion.gap import gap_of, trend
+from skd_evaluator.fusion.pairs import Pairs
+from skd_evaluator.fusion.rate import alone_rate, fused_rate
+from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.measure.statistics.sequential import nominal_confidence
+from skd_sim.errors import UsageError
+
+
+def drawn(rng: np.random.Generator, rho: float, pairs: int, simulated: int = 2000) -> tuple[np.ndarray, ...]:
+    x, other = rng.standard_normal((2, simulated))
+    y = rho * x + math.sqrt(1.0 - rho**2) * other
+    return y[:pairs], x[:pairs], x
+
+
+def test_the_fused_mean_is_the_line_at_the_mean_of_all():
+    y, x, every = drawn(np.random.default_rng(1), 0.8, 12)
+    line, by_scipy = fitted_line(y, x), stats.linregress(x, y, alternative="greater")
+    assert line.slope == pytest.approx(by_scipy.slope)
+    assert line.correlation == pytest.approx(by_scipy.rvalue)
+    assert line.p_value == pytest.approx(by_scipy.pvalue)
+    found = fused(y, x, every, line)
+    assert found.value == pytest.approx(by_scipy.intercept + by_scipy.slope * every.mean())
+    # The error of a line at a place (any textbook), and of the place itself.
+    at = by_scipy.intercept_stderr**2 + (by_scipy.stderr * every.mean()) ** 2
+    at += 2.0 * every.mean() * (-x.mean() * by_scipy.stderr**2)
+    expected = math.sqrt(at + line.slope**2 * every.var(ddof=1) / every.size)
+    assert found.error == pytest.approx(expected)
+    assert skewness(y - y.mean()) == pytest.approx(stats.skew(y, bias=False))
+
+
+def test_symmetric_figures_have_student_s_interval():
+    y = np.array([-3.0, -1.0, -0.5, 0.5, 1.0, 3.0])
+    low, high = stats.t.interval(0.95, 5, 0.0, stats.sem(y))
+    assert alone(y).interval == pytest.approx((low, high))
+    skewed = np.append(y[:-1], 9.0)
+    reach = stats.t.ppf(0.975, 5) * stats.sem(skewed)
+    below, above = alone(skewed).interval
+    assert below == pytest.approx(skewed.mean() - reach)
+    assert above > skewed.mean() + 1.05 * reach
+
+
+def test_a_simulator_that_is_off_by_a_constant_and_a_factor_says_the_same():
+    y, x, every = drawn(np.random.default_rng(2), 0.9, 10)
+    one = fused(y, x, every, fitted_line(y, x))
+    other = fused(y, 7.0 + 3.0 * x, 7.0 + 3.0 * every, fitted_line(y, 7.0 + 3.0 * x))
+    assert other.interval == pytest.approx(one.interval)
+    assert not fitted_line(y, -x).predicts  # where it is better in one, it is worse in the other
+
+
+@pytest.mark.parametrize(
+    ("rho", "pairs", "narrower"),
+    [(0.8, 10, 1.5), (0.8, 20, 1.5), (0.9, 20, 2.1), (0.0, 10, 1 / 1.1), (0.0, 20, 1 / 1.04)],
+)
+def test_intervals_hold_and_are_narrower(rho, pairs, narrower):
+    rng = np.random.default_rng(pairs)
+    held, widths = 0, []
+    for _ in range(600):
+        y, x, every = drawn(rng, rho, pairs)
+        both = fused(y, x, every, fitted_line(y, x))
+        held += both.interval[0] <= 0.0 <= both.interval[1]
+        widths.append((alone(y).width, both.width))
+    assert 0.93 <= held / 600 <= 0.98  # 3.5 standard errors about 95.5 %
+    first, second = np.mean(widths, axis=0)
+    assert first / second >= narrower
+
+
+def test_saved_trials_are_those_that_an_interval_as_narrow_takes():
+    for pairs, narrower in ((10, 0.5), (20, 0.62), (40, 0.9)):
+        saved = trials_saved(pairs, narrower, 0.95)
+        width = [
+            stats.t.ppf(0.975, count - 1) / math.sqrt(count) for count in (pairs, pairs + saved - 1, pairs + saved)
+        ]
+        assert width[2] <= narrower * width[0] < width[1]
+    assert trials_saved(10, 1.1, 0.95) == 0
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "every", "says"),
+    [
+        (np.arange(4.0), np.arange(4.0), np.arange(9.0), "4 pairs are too few"),
+        (np.arange(6.0), np.arange(5.0), np.arange(9.0), "do not pair"),
+        (np.arange(6.0), np.arange(6.0), np.arange(5.0), "fewer than the 6"),
+        (np.array([1.0, 2.0, math.nan, 3.0, 4.0]), np.arange(5.0), np.arange(9.0), "finite"),
+    ],
+)
+def test_pairs_that_say_nothing_are_refused(y, x, every, says):
+    with pytest.raises(ValueError, match=says):
+        checked_pairs(y, x, every)
+
+
+def test_figures_that_cannot_be_of_trials_are_refused():
+    x = np.arange(6.0)
+    with pytest.raises(ValueError, match="nothing is known of how they vary"):
+        alone(np.full(6, 0.7))
+    with pytest.raises(ValueError, match="the same data"):
+        fused(x, x, np.arange(9.0), fitted_line(x, x))
+
+
+def test_rates_hold_and_stay_rates():
+    rng = np.random.default_rng(3)
+    held, widths, used = 0, [], 0
+    limit = stats.norm.ppf(0.3)
+    for _ in range(400):
+        hard = rng.standard_normal(1000)
+        hits = (0.95 * hard + 0.31 * rng.standard_normal(1000) < limit)[:20].astype(float)
+        x = stats.norm.cdf((limit - hard) / 0.3)
+        groups = [hits[index : index + 1] for index in range(20)]
+        if not 3 <= hits.sum() <= 17:
+            continue
+        used += 1
+        found = fused_rate(hits, x[:20], x, fitted_line(hits, x[:20]))
+        assert 0.0 <= found.interval[0] <= found.value <= found.interval[1] <= 1.0
+        held += found.interval[0] <= 0.3 <= found.interval[1]
+        widths.append((alone_rate(groups).width, found.width))
+    first, second = np.mean(widths, axis=0)
+    assert used > 300
+    assert held / used >= 0.94
+    assert first / second > 1.4
+
+
+def trials_of(values: np.ndarray, key: str = "clearance", **more: float) -> list[Trial]:
+    return [Trial(f"phi{index}", {key: float(value)}, **more) for index, value in enumerate(values)]
+
+
+def simulated_of(values: np.ndarray, key: str = "clearance") -> dict[str, list[Trial]]:
+    return {f"phi{index}": [Trial(f"phi{index}", {key: float(value)})] for index, value in enumerate(values)}
+
+
+def test_without_prediction_the_physical_trials_stand_alone():
+    y, x, every = drawn(np.random.default_rng(4), 0.95, 12)
+    (good,) = fuse(trials_of(y + 5.0), simulated_of(every + 5.0)).figures
+    assert good.predicts
+    assert good.stands is good.with_simulator
+    assert good.saved > 20
+    (bad,) = fuse(trials_of(y + 5.0), simulated_of(5.0 - every)).figures
+    assert bad.why_alone == "the simulator does not predict this figure"
+    assert bad.stands is bad.alone
+    assert bad.saved == 0
+    assert bad.stands.interval == good.alone.interval
+    assert good.as_dict()["gap"]["by_phi"][3]["gap"] == pytest.approx(float(y[3] - x[3]))
+
+
+def test_several_trials_of_a_phi_count_as_one():
+    y, _, every = drawn(np.random.default_rng(5), 0.9, 10)
+    once = fuse(trials_of(y + 9.0), simulated_of(every + 9.0)).figures[0]
+    thrice = fuse([one for one in trials_of(y + 9.0) for _ in range(3)], simulated_of(every + 9.0)).figures[0]
+    assert thrice.stands.interval == pytest.approx(once.stands.interval)
+    assert any("count as one" in note for note in thrice.notes)
+
+
+def test_looks_are_paid_for():
+    y, _, every = drawn(np.random.default_rng(6), 0.9, 12)
+    widths = [fuse(trials_of(y + 9.0), simulated_of(every + 9.0), looks=looks).figures[0] for looks in (1, 5)]
+    assert widths[1].confidence == nominal_confidence(5) > 0.98
+    assert widths[1].stands.width > 1.1 * widths[0].stands.width
+
+
+def test_intervals_at_all_looks_hold_together():
+    rng, held = np.random.default_rng(7), 0
+    for _ in range(300):
+        y, x, every = drawn(rng, 0.8, 32)
+        held += all(_holds(y[:count], x[:count], every, nominal_confidence(4)) for count in (8, 16, 24, 32))
+    assert held / 300 >= 0.92
+
+
+def _holds(y: np.ndarray, x: np.ndarray, every: np.ndarray, confidence: float) -> bool:
+    groups = tuple(y[index : index + 1] for index in range(y.size))
+    pairs = Pairs(tuple(map(str, range(y.size))), groups, y, x, every, y, x, True)
+    try:
+        low, high = fused_figure(FIGURES["clearance"], pairs, confidence).stands.interval
+    except NotSaidError:
+        return True  # nothing is said
+    return low <= 0.0 <= high
+
+
+def test_refusals_of_trials():
+    y, _, every = drawn(np.random.default_rng(8), 0.9, 8)
+    simulated = simulated_of(every)
+    few = trials_of(y[: LEAST_PAIRS - 1])
+    with pytest.raises(UsageError, match="at least 5 φ"):
+        fuse(few * 4, simulated)
+    with pytest.raises(UsageError, match="'phix' was not simulated; did you mean 'phi"):
+        fuse([*trials_of(y), Trial("phix", {"clearance": 1.0})], simulated)
+    with pytest.raises(UsageError, match="has no clearance"):
+        fuse([*trials_of(y), Trial("phi20", {"margin": 1.0})], simulated)
+    with pytest.raises(UsageError, match="no figure in common"):
+        fuse(trials_of(y, "margin"), simulated)
+    with pytest.raises(UsageError, match="on every φ with trials"):
+        fuse(trials_of(np.zeros(8)), simulated)
+
+
+def test_pairs_are_of_one_timing():
+    y, _, every = drawn(np.random.default_rng(9), 0.9, 8)
+    runs = {
+        name: [Trial(name, {"clearance": trials[0].values["clearance"] + gap}, gap) for gap in (13.0, 15.0)]
+        for name, trials in simulated_of(every).items()
+    }
+    near = fuse(trials_of(y, gap=13.2), runs).figures[0].pairs
+    assert near.simulated == pytest.approx(every[:8] + 13.0)
+    assert near.population.mean() == pytest.approx(every.mean() + 14.0)
+    with pytest.raises(UsageError, match=r"14\.00 m before the crossing line.*13\.00 to 15\.00 m"):
+        fuse(trials_of(y, gap=14.0), runs)
+
+
+def test_gaps_and_their_trends():
+    rng = np.random.default_rng(10)
+    x = rng.uniform(0.0, 2.0, 15)
+    y = 0.3 + 1.5 * x + 0.01 * rng.standard_normal(15)
+    order = rng.permutation(15)
+    found = gap_of(y, x, y[order], x[order])
+    assert found.mean == pytest.approx(np.mean(y - x))
+    assert found.interval == pytest.approx(stats.t.interval(0.95, 14, np.mean(y - x), stats.sem(y - x)))
+    by_scipy = stats.linregress(x, y - x)
+    assert found.by_simulated is not None
+    assert found.by_simulated.slope == pytest.approx(by_scipy.slope)
+    assert found.by_simulated.p_value == pytest.approx(by_scipy.pvalue, abs=1e-12)
+    assert trend(np.ones(5), np.arange(5.0)) is None
+
+
+def test_of_trials_on_alike_phi_nothing_is_said():
+    """A few φ decide the mean, and none of them has a trial."""
+    rng = np.random.default_rng(11)
+    every = np.concatenate([3.0 + 0.1 * rng.standard_normal(900), np.full(100, 9.0)])
+    y = every[:10] + 0.02 * rng.standard_normal(10)
+    with pytest.raises(UsageError, match=r"too alike.*make more trials"):
+        fuse(trials_of(y), simulated_of(every))
+    chosen = [*range(9), 950]
+    spread = [
+        Trial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())}) for index in chosen
+    ]
+    assert fuse(spread, simulated_of(every)).figures[0].predicts

@@ -1,0 +1,280 @@
+"""Physical trials from tables, tracks and bags: what is measured in them, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import runpy
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from common import run_skd
+from skd_evaluator.fusion.measured import Recorder
+from skd_evaluator.fusion.recording import read_tracks
+from skd_evaluator.fusion.simulated import read_simulated
+from skd_evaluator.fusion.table import read_trials, table_in
+from skd_evaluator.fusion.track import Frame, Track
+from skd_evaluator.fusion.trial import Trial
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "proving_ground" / "drive.py"
+SCENARIO = load_scenario("crossing")
+PHI = np.column_stack([np.linspace(-3.5, 2.5, 15), np.zeros(15)])
+SPEED, GAP = 6.0, 20.0  # of a car that keeps its speed
+WALKED = 6.0 / (14 * SCENARIO.time_step)
+
+Write = Callable[..., Path]
+
+
+def tracked(
+    path: Path,
+    *,
+    rate: float = 20.0,
+    other_rate: float = 10.0,
+    frame: Frame = Frame(),  # noqa: B008
+    clock: float = 7.3,
+    gap: float = GAP,
+    speed: float = SPEED,
+    said: float | None = None,
+    aside: float = 0.0,
+    ids: tuple[str, str] = ("car", "other"),
+) -> Path:
+    """A table of a car that keeps its speed, and of somebody on φ, who stands before and after."""
+    cos, sin = math.cos(frame.turned), math.sin(frame.turned)
+    lines = ["t,id,x,y,heading,speed"]
+
+    def put(time: float, name: str, x: float, y: float, further: str) -> None:
+        placed = frame.x + cos * x - sin * y, frame.y + sin * x + cos * y
+        lines.append(f"{clock + time!r},{name},{placed[0]!r},{placed[1]!r},{further}")
+
+    ticks = SCENARIO.time_step * np.arange(len(PHI))
+    for time in np.arange(-1.0, 5.5, 1.0 / rate).tolist():
+        heading = 0.5 * math.pi + frame.turned
+        put(time, ids[0], aside, -gap - SCENARIO.car.front + speed * time, f"{heading!r},{said or speed!r}")
+    for time in np.arange(-1.0, 5.5, 1.0 / other_rate).tolist():
+        put(time, ids[1], float(np.interp(time, ticks, PHI[:, 0])), 0.0, ",")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def recorder(**changes: object) -> Recorder:
+    return Recorder(SCENARIO, {"walk": PHI}, **changes)  # type: ignore[arg-type]
+
+
+def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock(tmp_path: Path):
+    site = Frame(120.0, -40.0, 0.7)
+    plain = recorder().measured(tracked(tmp_path / "a.csv"), Trial("walk"))
+    moved = recorder(frame=site, car="ego", other="dummy").measured(
+        tracked(tmp_path / "b.csv", rate=50.0, other_rate=25.0, frame=site, clock=1e5, ids=("ego", "dummy")),
+        Trial("walk"),
+    )
+    assert plain.gap == pytest.approx(GAP, abs=0.03)
+    assert moved.gap == pytest.approx(GAP, abs=0.03)
+    for key in ("clearance", "hit"):
+        assert moved.values[key] == pytest.approx(plain.values[key], abs=0.03)
+    # Who walks leaves the car's strip before the car is there: nobody has to brake, and the rest is geometry.
+    passed = GAP / SPEED
+    assert passed * WALKED - 3.5 > SCENARIO.path_edge
+    times = np.linspace(0.0, 14 * SCENARIO.time_step, 200_001)
+    x, front = -3.5 + WALKED * times, -GAP + SPEED * times
+    ahead = np.maximum(0.0, np.maximum(-front, front - SCENARIO.car.front - SCENARIO.car.rear))
+    apart = np.hypot(ahead, np.maximum(0.0, np.abs(x) - SCENARIO.car.half_width)) - SCENARIO.adversary.reach
+    assert plain.values["clearance"] == pytest.approx(apart.min(), abs=0.03)
+    assert plain.values["hit"] == 0.0
+
+
+def test_a_car_that_does_not_brake_hits(tmp_path: Path):
+    trial = recorder().measured(tracked(tmp_path / "a.csv", gap=SPEED * 3.5 / WALKED), Trial("walk"))
+    assert trial.values == {"clearance": 0.0, "required_deceleration": 9.81, "hit": 1.0}
+    late = recorder(reference=2.0).measured(tracked(tmp_path / "b.csv", gap=10.0), Trial("walk"))
+    assert late.gap == pytest.approx(12.0, abs=0.03)  # the tracked point is ahead of the reference point
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"said": 3.6 * SPEED}, "is it in km/h"),
+        ({"aside": 2.0}, "beside its lane's centre"),
+        ({"frame": Frame(0.0, 0.0, 1.2)}, "off its φ"),
+        ({"frame": Frame(0.0, 3.0, 0.0)}, "off its φ after"),
+        ({"ids": ("lead", "dummy")}, "no object 'car' but dummy, lead"),
+        ({"other_rate": 1.0}, "hole of 1.00 s"),
+        ({"speed": 600.0}, "m and times in s"),
+    ],
+)
+def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, changes, says):
+    with pytest.raises(UsageError, match=says):
+        recorder().measured(tracked(tmp_path / "a.csv", **changes), Trial("walk"))
+
+
+def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
+    path = tracked(tmp_path / "a.csv", gap=25.0)
+    with pytest.raises(UsageError, match=r"line 3: says that the car hit, and in the recording it stays 1\.\d+ m away"):
+        recorder().measured(path, Trial("walk", {"hit": 1.0}, None, "t.csv, line 3"))
+    with pytest.raises(UsageError, match="clearance is said to be 4"):
+        recorder().measured(path, Trial("walk", {"clearance": 4.0}, None, "t.csv, line 3"))
+    with pytest.raises(UsageError, match="'walkk' was not simulated; did you mean 'walk'"):
+        recorder().measured(path, Trial("walkk"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ("t,id,x\n", "no column 'y'"),
+        ("t,id,x,y\n0,car,0\n", "another number of values"),
+        ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
+        ("t,id,x,y\n0,car,nan,0\n", "line 2: x must be finite"),
+        ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 positions are no track"),
+    ],
+)
+def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
+    path = tmp_path / "a.csv"
+    path.write_text(rows, encoding="utf-8")
+    with pytest.raises(UsageError, match=says):
+        read_tracks(path, None, None)
+
+
+def test_times_that_do_not_increase_are_refused():
+    places = np.zeros((6, 2))
+    with pytest.raises(UsageError, match="must increase"):
+        Track(np.array([0.0, 1.0, 1.0, 2.0, 3.0, 4.0]), places, None, None, "a").checked()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("phi,clearence\na,1\n", "unknown column 'clearence'; did you mean 'clearance'"),
+        ("clearance\n1\n", "no column 'phi'"),
+        ("phi,gap\na,1\n", "neither a column 'file'"),
+        ("phi,clearance\n", "has no trial"),
+        ("phi,clearance\na,1300\n", "line 2: clearance must be from 0 to 100 m, got 1300: is it in m"),
+        ("phi,clearance\na,-1\n", "from 0 to 100 m"),
+        ("phi,clearance\na,nan\n", "finite"),
+        ("phi,hit\na,0.5\n", "1 .the car hit. or 0"),
+        ("phi,required_deceleration\na,45\n", "9.81 m/s²"),
+        ("phi,clearance,hit\na,1,1\n", "the car hit, and its clearance is 1 m"),
+        ("phi,clearance\n,1\n", "phi is empty"),
+        ("phi,clearance\na,\n", "neither a file nor a figure"),
+        ("phi,clearance,gap\na,1,5000\n", "gap must be"),
+        ("phi,file\na,b\n", "SIMULATED must be the folder of an assessment"),
+        ("phi,clearance\na\n", "another number of values"),
+    ],
+)
+def test_tables_of_trials_that_are_none(tmp_path: Path, text, says):
+    path = tmp_path / "trials.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match=says):
+        read_trials(table_in(tmp_path))
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fusion") / "simulated"
+    sizes = "--safe-count 14 --kamikaze-count 2 --collision-runs 140 --simulations 20 --margin-limit 0 --workers 1"
+    assert run_skd("assess", *sizes.split(), "--out", folder, "--quiet") == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def trials(simulated: Path) -> Path:
+    """Bags of the example, two kinds of messages in a frame of their own."""
+    out = simulated.parent / "trials"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(EXAMPLE), str(simulated), str(out)])
+        runpy.run_path(str(EXAMPLE), run_name="__main__")
+    return out
+
+
+NAMES = ("--car", "/car/odometry", "--road-user", "/dummy/pose", "--frame", "420,-35,30")
+
+
+def test_bags_become_sentences(simulated: Path, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run_skd("fuse", simulated, trials, *NAMES, "--gap-tolerance", "1", "--out", tmp_path / "fused") == 0
+    said = capsys.readouterr().out
+    content = json.loads((tmp_path / "fused" / "fusion.json").read_text("utf-8"))
+    assert (tmp_path / "fused" / "fusion.png").stat().st_size > 10_000
+    assert set(content["figures"]) == {"clearance", "required_deceleration", "hit"}
+    for sentence in content["sentences"]:
+        assert sentence in said
+    clearance = content["figures"]["clearance"]
+    assert clearance["trials"] == clearance["phi"] == 12
+    assert clearance["simulated_phi"] == 14
+    # The episodes that were recorded say what the figure of each trial has to be.
+    example = runpy.run_path(str(EXAMPLE))
+    measured = {one["phi"]: one["physical"] for one in clearance["gap"]["by_phi"]}
+    played = _played(example, simulated)
+    assert [measured[name] for name in played] == pytest.approx(list(played.values()), abs=0.05)
+
+
+def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
+    from skd_evaluator import Plan, load_result, run_episode
+    from skd_evaluator.measure.surrogate.clearance import least_clearance
+    from skd_evaluator.measure.surrogate.scene import scene_of
+    from skd_sim import Mode, Trajectory
+    from skd_sim.encounter.scenario import scenario_from_dict
+
+    result, found = load_result(simulated), {}
+    figures = json.loads((simulated / "assessment.json").read_text("utf-8"))
+    data = figures["scenario"]
+    ground = {**data["car"], **example["ON_THE_GROUND"]}  # type: ignore[dict-item]
+    scenario = scenario_from_dict({**data, "car": ground, "road": {**data["road"], "friction": 0.8}})
+    plan = Plan(scenario=scenario, seed=2024, multiplier=figures["multiplier"], safe_count=12)
+    for number, positions in enumerate(result.safe):
+        phi = Trajectory(positions, plan.scenario.time_step, f"synthetic/{number}")
+        log = run_episode(plan.episode(Mode.REPLAY, number, 0, phi))
+        times = np.arange(len(log.car)) * plan.scenario.time_step
+        if np.isnan(log.impact_time):
+            found[phi.name] = least_clearance(scene_of(scenario, times, log.adversary, log.car))
+    chosen = np.random.default_rng(1).choice(len(result.safe), 12, replace=False)
+    return {name: found[name] for name in (f"synthetic/{number}" for number in chosen) if name in found}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--frame", "420,-35,30"), "has no message on /ego/odometry"),
+        (NAMES[:4], "off its φ"),
+        ((*NAMES[:2], "--road-user", NAMES[1], *NAMES[4:]), "are both '/car/odometry'"),
+        ((*NAMES, "--gap-tolerance", "0.000001"), "no simulated run within 1e-06 m"),
+        (("--frame", "1,2"), "must be X,Y,DEGREES"),
+    ],
+)
+def test_options_that_do_not_fit_the_bags(
+    simulated: Path, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words, says
+):
+    assert run_skd("fuse", simulated, trials, *words, "--out", tmp_path / "out") == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_tables_alone_are_enough(simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    rng, lines, every = np.random.default_rng(0), ["phi,clearance"], ["phi,clearance"]
+    for index in range(60):
+        value = 1.0 + rng.random()
+        every.append(f"w{index},{value}")
+        if index < 10:
+            lines.append(f"w{index},{value - 0.3 + 0.1 * rng.standard_normal()}")
+    (tmp_path / "real.csv").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "simulated.csv").write_text("\n".join(every), encoding="utf-8")
+    words = (tmp_path / "simulated.csv", tmp_path / "real.csv", "--out", tmp_path / "out", "--json")
+    assert run_skd("fuse", *words) == 0
+    figure = json.loads(capsys.readouterr().out)["figures"]["clearance"]
+    assert figure["predicts"]
+    assert figure["interval"][0] < 1.2 < figure["interval"][1]
+    assert figure["gap"]["mean"] == pytest.approx(-0.3, abs=0.1)
+    assert "the timing of physical trials is not known: pairs are of the same φ alone" in figure["notes"]
+
+
+def test_an_assessment_is_read_as_simulated(simulated: Path):
+    found = read_simulated(simulated)
+    assert len(found.trials) == 14
+    assert found.scenario is not None
+    runs = [one for one in found.trials["synthetic/3"] if "hit" in one.values]
+    assert len(runs) == 10
+    assert all(13.0 <= (one.gap or 0.0) <= 15.5 for one in runs)
+    assert all(one.values["hit"] in (0.0, 1.0) for one in runs)

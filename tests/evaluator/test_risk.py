@@ -1,0 +1,320 @@
+"""The risk: compiled crossings are episodes to the bit, subset simulation agrees with crude runs, whoever computes."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_support import SMALL, one_line, skd
+from scipy import special, stats
+from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
+from skd_evaluator.risk.any_car import AnyCar, end_of
+from skd_evaluator.risk.asked import RiskAsked, risk_asked
+from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
+from skd_evaluator.risk.behaviour.model import load_behaviour
+from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.known_car import KnownCar
+from skd_evaluator.risk.subset import Effort, gathered, levels_of, replicate
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
+
+CROSSING = load_scenario("crossing")
+PLAN = Plan(CROSSING, safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20)
+WALKERS = load_behaviour("walkers")
+
+
+def quiet(*_told: object) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def safe() -> tuple[Trajectory, ...]:
+    return tuple(safe_trajectories(PLAN, InProcessRunner(1)))
+
+
+def encounter(safe: tuple[Trajectory, ...], plan: Plan = PLAN) -> Encounter:
+    return Encounter(plan, safe, WALKERS.values)
+
+
+def recorded() -> Trajectory:
+    """A walk at a pace of its own, which the car meets."""
+    seconds = np.arange(0.0, 7.2, 0.3)
+    return Trajectory(np.column_stack([-4.1 + 1.37 * seconds, 0.2 * np.sin(1.3 * seconds)]), 0.3, "a walk")
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+@pytest.mark.parametrize("multiplier", [0.75, 1.3])
+@pytest.mark.parametrize("scenario", ["crossing", "citr_crossing"])
+def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario, safe):
+    plan = replace(PLAN, scenario=load_scenario(scenario), multiplier=multiplier)
+    here = encounter(safe if scenario == "crossing" else (recorded(), *safe[:1]), plan)
+    crossings = crude_crossings(here, 60)
+    compiled = KnownCar(here).run_drawn(crossings, draws_of(here, crossings), scale)
+    episodes = AnyCar(here, InProcessRunner(1))
+    whole = episodes.run(crossings, scale)
+    np.testing.assert_array_equal(compiled.touch, whole.touch)
+    np.testing.assert_allclose(compiled.clearance, whole.clearance, atol=1e-9)
+    assert (compiled.touch == Touch.FRONT).any()
+    np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.clearance == 0.0)
+
+
+def test_a_crossing_starts_as_a_run_along_phi_does(safe):
+    """Its car is where the plan's car is, whatever way is walked; and so without deviations it is a run along φ."""
+    plan = replace(PLAN, scenario=load_scenario("citr_crossing"), multiplier=0.5)
+    here = encounter((recorded(),), plan)
+    crossings = crude_crossings(here, 12)
+    for walked in AnyCar(here, InProcessRunner(1)).episodes(crossings, 0.0):
+        stage, index, attempt = split_episode_id(walked.episode_id)
+        assert (stage, index) == (Stage.RISK, 0)
+        along = replace(plan.episode(Mode.REPLAY, 0, attempt, recorded()), episode_id=walked.episode_id)
+        mine, theirs = run_episode(walked), run_episode(along)
+        np.testing.assert_array_equal(mine.car, theirs.car)
+        np.testing.assert_allclose(mine.adversary, theirs.adversary, atol=1e-12)
+        assert mine.outcome == theirs.outcome
+
+
+def test_sides_of_a_contact_are_told_apart(safe):
+    """Held against a look at the rectangle by hand, at the contact."""
+    here = encounter(safe, replace(PLAN, multiplier=1.0))
+    crossings = crude_crossings(here, 400)
+    seen = set()
+    for episode in AnyCar(here, InProcessRunner(1)).episodes(crossings, 2.0):
+        log = run_episode(episode)
+        touch, _ = end_of(log)
+        seen.add(touch)
+        if log.outcome != Outcome.COLLISION:
+            assert touch == Touch.NONE
+            continue
+        passed = log.impact_time / 0.3 - (len(log.car) - 2)
+        car = log.car[-2] + passed * (log.car[-1] - log.car[-2])
+        x, y = log.trajectory.positions[-1]
+        beside, ahead = abs(x - car[0]) - 0.9, y - car[1] - 2.25
+        assert math.hypot(max(beside, 0.0), max(ahead, 0.0)) == pytest.approx(0.25, abs=1e-3)
+        if log.impact_speed < CROSSING.collision.hit_speed:
+            assert touch == Touch.STANDING
+        else:
+            assert touch == (Touch.FRONT if beside < 0.25 - 1e-6 else Touch.FLANK)
+            assert (touch == Touch.FRONT) == (ahead > 1e-6)
+    assert seen == {Touch.NONE, Touch.FRONT, Touch.FLANK, Touch.STANDING}
+
+
+def simulated(here: Encounter, car: KnownCar | Gauss, scale: float, effort: Effort) -> Subsets:
+    """What subset simulation finds."""
+    levels = levels_of(here, car, scale, effort)
+    numbers = range(effort.replicates)
+    return gathered([replicate(here, car, scale, number, effort, levels) for number in numbers], effort)
+
+
+class Gauss:
+    """A car that hits where the walker's first normal is above a bound: the probability is known."""
+
+    car_normals = 0
+
+    def __init__(self, bound: float) -> None:
+        self.bound, self.run_so_far = bound, 0
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        self.run_so_far += len(crossings)
+        clearance = np.maximum(self.bound - scale * crossings.walker[:, 0], 0.0)
+        return Ends(np.where(clearance == 0.0, int(Touch.FRONT), int(Touch.NONE)), clearance)
+
+
+@pytest.mark.parametrize(("bound", "scale"), [(2.0, 1.0), (3.7, 1.0), (4.3, 1.0), (7.4, 2.0)])
+def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, safe):
+    car, here = Gauss(bound), encounter(safe)
+    found = simulated(here, car, scale, Effort())
+    truth = float(special.ndtr(-bound / scale))
+    risk = ScaleRisk(scale, np.zeros(3, np.int64), 3, found)
+    assert risk.value == pytest.approx(truth, rel=0.25)
+    low, high = risk.ci95
+    assert low / 1.15 <= truth <= 1.15 * high
+    assert car.run_so_far == found.episodes
+    np.testing.assert_allclose(found.shares.sum(axis=0), risk.value * 16 / 3, rtol=0.5)  # φ does not matter here
+
+
+def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
+    effort = Effort(replicates=2, per_level=100, levels=3)
+    found = simulated(encounter(safe), Gauss(30.0), 1.0, effort)
+    assert found.open_levels == 2
+    risk = ScaleRisk(1.0, np.zeros(9, np.int64), 3, found)
+    assert risk.value == 0.0
+    assert risk.ci95 == (0.0, pytest.approx(0.1**2))
+    assert "2 of them without a hit" in risk.method
+
+
+def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
+    here = encounter(safe, replace(PLAN, multiplier=1.35))
+    car, rng = KnownCar(here), np.random.default_rng(2)
+    count = 40_000
+    crude = car.run(
+        Crossings(
+            np.arange(count) % 3,
+            rng.standard_normal((count, here.walker_normals)),
+            rng.standard_normal((count, car.car_normals)),
+            np.zeros(count, np.int64),
+        ),
+        2.0,
+    )
+    hits = int((crude.touch == Touch.FRONT).sum())
+    assert hits > 50
+    found = simulated(here, car, 2.0, Effort())
+    risk = ScaleRisk(2.0, np.zeros(3, np.int64), 3, found)
+    apart = abs(risk.value - hits / count)
+    error = math.hypot(math.sqrt(hits) / count, float(np.std(found.estimates)) / 4.0)
+    assert apart < 3.0 * error
+    assert apart < 0.1 * risk.value + 3.0 * math.sqrt(hits) / count
+
+
+def test_uniform_draws_of_the_car_come_from_its_normals(safe):
+    here = encounter(safe)
+    car, crossings = KnownCar(here), crude_crossings(here, 50)
+    normals = np.random.default_rng(1).standard_normal((50, car.car_normals))
+    by_normals = car.run(replace(crossings, car=normals), 1.0)
+    by_draws = car.run_drawn(crossings, stats.norm.cdf(normals), 1.0)
+    np.testing.assert_array_equal(by_normals.touch, by_draws.touch)
+    np.testing.assert_allclose(by_normals.clearance, by_draws.clearance, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def ratings(safe) -> dict[str, Rating]:
+    plans = {"basic": replace(PLAN, multiplier=1.5), "carla": replace(PLAN, controller="carla")}
+    with InProcessRunner(1) as runner:
+        return {name: rate(plan, [Objective.DEFORMATION], list(safe), runner, quiet) for name, plan in plans.items()}
+
+
+@pytest.mark.parametrize("name", ["basic", "carla"])
+def test_the_number_of_workers_changes_nothing(name, ratings):
+    asked = RiskAsked(WALKERS, runs=RUNS if name == "basic" else 6)
+    found = []
+    for workers in (1, 2):
+        with InProcessRunner(workers) as runner:
+            found.append(with_risks(ratings[name], asked, runner, quiet))
+    one, two = (rating.risks for rating in found)
+    assert one is not None
+    assert two is not None
+    assert json.dumps(one.figures()) == json.dumps(two.figures())
+    for mine, theirs in zip(one.scales, two.scales, strict=True):
+        assert mine.touches.tobytes() == theirs.touches.tobytes()
+        assert (mine.subsets is None) == (theirs.subsets is None) == (name == "carla")
+        if mine.subsets is not None and theirs.subsets is not None:
+            assert mine.subsets.shares.tobytes() == theirs.subsets.shares.tobytes()
+
+
+def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, monkeypatch):
+    small = Effort(replicates=2, per_level=20, levels=2)
+    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.Effort", lambda: small)
+    with InProcessRunner(2) as runner:
+        found = with_risks(ratings["carla"], RiskAsked(WALKERS, runs=6, subset=True), runner, quiet).risks
+    assert found is not None
+    assert [one.subsets is not None for one in found.scales] == [True] * 3
+    assert found.scales[0].episodes >= 6 + 2 * 20
+
+
+def test_how_many_runs_there_are():
+    asked, many = RiskAsked(WALKERS), replace(PLAN, collision_runs=500)
+    assert runs_of(many, asked) == 2000
+    assert runs_of(replace(many, controller="carla"), asked) == 500
+    assert runs_of(PLAN, asked) == 32
+    assert runs_of(many, asked, graph=True) == 100
+    assert runs_of(PLAN, asked, graph=True) == 8
+    assert runs_of(PLAN, RiskAsked(WALKERS, runs=77)) == 77
+
+
+def test_why_there_is_no_risk():
+    assert "--behaviour none" in why_no_risk(PLAN, risk_asked("none").behaviour)
+    cyclist = replace(PLAN, scenario=load_scenario("cyclist"))
+    assert "behaviour walkers is of a pedestrian, and the adversary is a cyclist" in why_no_risk(cyclist, WALKERS)
+    assert not why_no_risk(PLAN, WALKERS)
+
+
+def scale_risk(*counts: tuple[int, int]) -> ScaleRisk:
+    """φ by φ as many hits of as many runs."""
+    runs = counts[0][1]
+    touches = np.zeros((runs, len(counts)), np.int64)
+    for column, (hits, _) in enumerate(counts):
+        touches[:hits, column] = Touch.FRONT
+    return ScaleRisk(1.0, touches.reshape(-1), len(counts))
+
+
+def test_a_crude_risk_and_its_intervals():
+    risk = scale_risk((1, 10), (3, 10), (0, 10))
+    assert risk.value == pytest.approx(4 / 30)
+    assert risk.counts == [(1, 10), (3, 10), (0, 10)]
+    z = stats.norm.ppf(0.975)
+    assert all(abs(4 / 30 - end) == pytest.approx(z * math.sqrt(end * (1 - end) / 30)) for end in risk.ci95)
+    assert risk.ci95_by_phi[0] < risk.value < risk.ci95_by_phi[1]
+
+
+def test_nothing_hit_is_the_rule_of_three():
+    risk = scale_risk((0, 50), (0, 50))
+    assert (risk.value, risk.ci95) == (0.0, (0.0, 0.03))
+    assert risk.method == "crude, 0 of 100 runs, rule of three"
+
+
+def test_aborted_runs_are_none():
+    touches = np.array([Touch.FRONT, Touch.ABORTED, Touch.NONE, Touch.ABORTED], np.int64)
+    assert ScaleRisk(1.0, touches, 2).value == 0.5
+    nothing = ScaleRisk(1.0, np.full(4, int(Touch.ABORTED)), 2)
+    assert (nothing.value, nothing.ci95) == (None, None)
+
+
+def test_the_interval_of_replicates_is_students_on_the_logarithm():
+    estimates = np.array([1e-5, 2e-5, 3e-5, 2e-5])
+    low, high = log_t_interval(estimates)
+    reach = stats.t.ppf(0.975, 3) * stats.sem(estimates) / estimates.mean()
+    assert (math.log(low / 2e-5), math.log(high / 2e-5)) == pytest.approx((-reach, reach))
+
+
+def test_small_risks_say_that_they_hang_on_the_model():
+    small = Subsets(np.full((16, 2), 2e-5), np.full(16, 5), 1000)
+    risk = ScaleRisk(1.0, np.zeros(4, np.int64), 2, small)
+    assert risk.value == pytest.approx(4e-5)
+    said = risk.as_dict()
+    assert "conditional on the behaviour model" in said["note"]
+    assert said["episodes"] == 4 + 17 * (1000 + 4 * 900)
+    assert Risks({}, [risk]).figures()["risk_1"] == risk.value
+    assert Risks({}, [risk]).figures()["risk_2"] is None
+
+
+def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
+    found = {}
+    for name in ("walkers", "none"):
+        done = skd("assess", *SMALL, "--behaviour", name, "--out", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        found[name] = json.loads((tmp_path / name / "assessment.json").read_text())
+        verified = skd("verify", name, cwd=tmp_path)
+        assert verified.returncode == 0, verified.stdout + verified.stderr
+    assert found["walkers"]["risk"]["behaviour"]["name"] == "walkers"
+    assert [one["runs"] for one in found["walkers"]["risk"]["scales"]] == [12] * 3
+    assert found["none"]["risk"] is None
+    assert "--behaviour none" in found["none"]["risk_note"]
+    for key in found["none"]:
+        if not key.startswith("risk") and key not in ("seconds", "provenance"):
+            assert found["none"][key] == found["walkers"][key], key
+    with np.load(tmp_path / "none" / "episodes.npz") as without, np.load(tmp_path / "walkers" / "episodes.npz") as both:
+        assert {name for name in both.files if not name.startswith("risk_")} == set(without.files)
+        for name in without.files:
+            np.testing.assert_array_equal(without[name], both[name])
+
+
+@pytest.mark.parametrize("change", [{"risk_1": 0.9}, {"risk_2_ci95_runs": [0.0, 0.1]}, {"risk": None}])
+def test_a_risk_that_does_not_follow_is_contradicted(change, tmp_path):
+    assert skd("assess", *SMALL, "--multiplier", "0.5", "--out", "it", cwd=tmp_path).returncode == 0
+    path = tmp_path / "it" / "assessment.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    assert skd("verify", "it", cwd=tmp_path).returncode == 1
+
+
+def test_a_behaviour_that_is_none_is_one_line(tmp_path):
+    done = skd("assess", *SMALL, "--behaviour", "walker", "--out", "it", cwd=tmp_path)
+    one_line(done, 2, "behaviour 'walker'", "did you mean 'walkers'?")
+    assert not (tmp_path / "it").exists()

@@ -1,0 +1,112 @@
+"""Two cars by margin and risk: safer is who is so by one of them and by none less safe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from skd_evaluator.campaign.compare.comparison import (
+    LESS_SAFE,
+    NOT_TOLD_APART,
+    SAFER,
+    Comparison,
+    compare,
+)
+from skd_evaluator.campaign.judge.rating import rate
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.measure.statistics.difference import Difference
+from skd_evaluator.risk.asked import RiskAsked
+from skd_evaluator.risk.assessment_risk import with_risks
+from skd_evaluator.risk.behaviour.model import Parameter, load_behaviour
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import load_scenario
+
+PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)
+WALKERS = load_behaviour("walkers")
+OTHERS = replace(WALKERS, name="others", parameters={**WALKERS.parameters, "pace": Parameter(0.3, "assumed")})
+
+
+def quiet(*_told: object) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StoredResult]:
+    found = {}
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        for name, multiplier, behaviour in (("A", 0.6, WALKERS), ("B", 1.4, WALKERS), ("C", 1.4, OTHERS)):
+            rating = rate(replace(PLAN, multiplier=multiplier), [Objective.DEFORMATION], safe, runner, quiet)
+            rating = with_margins(rating, runner, quiet, 50)
+            rating = with_risks(rating, RiskAsked(behaviour, runs=400), runner, quiet)
+            folder = tmp_path_factory.mktemp("risks") / name
+            folder.mkdir()
+            write_assessment(folder, rating)
+            found[name] = read_result(folder)
+    return found
+
+
+def test_margin_and_risk_agree(results):
+    found = compare(results["A"], results["B"])
+    assert found.verdict == SAFER
+    assert found.votes == {"margin": 1, "risk_1": 1, "risk_2": 1, "risk_3": 1}
+    assert compare(results["B"], results["A"]).verdict == LESS_SAFE
+    risk = found.differences["risk_1"]
+    assert risk.paired
+    assert risk.value == pytest.approx(results["B"].figures["risk_1"] - results["A"].figures["risk_1"])
+    assert risk.confidence == pytest.approx(1.0 - 0.05 / 3)
+
+
+def test_risks_of_unlike_behaviour_models_are_not_compared(results):
+    found = compare(results["A"], results["C"])
+    assert list(found.votes) == ["margin"]
+    assert any("different behaviour models, walkers and others" in line for line in found.lines())
+
+
+def told(results: dict[str, StoredResult], **directions: int) -> Comparison:
+    differences = {
+        name: Difference(one, (one - 0.5, one + 0.5), 0.95, 0.01, 0.1, 9.0, 1.0, True)
+        for name, one in directions.items()
+    }
+    return Comparison(results["A"], results["B"], differences, (4, 4), (), "", ())
+
+
+@pytest.mark.parametrize(
+    ("directions", "verdict"),
+    [
+        ({"margin": 1, "risk_1": 0, "risk_2": 0}, SAFER),
+        ({"margin": 0, "risk_1": 0, "risk_2": -1}, SAFER),
+        ({"margin": 1, "risk_1": 0, "risk_2": 1}, NOT_TOLD_APART),
+        ({"margin": 0, "risk_1": 0, "risk_2": 0}, NOT_TOLD_APART),
+        ({"margin": -1, "risk_1": 1}, LESS_SAFE),
+        ({"margin": 0, "risk_1": 1, "risk_2": -1}, NOT_TOLD_APART),
+        ({"margin": 1}, SAFER),
+    ],
+)
+def test_the_verdict_is_that_of_those_who_say_something(directions, verdict, results):
+    assert told(results, **directions).verdict == verdict
+
+
+def test_in_what_a_car_is_better_and_in_what_worse_is_said(results, monkeypatch):
+    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 1, "risk_1": 0, "risk_2": -1}))
+    lines = compare(results["A"], results["B"]).lines()
+    assert any("better by margin and worse by risk R(2)" in line for line in lines)
+
+
+def test_a_car_that_risk_alone_tells_apart_is_said(results, monkeypatch):
+    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 0, "risk_1": 0, "risk_2": 1}))
+    lines = compare(results["A"], results["B"]).lines()
+    assert any("told apart by risk R(2), and not by margin" in line for line in lines)
+
+
+def test_groups_are_those_of_the_file(results):
+    for result in results.values():
+        for scale in ("risk_1", "risk_2", "risk_3"):
+            values = [float(one) for group in result.groups[scale] for one in group]
+            assert sum(values) / len(values) == pytest.approx(result.figures[scale])
+    assert Path(results["A"].folder).name == "A"

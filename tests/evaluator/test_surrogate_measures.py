@@ -1,0 +1,251 @@
+"""Surrogate safety measures against closed forms, another library's geometry, and dense sampling."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from skd_evaluator.measure.surrogate.braking import (
+    MOST,
+    brake_threat_numbers,
+    greatest_required_deceleration,
+    headways,
+    required_decelerations,
+)
+from skd_evaluator.measure.surrogate.clearance import clearances, least_clearance
+from skd_evaluator.measure.surrogate.collision_time import collision_times, least_collision_time
+from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
+from skd_evaluator.measure.surrogate.episode import episode_measures
+from skd_evaluator.measure.surrogate.impact import closing_speed, delta_v, fatality_risk
+from skd_evaluator.measure.surrogate.scene import Scene, scene_of, velocities
+from skd_sim.encounter.scenario import load_scenario
+
+FOOTPRINT = 2.25, 1.75, 0.9
+SCENES = 200
+
+
+def scene_at(rng: np.random.Generator, shape: tuple[float, float, float], rows: int = 2) -> Scene:
+    """A scene in which both move uniformly, as between two ticks."""
+    car_speed, heading = rng.uniform(0.0, 15.0), rng.uniform(-math.pi, math.pi)
+    place, velocity = rng.uniform(-15.0, 15.0, 2), rng.uniform(-4.0, 4.0, 2)
+    times = np.linspace(0.0, 0.3 * (rows - 1), rows)
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    car = np.column_stack([times[:, None] * car_speed * ahead, np.full(rows, heading), np.full(rows, car_speed)])
+    other = place + times[:, None] * velocity
+    turned = np.full(rows, math.atan2(velocity[1], velocity[0]))
+    return Scene(times, car, other, np.tile(velocity, (rows, 1)), turned, FOOTPRINT, shape)
+
+
+def rectangle(x: float, y: float, turned: float, front: float, rear: float, half: float) -> shapely.Polygon:
+    corners = np.array([(front, half), (-rear, half), (-rear, -half), (front, -half)])
+    cos, sin = math.cos(turned), math.sin(turned)
+    return shapely.Polygon(corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y))
+
+
+def distance(scene: Scene, row: int) -> float:
+    """By shapely; a disc by its centre, exactly."""
+    x, y, heading, _ = scene.car[row]
+    car = rectangle(x, y, heading, *scene.footprint)
+    radius, length, width = scene.shape
+    if radius:
+        return max(0.0, car.distance(shapely.Point(scene.other[row])) - radius)
+    return float(car.distance(rectangle(*scene.other[row], scene.turned[row], length, length, width)))
+
+
+@pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3), (0.0, 2.2, 0.9)])
+def test_clearances_are_distances_of_polygons(shape):
+    rng = np.random.default_rng(1)
+    for _ in range(SCENES):
+        scene = scene_at(rng, shape)
+        assert clearances(scene) == pytest.approx([distance(scene, row) for row in range(2)], abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3)])
+def test_the_least_clearance_lies_between_moments_too(shape):
+    rng = np.random.default_rng(2)
+    between = 0
+    for _ in range(SCENES):
+        scene = scene_at(rng, shape, rows=5)
+        dense = scene.every(0.001)
+        expected = min(distance(dense, row) for row in range(len(dense)))
+        found = least_clearance(scene)
+        assert expected - 0.01 <= found <= expected + 1e-6  # at 15 m/s a millisecond is 15 mm
+        between += found < clearances(scene).min() - 1e-6
+    assert between > 10
+
+
+@pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3)])
+def test_after_the_time_to_collision_the_outlines_touch_and_not_before(shape):
+    rng = np.random.default_rng(3)
+    met = 0
+    for _ in range(3 * SCENES):
+        scene = scene_at(rng, shape)
+        time = collision_times(scene)[0]
+        moving = np.array([math.cos(scene.car[0, 2]), math.sin(scene.car[0, 2])]) * scene.car[0, 3]
+        if math.isinf(time) or clearances(scene)[0] == 0.0:
+            assert time in (0.0, math.inf)
+            continue
+        met += 1
+        for moment in (time - 1e-3, time):
+            car = scene.car[:1] + np.array([*(moment * moving), 0.0, 0.0])
+            other = scene.other[:1] + moment * scene.velocity[:1]
+            then = Scene(scene.times[:1], car, other, scene.velocity[:1], scene.turned[:1], FOOTPRINT, shape)
+            assert (distance(then, 0) < 1e-6) == (moment == time)
+    assert met > 25
+
+
+def following(gap: float, speed: float, ahead: float) -> Scene:
+    """A car behind a disc that moves the same way."""
+    car = np.array([[0.0, 0.0, 0.0, speed]])
+    other = np.array([[FOOTPRINT[0] + gap + 0.25, 0.0]])
+    return Scene(np.array([0.0]), car, other, np.array([[ahead, 0.0]]), np.zeros(1), FOOTPRINT, (0.25, 0.0, 0.0))
+
+
+def test_closed_forms_of_following():
+    rng = np.random.default_rng(4)
+    for _ in range(SCENES):
+        gap, speed, ahead = rng.uniform(0.5, 30.0), rng.uniform(0.5, 15.0), rng.uniform(0.0, 5.0)
+        scene, closing = following(gap, speed, ahead), speed - ahead
+        comes = closing > 0.0 and gap / closing <= 20.0
+        needed = closing**2 / (2.0 * gap) if comes else 0.0
+        assert collision_times(scene)[0] == pytest.approx(gap / closing if comes else math.inf, abs=1e-6)
+        assert required_decelerations(scene)[0] == pytest.approx(needed, abs=1e-6)
+        assert greatest_required_deceleration(scene) == pytest.approx(min(MOST, needed), abs=1e-6)
+        assert brake_threat_numbers(scene, 8.0)[0] == pytest.approx(needed / 8.0, abs=1e-6)
+        assert headways(scene)[0] == pytest.approx(gap / speed, abs=1e-6)
+
+
+def test_braking_with_the_required_deceleration_just_reaches_the_other():
+    rng = np.random.default_rng(5)
+    for _ in range(SCENES):
+        gap, ahead = rng.uniform(0.5, 30.0), rng.uniform(0.0, 5.0)
+        speed = ahead + rng.uniform(1.0, 10.0)
+        if gap / (speed - ahead) > 20.0:
+            continue
+        needed = float(required_decelerations(following(gap, speed, ahead))[0])
+        until = (speed - ahead) / needed
+        left = gap + ahead * until - (speed * until - 0.5 * needed * until**2)
+        assert left == pytest.approx(0.0, abs=1e-6)
+
+
+def test_somebody_who_will_have_passed_needs_no_braking():
+    scene = following(10.0, 8.0, 0.0)
+    aside = Scene(scene.times, scene.car, scene.other + np.array([0.0, 2.0]), np.array([[0.0, 3.0]]), *_rest(scene))
+    assert math.isinf(least_collision_time(aside))
+    assert greatest_required_deceleration(aside) == 0.0
+    assert math.isinf(headways(aside)[0])
+
+
+def _rest(scene: Scene) -> tuple[np.ndarray, tuple[float, float, float], tuple[float, float, float]]:
+    return scene.turned, scene.footprint, scene.shape
+
+
+@pytest.mark.parametrize("deceleration", [0.0, -1.0, math.nan, math.inf])
+def test_a_brake_that_is_none_is_refused(deceleration):
+    with pytest.raises(ValueError, match="above 0"):
+        brake_threat_numbers(following(10.0, 8.0, 0.0), deceleration)
+
+
+def test_an_episode_is_a_scene_on_its_lane():
+    scenario = load_scenario("crossing")
+    times = np.array([0.0, 0.3, 0.6])
+    adversary = np.array([[-3.5, 0.0], [-2.9, 0.0], [-2.3, 0.1]])
+    car = np.array([[0.0, -15.25, 8.0], [0.0, -12.85, 8.0], [0.0, -10.45, 8.0]])
+    scene = scene_of(scenario, times, adversary, car)
+    assert scene.gap == pytest.approx([12.75, 10.35, 8.05])
+    assert scene.seen[0] == pytest.approx([15.25, 3.5])  # ahead, and to the left: in the West of who drives North
+    assert scene.velocity == pytest.approx(velocities(times, adversary))
+    assert scene.closing == pytest.approx([8.0, 8.0 - 1 / 3, 8.0 - 1 / 3])
+    finer = scene.every(0.1)
+    assert finer.times == pytest.approx(np.arange(7) * 0.1)
+    assert finer.car[1, 1] == pytest.approx(-14.45)
+
+
+def crossing_at(rng: np.random.Generator) -> tuple[Scene, float]:
+    """Two ways that cross at a right angle, and the post-encroachment time by its four moments."""
+    speed, walks, radius = rng.uniform(2.0, 12.0), rng.uniform(0.8, 3.0), 0.25
+    gap, aside = rng.uniform(3.0, 40.0), rng.uniform(2.0, 8.0)
+    front, rear, half = FOOTPRINT
+    times = np.linspace(0.0, 60.0, 7)
+    car = np.column_stack([speed * times, np.zeros(7), np.zeros(7), np.full(7, speed)])
+    other = np.column_stack([np.full(7, gap + front), -aside + walks * times])
+    scene = Scene(times, car, other, np.tile([0.0, walks], (7, 1)), np.zeros(7), FOOTPRINT, (radius, 0.0, 0.0))
+    enters, leaves = (aside - half - radius) / walks, (aside + half + radius) / walks
+    arrives, gone = (gap - radius) / speed, (gap + front + rear + radius) / speed
+    return scene, max(0.0, arrives - leaves, enters - gone)
+
+
+def test_post_encroachment_times_are_those_of_the_four_moments():
+    rng = np.random.default_rng(6)
+    kinds = set()
+    for _ in range(SCENES):
+        scene, expected = crossing_at(rng)
+        assert post_encroachment_time(scene) == pytest.approx(expected, abs=1e-6)
+        kinds.add(expected > 0.0)
+    assert kinds == {True, False}
+
+
+def test_a_car_that_stops_before_has_no_post_encroachment_time():
+    scene, _ = crossing_at(np.random.default_rng(7))
+    stands = Scene(scene.times, np.tile(scene.car[:1], (7, 1)), scene.other, scene.velocity, *_rest(scene))
+    assert math.isnan(post_encroachment_time(stands))
+    turns = Scene(scene.times, scene.car + np.linspace(0, 1, 7)[:, None], scene.other, scene.velocity, *_rest(scene))
+    with pytest.raises(ValueError, match="straight way"):
+        post_encroachment_time(turns)
+
+
+def test_what_a_contact_does():
+    rng = np.random.default_rng(8)
+    for _ in range(SCENES):
+        scene = scene_at(rng, (0.25, 0.0, 0.0))
+        own = scene.car[1, 3] * np.array([math.cos(scene.car[1, 2]), math.sin(scene.car[1, 2])])
+        assert closing_speed(scene) == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
+        closing, mass, other = rng.uniform(0.0, 30.0), rng.uniform(800.0, 2500.0), rng.uniform(20.0, 120.0)
+        # Momentum before and after; both go on together.
+        together = mass * closing / (mass + other)
+        assert delta_v(closing, mass, other) == pytest.approx(closing - together, abs=1e-6)
+        assert delta_v(closing, other, mass) == pytest.approx(together, abs=1e-6)
+    with pytest.raises(ValueError, match="above 0 kg"):
+        delta_v(5.0, 0.0, 70.0)
+
+
+@pytest.mark.parametrize(("kmh", "published"), [(30, 0.05), (37, 0.10), (59, 0.50), (69, 0.75), (80, 0.90)])
+def test_the_risk_is_the_published_one(kmh, published):
+    """Of the paper's summary, rounded to percents there."""
+    risk = fatality_risk(kmh / 3.6)
+    assert risk.value == pytest.approx(published, abs=0.015)
+    assert risk.interval[0] <= risk.value <= risk.interval[1]
+    odds = [one / (1 - one) for one in (risk.value, fatality_risk((kmh + 1) / 3.6).value)]
+    assert odds[1] / odds[0] == pytest.approx(1.11)
+
+
+@pytest.mark.parametrize("speed", [-1.0, math.nan, 101.0])
+def test_speeds_that_no_contact_has_are_refused(speed):
+    with pytest.raises(ValueError, match="closing speed"):
+        fatality_risk(speed)
+
+
+def test_the_measures_of_an_episode():
+    scenario = load_scenario("crossing")
+    times = 0.3 * np.arange(9)
+    phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
+    car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
+    found = episode_measures(scenario, times, phi, car, phi, collided=False)
+    scene = scene_of(scenario, times, phi, car)
+    assert found["clearance"] == least_clearance(scene)
+    # He goes on as φ does, at a constant velocity until its end: both predictions are the same where both lead to one.
+    over = found["over_time"]
+    assert len(over["time"]) == len(over["collision_time"]) == len(over["headway"])
+    both = [
+        (plain, along)
+        for plain, along in zip(over["collision_time"], over["path_collision_time"], strict=True)
+        if plain is not None and along is not None
+    ]
+    for plain, along in both:
+        assert plain == pytest.approx(along, abs=0.01)
+    assert found["fatality_risk"] is None
+    hit = episode_measures(scenario, times, phi, car, phi, collided=True)
+    assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
+    assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]
