@@ -58,7 +58,7 @@ def recordings(scratch: Path) -> None:
         "lz4": {"compression": CompressionType.LZ4},
     }
     for name, options in forms.items():
-        put("mcap", f"{name}.mcap", write_mcap(scratch / f"{name}.mcap", sent, **options).read_bytes())
+        put("mcap", name, write_mcap(scratch / f"{name}.mcap", sent, **options).read_bytes())
     numbers: dict[str, int] = {}
     for one in sent:
         numbers.setdefault(one.topic, len(numbers) + 1)

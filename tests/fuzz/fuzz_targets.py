@@ -108,7 +108,7 @@ def _mcap(data: bytes, folder: Path) -> None:
 @cache
 def _beginning() -> bytes:
     """Return the beginning of a recording without chunks, up to its first message."""
-    (whole,) = (path.read_bytes() for path in (CORPUS / "mcap").glob("plain.mcap"))
+    (whole,) = (path.read_bytes() for path in (CORPUS / "mcap").glob("plain"))
     place = 8
     while whole[place] != 5:
         place += 9 + struct.unpack_from("<Q", whole, place + 1)[0]
