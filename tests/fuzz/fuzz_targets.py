@@ -34,14 +34,13 @@ from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
-from skd_evaluator.campaigns.cell import _changed
 from skd_evaluator.campaigns.episode_record import from_bytes, to_bytes
 from skd_evaluator.campaigns.folder import _read_json
 from skd_evaluator.campaigns.store import EpisodeStore
 from skd_evaluator.errors import AssessmentError
 from skd_sim.apart.wire import ClosedError, read_answer
 from skd_sim.choices.options import options_from_text
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import parse_json
@@ -152,9 +151,8 @@ def _scenario_file(data: bytes, folder: Path) -> None:
 
 def _campaign_file(data: bytes, folder: Path) -> None:
     (folder / "x.yaml").write_bytes(data)
-    scenario = crossing()
     for cell in read_campaign(folder / "x.yaml")[:3]:
-        _changed(scenario, cell.changes)
+        changed_scenario("crossing", cell.changes)
 
 
 def _metadata(data: bytes, folder: Path) -> None:
