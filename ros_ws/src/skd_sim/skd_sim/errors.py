@@ -9,3 +9,7 @@ class UsageError(ValueError):
 
 class AssessmentError(RuntimeError):
     """The assessment failed; the message is one line that says who is to blame."""
+
+
+class NoNumberError(AssessmentError):
+    """A controller has answered with something else than a finite number."""

@@ -33,7 +33,7 @@ from skd_sim.apart.wire import (
 from skd_sim.choices.registry import reason_of
 from skd_sim.controllers import SensingController, make_controller
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, RoadUserState, Scene
 
@@ -53,6 +53,8 @@ def answer_all(questions: int, answers: int) -> None:
                 kind, value = car.do(message)
             except UsageError as error:
                 kind, value = Kind.REFUSED, str(error)
+            except NoNumberError as error:
+                kind, value = Kind.NO_NUMBER, str(error)
             except BaseException as error:  # copying a user's object may raise anything
                 kind, value = Kind.FAILED, str(error) if isinstance(error, AssessmentError) else reason_of(error)
             write_all(answers, answer_with(kind, value))

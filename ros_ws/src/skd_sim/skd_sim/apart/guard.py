@@ -13,7 +13,7 @@ import numpy as np
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.errors import AssessmentError
+from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState
@@ -52,7 +52,7 @@ class GuardedController(WrappedController):
             acceleration = math.nan
         if not math.isfinite(acceleration):
             got = shown(answer, repr, 80)
-            raise AssessmentError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
+            raise NoNumberError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
         return acceleration
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:

@@ -12,7 +12,7 @@ import struct
 from enum import IntEnum
 from typing import Any, Final
 
-from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 
 
 class Op(IntEnum):
@@ -48,6 +48,7 @@ class Kind(IntEnum):
     TEXT = 1
     FAILED = 2
     REFUSED = 3
+    NO_NUMBER = 4
 
 
 HEADER: Final = struct.Struct("<I")  # bytes that follow
@@ -128,6 +129,7 @@ def read_answer(file: int) -> Any:
     Raises:
         ClosedError: there is none any more.
         AssessmentError: the controller failed, or its side of the pipe says what it never would.
+        NoNumberError: its command is no finite number.
         UsageError: it cannot be loaded.
     """
     found = read_some(file)
@@ -148,4 +150,5 @@ def read_answer(file: int) -> Any:
         reason = str(told)[:1000]
     except (ValueError, OverflowError, RecursionError):
         kind, reason = Kind.FAILED, "the controller's process answered with something else than an acceleration"
-    raise UsageError(reason) if kind == Kind.REFUSED else AssessmentError(reason)
+    errors: dict[int, type[Exception]] = {Kind.REFUSED: UsageError, Kind.NO_NUMBER: NoNumberError}
+    raise errors.get(kind, AssessmentError)(reason)

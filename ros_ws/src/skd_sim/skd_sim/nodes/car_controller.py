@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -21,7 +21,7 @@ from skd_sim.controllers import (
     require_sensor,
     sight_of,
 )
-from skd_sim.errors import UsageError
+from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.messages.from_messages import CarEpisode, from_stamp, message_to_car_episode, message_to_scan
 from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
 from skd_sim.nodes.episode_follower import EpisodeFollower
@@ -112,9 +112,11 @@ class CarController(Node):
                 if states[2] is None:
                     return  # tick 0 of the first episode, before the subscription was there: it will be repeated
                 self._controller.sense(message_to_scan(states[2]))
-            command = self._controller.command(states[0], self._sight(*states[:2], tick, period))
-            if isinstance(command, (bool, np.bool_)):  # which Python counts as 0 or 1
-                raise UsageError(f"the controller's command must be a finite number (m/s²), got {command}")
+            try:
+                command = self._controller.command(states[0], self._sight(*states[:2], tick, period))
+            except NoNumberError as error:
+                self.get_logger().error(str(error))
+                command = math.nan  # the simulator ends the episode for it
             self._answered = {stamp: write_acceleration(command, stamp)}
         self._command.publish(self._answered[stamp])
 
