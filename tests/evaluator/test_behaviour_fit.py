@@ -18,6 +18,8 @@ from skd_evaluator.risk.behaviour.validation import folds_of
 from skd_evaluator.risk.behaviour.walking import normals_of
 from skd_sim.errors import UsageError
 
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
+
 LENGTHS = [28] * 64
 
 

@@ -50,7 +50,7 @@ def test_sweep_refuses_a_multiplier_given_twice(here):
 @pytest.mark.parametrize(
     ("content", "parts"),
     [
-        (None, ["scenario.yaml", "citr_crossing, crossing"]),
+        (None, ["scenario.yaml", "citr_crossing", "crossing"]),
         ("a: [1\n", ["scenario.yaml", "not valid YAML"]),
         (edited(car__wings=2), ["scenario.yaml", "unknown key car.wings"]),
         (edited(adversary__radius=float("nan")), ["scenario.yaml", "adversary.radius", "nan"]),

@@ -16,6 +16,8 @@ from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
+
 
 def test_every_name_is_listed(skd_here):
     done = skd_here("encounters", "list", "--json")

@@ -21,6 +21,8 @@ from skd_evaluator.fusion.trial import Trial
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 
+pytestmark = pytest.mark.usefixtures("pictures_drawn")
+
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "proving_ground" / "drive.py"
 SCENARIO = load_scenario("crossing")

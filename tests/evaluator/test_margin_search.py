@@ -23,7 +23,7 @@ from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.simulation.branching import Branch
 from skd_sim.simulation.world import make_world
 from skd_sim.state import AdversaryState, CarState
@@ -108,7 +108,7 @@ def brute_force(episode: Episode, make) -> float:
                 follow(after, driver, [*walked, (here.x, here.y)])
 
     controller = make()
-    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    controller.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     world = make_world(episode)
     follow(world, controller, [(world.adversary.x, world.adversary.y)])
     return least if least <= episode.scenario.eta_max else math.inf

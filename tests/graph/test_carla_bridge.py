@@ -340,7 +340,7 @@ def test_the_file_of_actors_has_everybody() -> None:
     assert list(found) == ["ego_vehicle", "adversary", *(f"other_{k}" for k in range(4)), "obstacle_0", "obstacle_1"]
     kinds = {role: one["type"].rsplit(".", 1)[0] for role, one in found.items()}
     assert kinds["adversary"] == kinds["other_0"] == "walker.pedestrian"
-    assert kinds["other_3"] == "vehicle.tesla"  # no kind is called van: a box is a car
+    assert kinds["other_3"] == "vehicle.mercedes"
     for role, one in found.items():
         sensors = [(sensor["type"], sensor["id"]) for sensor in one["sensors"]]
         assert ("actor.pseudo.control", "control") in sensors

@@ -136,11 +136,11 @@ def make_workspace(folder: Path) -> Workspace:
     variables = _base_variables(folder)
     arguments = ["--build-base", "build", "--install-base", "install", "--base-paths", "src"]
     arguments += ["--executor", "sequential", "--event-handlers", "console_direct+"]
-    arguments += ["--cmake-args", "-DBUILD_TESTING=OFF"]
-    if not is_sourced():
-        arguments += ["-G", "Ninja", f"-DPython3_EXECUTABLE={sys.executable}"]
     if (folder / _BUILT).exists():
         arguments += ["--packages-skip", "skd_msgs"]
+    arguments += ["--cmake-args", "-DBUILD_TESTING=OFF"]  # the last: what follows goes to CMake
+    if not is_sourced():
+        arguments += ["-G", "Ninja", f"-DPython3_EXECUTABLE={sys.executable}"]
     done = subprocess.run(
         [ENVIRONMENT / "colcon", "--log-base", "log", "build", *arguments],
         cwd=folder,

@@ -20,6 +20,8 @@ def test_roles_keep_their_numbers() -> None:
         "FLOOR": 7,
         "ITSELF": 8,
         "ORDER": 9,
+        "WALKER": 10,
+        "RISK": 11,
     }
 
 
