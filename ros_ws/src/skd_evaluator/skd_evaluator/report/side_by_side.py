@@ -90,7 +90,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
     """Return the table of what the other cars are beside the first, from the entries of comparison.json."""
     table = narrow_table(f"Beside {escape(first)}; intervals hold together with 95 %")
     table.add_column("car", overflow="fold")
-    for name in ("verdict", "by", "by so\nmuch (m)", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
+    for name in ("verdict", "by", "by so\nmuch", f"{100 * confidence:.3g} %\nby φ", "effect\nsize", "p", "how"):
         table.add_column(name, justify="right")
     for entry in entries:
         shown = entry["judged_by"] or next((one for one in _RANKED if one in entry["differences"]), "")
@@ -99,7 +99,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
             ("—", "—", "—", "—", "—")
             if found is None
             else (
-                _RANKED[shown],
+                AT_THE_TOP[shown].label,
                 f"{found['difference']:+.3f}",
                 _interval(found["interval"]),
                 "—" if found["effect_size"] is None else f"{found['effect_size']:+.2f}",

@@ -81,6 +81,13 @@ class Comparison:
         return {name: better[name] * self.differences[name].direction for name in names}
 
     @property
+    def decided_by(self) -> str | None:
+        """Figure that decides: a risk, where the margin does not tell the cars apart and the risk does."""
+        told = [name for name, vote in self.votes.items() if vote]
+        undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not told
+        return self.judged_by if undecided or self.judged_by in told else told[0]
+
+    @property
     def design(self) -> str:
         """How the cars were compared, in a few words."""
         judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
@@ -101,7 +108,7 @@ class Comparison:
             "first": str(self.first.folder),
             "second": str(self.second.folder),
             "verdict": self.verdict,
-            "judged_by": self.judged_by,
+            "judged_by": self.decided_by,
             "design": self.design,
             "refusals": list(self.refusals),
             "planned_refusal": self.planned_refusal,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, compare
+from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 
@@ -77,7 +77,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))
-    judge = found.judged_by
+    judge = found.decided_by
     beside = "".join(f"; {line}" for line in found.lines())
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
@@ -85,5 +85,6 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     held = found.differences[judge]
     assert held.interval is not None
     low, high = held.interval
-    text = f"{found.verdict}: {judge} {held.value:+.3f} m, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
+    by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
+    text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
     return Check(name, text, failed=found.verdict == LESS_SAFE)
