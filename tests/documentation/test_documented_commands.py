@@ -77,7 +77,7 @@ def called(tmp_path_factory: pytest.TempPathFactory) -> dict[Block, list[Call]]:
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder that looks like the top of the checkout, with what a reader has who comes to the commands."""
     folder = tmp_path_factory.mktemp("checkout")
-    for name in ("examples", "ros_ws"):
+    for name in ("benchmarks", "examples", "ros_ws"):
         (folder / name).symlink_to(ROOT / name)
     recorded = folder / "path" / "to" / "citr_vci_lat_uni"
     recorded.mkdir(parents=True)
