@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Mapping
 from io import StringIO
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import is_there, read_text
 
 _MOST = 1_000_000
@@ -77,12 +77,7 @@ def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
 
 
 def _number(text: str, what: str, limit: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None
-    if not math.isfinite(value):
-        raise UsageError(f"{what} must be finite, got {text[:40]}")
+    value = finite_number(text, what)
     if abs(value) > limit:
         raise UsageError(f"{what} must lie within ±{limit:g}, got {text[:40]}")
     return value

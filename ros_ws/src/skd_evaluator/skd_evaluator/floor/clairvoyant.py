@@ -17,7 +17,7 @@ from skd_adversary.model.road_user.pedestrian import AS_PHI, action_velocity
 from skd_adversary.model.safe_path import path_velocity
 from skd_sim.controllers import BasicController
 from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.world import make_world
@@ -105,7 +105,7 @@ def walk(episode: Episode, actions: npt.NDArray[np.int64]) -> tuple[Trajectory, 
     assert episode.safe_trajectory is not None
     world = make_world(episode)
     controller = BasicController(episode.multiplier)
-    controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    controller.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     walked = [world.adversary[:2]]
     for tick, action in enumerate(actions.tolist()):
         if action == AS_PHI:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text
 from skd_sim.messages.from_messages import from_stamp
 
@@ -157,10 +158,4 @@ def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
 def _number(text: str, what: str, name: str) -> float:
     if not text and name in _FURTHER:
         return float("nan")
-    try:
-        value = float(text)
-    except ValueError:
-        raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None
-    if not np.isfinite(value):
-        raise UsageError(f"{what} must be finite, got {text[:40]}")
-    return value
+    return finite_number(text, what)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text
 
 from skd_evaluator.fusion.figures import FIGURES, checked_value
@@ -88,13 +89,13 @@ def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path
     if not row[_PHI]:
         raise UsageError(f"{where}: phi is empty")
     values = {
-        key: checked_value(figure, _number(row[key], f"{where}: {key}"), where)
+        key: checked_value(figure, finite_number(row[key], f"{where}: {key}"), where)
         for key, figure in FIGURES.items()
         if row.get(key)
     }
     if values.get("hit") == 1.0 and values.get("clearance", 0.0) > 0.0:
         raise UsageError(f"{where}: the car hit, and its clearance is {values['clearance']:g} m; it must be 0")
-    gap = _number(row[_GAP], f"{where}: gap") if row.get(_GAP) else None
+    gap = finite_number(row[_GAP], f"{where}: gap") if row.get(_GAP) else None
     if gap is not None and not 0.0 <= gap <= _FARTHEST:
         raise UsageError(f"{where}: gap must be from 0 to {_FARTHEST:g} m, got {gap:g}")
     trial = Trial(row[_PHI], values, gap, where)
@@ -104,10 +105,3 @@ def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path
     if not values:
         raise UsageError(f"{where}: has neither a file nor a figure")
     return trial
-
-
-def _number(text: str, what: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None

@@ -11,7 +11,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.contact import rectangle_distance, to_car_frame
+from skd_sim.geometry.contact import rectangle_distance
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import AdversaryState
 
@@ -19,7 +19,7 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.risks import Touch
 from skd_evaluator.risk.behaviour.walking import walked
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
-from skd_evaluator.risk.touching import clearance_of, side_touched
+from skd_evaluator.risk.touching import clearance_of, in_car_frame, side_touched
 
 _TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
 
@@ -112,7 +112,5 @@ def _is_the_walker(
     radius: float,
 ) -> bool:
     """Return whether it is the walker whom the car touches, and not one of the others of the scenario."""
-    x, y = (one + share * (other - one) for one, other in zip(here, there, strict=True))
-    car = path[0] + share * (path[1] - path[0])
-    ahead, left = to_car_frame(x, y, *car[:3].tolist())
+    ahead, left, _ = in_car_frame(path, here, there, share)
     return bool(rectangle_distance(ahead, left, *footprint) <= radius + _TOUCHES)

@@ -15,7 +15,7 @@ _PARTS: Final = 4  # of a tick, at whose ends the clearance is looked at
 
 
 @kernel
-def _apart(
+def in_car_frame(
     path: FloatArray, here: tuple[float, float], there: tuple[float, float], share: float
 ) -> tuple[float, float, float]:
     """Return where somebody is in the car's frame at a share of the tick, and the car's speed there."""
@@ -54,7 +54,7 @@ def side_touched(
     """
     if impact < hit_speed:
         return 3
-    ahead, left, _ = _apart(path, here, there, share)
+    ahead, left, _ = in_car_frame(path, here, there, share)
     front, rear, half_width = footprint
     if abs(left) >= half_width + radius - SAME or ahead <= 0.5 * (front - rear):
         return 2
@@ -86,7 +86,7 @@ def clearance_of(
     """
     least = math.inf
     for part in range(_PARTS + 1):
-        ahead, left, speed = _apart(path, here, there, until * part / _PARTS)
+        ahead, left, speed = in_car_frame(path, here, there, until * part / _PARTS)
         if speed >= hit_speed:
             aside = max(0.0, abs(left) - footprint[2])
             off = ahead - footprint[0]

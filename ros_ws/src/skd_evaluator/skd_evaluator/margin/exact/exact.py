@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import BasicController
 from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.world import Contact, make_world
@@ -79,7 +79,7 @@ def _walk(episode: Episode, ways: npt.NDArray[np.int64]) -> tuple[Trajectory, fl
     scenario, path = episode.scenario, episode.safe_trajectory.positions
     world = make_world(episode)
     controller = BasicController(episode.multiplier)
-    controller.reset(scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
+    controller.reset(scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     walked = [world.adversary[:2]]
     contact = None
     for tick, way in enumerate(ways.tolist()):
