@@ -3,7 +3,8 @@
 Draws mutations of bags and of episodes.npz, reads each in a child of its own, as `skd replay` and `skd fit` read it,
 and counts by class: tracebacks, hangs, memory, and numbers that changed without a word. Every mutation is read twice,
 with and without --skip-damaged. `--commands` runs the commands themselves on every twentieth. `--forged` forges whole
-recordings instead, so that their messages agree with each other (`forgeries.py`).
+recordings instead, so that their messages agree with each other (`forgeries.py`); those that agree so well that replay
+alone believes them are replayed once more with `--verify`, which plans their kamikazes again.
 """
 
 from __future__ import annotations
@@ -222,6 +223,9 @@ def main() -> int:
             for skip in (False, True):
                 ended = watched(lambda s=source, p=paths, k=skip: s.read(p, k), seconds=LIMIT_SECONDS)
                 verdict = judged(source, ended, name)
+                if verdict == "consistent forgery":
+                    found = _command(["replay", *map(str, paths), "--verify"], Path(scratch) / "out") == 1
+                    verdict += ", found by --verify" if found else ", not found"
                 mode = "skipping" if skip else "refusing"
                 counts[source.name, mode][verdict] += 1
                 by_class[f"{'npz' if source.command == 'fit' else 'bag'}: {name}"][f"{mode}: {verdict}"] += 1
@@ -232,7 +236,8 @@ def main() -> int:
                 if verdict in ("hang", "traceback", "memory", "changed silently"):
                     wrong.append(number)
             if arguments.commands and number % 20 == 0:
-                commands[_command(source, paths, Path(scratch) / "out")] += 1
+                call = [source.command, *map(str, paths), "--skip-damaged"]
+                commands[_command(call, Path(scratch) / "out")] += 1
     _print(counts, by_class)
     print(f"most memory {worst_memory / 1e6:.0f} MB, longest {worst_time:.2f} s; wrong: {len(wrong)}")
     if arguments.commands:
@@ -240,10 +245,10 @@ def main() -> int:
     return 1 if wrong or set(commands) - {0, 1, 2} else 0
 
 
-def _command(source: Source, paths: Sequence[Path], out: Path) -> int:
-    """Run the command itself; return its exit code, −1 where it did not end as a command does."""
+def _command(words: Sequence[str], out: Path) -> int:
+    """Run a command itself; return its exit code, −1 where it did not end as a command does."""
     shutil.rmtree(out, ignore_errors=True)
-    call = [source.command, *map(str, paths), "--out", str(out), "--skip-damaged"]
+    call = [*words, "--out", str(out)]
     ended = watched(lambda: skd(call), seconds=10 * LIMIT_SECONDS)
     if ended.traceback or not ended.in_time:
         print(f"{call}: {ended.traceback}")
