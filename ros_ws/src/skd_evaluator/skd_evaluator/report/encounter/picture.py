@@ -42,13 +42,15 @@ def save_encounter(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -
     box = _extent(scenario, [car_outline(scenario, start), car_outline(scenario, 0.0), body, *_near(scenario, ways)])
     size = np.array([box[1] - box[0], box[3] - box[2]])
     width, height = size * min(_WIDEST / size[0], _LONGEST / size[1])
-    figure = Figure(figsize=(max(3.4, width + 1.2), max(2.6, height + 1.6)), layout="constrained")
+    figure = Figure(figsize=(max(3.8, width + 1.2), max(3.0, height + 2.2)), layout="constrained")
     axes = figure.subplots()
     draw_road(axes, scenario, -_LANE, _LANE)
-    draw_car(axes, scenario, start, "car at the start")
-    draw_ghosts(axes, scenario, np.array([-car.front]), "car at the crossing line")
+    draw_car(axes, scenario, start, "car under test at the start")
+    draw_ghosts(axes, scenario, np.array([-car.front]), "car under test at the crossing line, unbraked")
     _draw_ways(axes, scenario, ways)
-    axes.add_patch(Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"{adversary.kind} at the start"))
+    axes.add_patch(
+        Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"adversary ({adversary.kind}) at the start")
+    )
     axes.set_xlim(box[0], box[1])
     axes.set_ylim(box[2], box[3])
     axes.set_aspect("equal")
@@ -73,8 +75,8 @@ def _near(scenario: Scenario, ways: Sequence[Trajectory]) -> list[FloatArray]:
 
 def _draw_ways(axes: Axes, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
     """Draw the way to each impact place, with a dot each tick, and where its target is when the car meets it."""
-    label: str | None = "ways of the protocol's target, a dot each tick"
-    reached: str | None = "target when the unbraked car is at the crossing line"
+    label: str | None = "ways of the protocol's target to each impact place, a dot each tick"
+    reached: str | None = "target at that moment"
     for way, colour in zip(ways, palette.ordered(max(1, len(ways))), strict=False):
         axes.plot(*way.positions.T, color=colour, lw=1.0, marker=".", ms=4, zorder=5, label=label)
         ticks = scenario.time_step * np.arange(len(way))
