@@ -74,6 +74,11 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     assert set(names(here / "out")) == set(before)
     assert names(here) == ["good.csv", "my_cars.py", "out"]
 
+    bare = skd("assess", *SMALL, "--no-pictures", "--out", "bare", cwd=here)
+    assert bare.returncode == 0, bare.stderr
+    assert names(here / "bare") == ["assessment.json", "episodes.npz", "manifest.sha256"]
+    assert (here / "bare" / "episodes.npz").read_bytes() == before["episodes.npz"]
+
     (here / "foreign").mkdir()
     (here / "foreign" / "thesis.txt").write_text("years of work")
     for extra in ([], ["--overwrite"]):

@@ -51,6 +51,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_gate_arguments(assess)
     add_details_argument(assess)
     assess.add_argument(
+        "--no-pictures",
+        dest="pictures",
+        action="store_false",
+        help="draw no pictures beside the figures, which saves about a second; skd show and skd report still draw them",
+    )
+    assess.add_argument(
         "--curve",
         action="store_true",
         help="also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the "

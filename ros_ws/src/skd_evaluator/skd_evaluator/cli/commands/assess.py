@@ -35,7 +35,7 @@ from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import ResultFolder
+from skd_evaluator.campaign.store.results import ResultFolder, write_assessment
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
@@ -203,7 +203,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
     rating = replace(rating, seconds=time.perf_counter() - begin)
-    problem = out.save(lambda folder: fill(folder, rating))
+    write = fill if arguments.pictures else write_assessment
+    problem = out.save(lambda folder: write(folder, rating))
     return print_result(rating, out, arguments, gate, problem)
 
 
@@ -245,5 +246,6 @@ def _assess_graph(
             rating = assessed(plan, objectives, runners, progress, further)
             evaluator.publish_assessment(rating)
         rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
-        problem = save_with_scratch(out, scratch, lambda folder: fill(folder, rating))
+        write = fill if arguments.pictures else write_assessment
+        problem = save_with_scratch(out, scratch, lambda folder: write(folder, rating))
     return rating, problem
