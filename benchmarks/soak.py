@@ -21,8 +21,8 @@ from skd_evaluator.cli.main import main as skd
 
 HERE = Path(__file__).resolve().parent
 
-EPISODES = 40
-"""Of one assessment: two φ, with ten kamikazes each, and twenty runs."""
+FEWEST, ROUNDS = 40, 100
+"""Episodes of one assessment, at the least, half of them kamikazes along two φ; and assessments, at the most."""
 CONTROLLER = "cars.required_brake:RequiredDecelerationBrake"
 MOST_MEMORY = 5e-4
 """MB for each episode: ten in 20,000."""
@@ -52,13 +52,25 @@ def main() -> int:
     given = parser.parse_args()
     sys.path.insert(0, str(HERE))
     os.environ["PYTHONPATH"] = str(HERE)
-    rounds = max(4, given.episodes // EPISODES)
+    each = max(FEWEST, -(-given.episodes // ROUNDS))
+    each += -each % 4
+    rounds = max(4, given.episodes // each)
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         os.environ["TMPDIR"] = tempfile.tempdir = str(scratch / "temporary")
         (scratch / "temporary").mkdir()
-        words = ["assess", "--safe-count", "2", "--kamikaze-count", "10", "--collision-runs", "20", "--quiet"]
-        words += ["--simulations", "20", "--margin-limit", "0", "--knowledge", "nothing", "--out", str(scratch / "out")]
+        words = ["assess", "--safe-count", "2", "--kamikaze-count", f"{each // 4}", "--collision-runs", f"{each // 2}"]
+        words += [
+            "--quiet",
+            "--simulations",
+            "20",
+            "--margin-limit",
+            "0",
+            "--knowledge",
+            "nothing",
+            "--out",
+            str(scratch / "out"),
+        ]
         if given.graph:
             words += ["--graph", *(["--reset", given.reset] if given.reset else [])]
         else:
@@ -69,11 +81,11 @@ def main() -> int:
             shutil.rmtree(scratch / "out")
             seen.append(state(scratch))
             if number % max(1, rounds // 20) == 0:
-                print(f"{(number + 1) * EPISODES}: {seen[-1]}", flush=True)
+                print(f"{(number + 1) * each}: {seen[-1]}", flush=True)
     first, last = seen[rounds // 4], seen[-1]
-    episodes = (rounds - 1 - rounds // 4) * EPISODES
+    episodes = (rounds - 1 - rounds // 4) * each
     grown = {name: last[name] - first[name] for name in first if last[name] > first[name]}
-    print(f"from {(rounds // 4 + 1) * EPISODES} to {rounds * EPISODES} episodes grown by {grown}")
+    print(f"from {(rounds // 4 + 1) * each} to {rounds * each} episodes grown by {grown}")
     grown.pop("/dev/shm", None)  # in which others of this machine have files, too
     slow = grown.pop("memory, MB", 0.0) <= max(5.0, MOST_MEMORY * episodes)
     return 0 if slow and not grown else 1
