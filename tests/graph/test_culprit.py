@@ -16,7 +16,7 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
     """Run a small campaign through the graph."""
     return skd(
         *("assess", "--graph", "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
-        *("--simulations", 100, "--margin-limit", 0),
+        *("--simulations", 100, "--margin-limit", 0, "--behaviour", "none"),
         *("--startup-timeout", timeout, "--command-timeout", timeout, *options),
         *("--out", folder / "out"),
         environment={"PYTHONPATH": str(HERE / "controllers")},

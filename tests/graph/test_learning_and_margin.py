@@ -28,7 +28,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
-COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2, "--seed", 3)
+COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2, "--seed", 3, "--behaviour", "none")
 PLANNED = ("deformation", "deformation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
 
 

@@ -25,7 +25,7 @@ def assessed(folder: Path, safe: Path, *options: str) -> tuple[dict[str, Any], l
     finished = skd(
         *("assess", "--graph", "--knowledge", "nothing", "--controller", "external", "--controller-command", command),
         *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 6, "--collision-runs", 4, "--simulations", 100),
-        *("--objective", "deformation", "--margin-limit", 0, "--out", folder / "out", *options),
+        *("--objective", "deformation", "--margin-limit", 0, "--behaviour", "none", "--out", folder / "out", *options),
     )
     assert finished.code in (0, 1), finished.lines
     assert (folder / "out").exists(), finished.err

@@ -248,7 +248,7 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     folder = tmp_path_factory.mktemp("misbehaviour")
     programs = {
         controller: Skd(
-            *("assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0),
+            *("assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0, "--behaviour", "none"),
             *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
             *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),

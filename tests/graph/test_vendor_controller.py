@@ -53,12 +53,12 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
     monkeypatch.chdir(checkout)
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     with in_domain(new_domain(), token := uuid.uuid4().hex):
-        finished = skd_here(capsys, *words, "--margin-limit", 0)
+        finished = skd_here(capsys, *words, "--margin-limit", 0, "--behaviour", "none")
     assert_all_gone(token)
     assert finished.code == 0, finished.err
     assert len(list(small_lesson.iterdir())) == 1
     for line in lines:
-        shorter = line.replace("--safe-count", "--knowledge nothing --margin-limit 0 --safe-count")
+        shorter = line.replace("--safe-count", "--knowledge nothing --margin-limit 0 --behaviour none --safe-count")
         finished = start(shorter, checkout).finish()
         assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
 
@@ -81,7 +81,9 @@ def test_a_car_that_nobody_has_modelled(checkout):
     (lines,) = marked("chain")
     assert [shlex.split(line)[1] for line in lines] == ["probe", "fit", "assess"]
     for line in lines:
-        shorter = line.replace("--safe own", "--margin-limit 0 --safe own").replace("--episodes 150", "--episodes 60")
+        shorter = line.replace("--safe own", "--margin-limit 0 --behaviour none --safe own").replace(
+            "--episodes 150", "--episodes 60"
+        )
         finished = start(shorter, checkout).finish(300.0)  # the planners for a model are compiled first
         assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
 
