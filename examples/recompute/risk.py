@@ -31,4 +31,9 @@ for k, scale in enumerate(a["risk_scale"]):
     said |= {"value": p, "ci95": ends, "ci95_by_phi": by_phi, "episodes": episodes}
     risk |= {f"risk.scales.{k}.{name}": value for name, value in said.items()}
     risk |= {f"risk_{scale:g}": p, f"risk_{scale:g}_ci95": by_phi, f"risk_{scale:g}_ci95_runs": ends}
+hits = (touch == FRONT).sum(axis=1)
+if hits.any():  # failures are shown of the least scale that has ten, else of that with most
+    k = next((k for k, many in enumerate(hits) if many >= 10), hits.argmax())
+    said = {"scale": a["risk_scale"][k], "hits": hits[k], "runs": (touch[k] != ABORTED).sum(), "looked_at": min(hits[k], 2000)}
+    risk |= {f"risk.failures.{name}": value for name, value in said.items()}
 print(*(f"{name}: {value}" for name, value in risk.items()), sep="\n")

@@ -14,11 +14,11 @@ from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
-from skd_evaluator.risk.behaviour.model import load_behaviour
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import Effort, gathered, levels_of, replicate

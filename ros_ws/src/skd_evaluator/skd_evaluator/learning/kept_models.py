@@ -25,7 +25,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
 
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.store.temporary_folders import make_temporary
+from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
 
