@@ -34,6 +34,7 @@ for k, scale in enumerate(a["risk_scale"]):
 hits = (touch == FRONT).sum(axis=1)
 if hits.any():  # failures are shown of the least scale that has ten, else of that with most
     k = next((k for k, many in enumerate(hits) if many >= 10), hits.argmax())
-    said = {"scale": a["risk_scale"][k], "hits": hits[k], "runs": (touch[k] != ABORTED).sum(), "looked_at": min(hits[k], 2000)}
+    runs, looked_at = (touch[k] != ABORTED).sum(), min(hits[k], 2000)
+    said = {"scale": a["risk_scale"][k], "hits": hits[k], "runs": runs, "looked_at": looked_at}
     risk |= {f"risk.failures.{name}": value for name, value in said.items()}
 print(*(f"{name}: {value}" for name, value in risk.items()), sep="\n")

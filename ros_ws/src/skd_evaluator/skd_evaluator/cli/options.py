@@ -10,6 +10,7 @@ from skd_sim.choices.objective import OBJECTIVES
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
+    add_behaviour_argument,
     add_campaign_arguments,
     add_car_arguments,
     add_count,
@@ -120,10 +121,19 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_car_arguments(episode, "episode")
     episode.add_argument(
         "--mode",
-        choices=("safe", "kamikaze", "replay"),
+        choices=("safe", "kamikaze", "replay", "risk"),
         default="kamikaze",
-        help="what the adversary does: safe (cross unharmed), kamikaze (be hit), or replay (follow a safe trajectory) "
+        help="what the adversary does: safe (cross unharmed), kamikaze (be hit), replay (follow a safe trajectory), or "
+        "risk (walk a safe trajectory as people do: a crossing of the risk, as --behaviour and --scale say) "
         "(default: kamikaze)",
+    )
+    add_behaviour_argument(episode)
+    episode.add_argument(
+        "--scale",
+        type=positive_number,
+        default=1.0,
+        metavar="S",
+        help="with --mode risk, by what the deviations of people are multiplied (default: 1)",
     )
     episode.add_argument(
         "--attempt",

@@ -64,14 +64,20 @@ def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
+def walkers_of(encounter: Encounter) -> Walkers:
+    """Return who walks the crude crossings."""
+    plan = encounter.plan
+    return Walkers(plan.scenario, [phi.positions for phi in encounter.safe], plan.seed, encounter.values)
+
+
 def crude_crossings(encounter: Encounter, runs: int) -> Crossings:
     """Return the crude crossings, the same for every car and at every scale; φ take turns."""
     phis = len(encounter.safe)
     phi, draw = np.arange(runs) % phis, np.arange(runs) // phis
-    seed, count = encounter.plan.seed, encounter.walker_normals
-    walker = np.empty((runs, count))
-    for row, number in enumerate(numbers_of(phi, draw)):
-        walker[row] = generator(seed, number, Role.WALKER).standard_normal(count)
+    walkers = walkers_of(encounter)
+    walker = np.empty((runs, encounter.walker_normals))
+    for row in range(runs):
+        walker[row] = walkers.normals(row)
     return Crossings(phi, walker, np.empty((runs, 0)), draw)
 
 
@@ -204,9 +210,7 @@ def _failures(
     runner: EpisodeRunner,
 ) -> tuple[dict[str, Any] | None, dict[int, EpisodeLog]]:
     """Return the most likely failures and the logs of those that are kept; compiled crossings are run for these."""
-    plan = encounter.plan
-    safe = [phi.positions for phi in encounter.safe]
-    found = failures_of(scales, Walkers(plan.scenario, safe, plan.seed, encounter.values))
+    found = failures_of(scales, walkers_of(encounter))
     if found is None:
         return None, {}
     rows = sorted(one.row for one in found.nearest)
