@@ -304,6 +304,11 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="ID",
         help="draw the episode that has this id in episodes.npz and bags",
     )
+    likely = (
+        "draw so many of the most likely failures of the risk instead: of each kind the nearest to how people walk, "
+        "the most frequent kind first, then the next of each"
+    )
+    add_count(which, "--failures", 1, 1000, likely)
     show.add_argument(
         "--objective", metavar="NAME", help="draw only kamikazes of this objective (default: all episodes)"
     )

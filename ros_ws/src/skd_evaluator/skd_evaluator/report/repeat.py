@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,8 +21,10 @@ from skd_evaluator.measure.behaviour import WALKERS
 from skd_evaluator.measure.behaviour.model import load_behaviour
 
 SCENARIO_FILE, CAR_MODEL_FILE, BEHAVIOUR_FILE = "scenario.yaml", "car_model.yaml", "behaviour.yaml"
-"""What a scenario, a car model and a behaviour model are called that are known only from the results: whoever repeats has to save them."""
+"""What a scenario, a car model and a behaviour model are called that only the results have: who repeats saves them."""
 CONTROLLER_COMMAND = "COMMAND"
+PROGRAM = "SKD_PROGRAM"
+"""Variable in which `scripts/skd` says what was typed."""
 
 
 def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, number: int) -> list[str]:
@@ -45,9 +48,14 @@ def repeat_crossing(figures: Mapping[str, Any], number: int) -> list[str]:
 
 def crossing_prefix(figures: Mapping[str, Any]) -> list[str]:
     """Return what the commands of all failures have in common."""
-    words = _prefix(figures, ["skd", "episode", "--mode", "risk"])
+    words = _prefix(figures, [program(), "episode", "--mode", "risk"])
     words += ["--behaviour", behaviour_name(figures) or BEHAVIOUR_FILE]
     return [*words, "--scale", f"{figures['risk']['failures']['scale']:g}"]
+
+
+def program() -> str:
+    """Return what a command begins with, so that it works where this one did: `scripts/skd` if that was typed."""
+    return os.environ.get(PROGRAM, "skd")
 
 
 def behaviour_name(figures: Mapping[str, Any]) -> str:
@@ -59,7 +67,7 @@ def behaviour_name(figures: Mapping[str, Any]) -> str:
 
 def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> list[str]:
     """Return what the commands of all episodes of one mode and one objective have in common."""
-    words = ["skd", "episode", "--mode", mode.name.lower()]
+    words = [program(), "episode", "--mode", mode.name.lower()]
     return _prefix(figures, [*words, "--objective", objective] if mode == Mode.KAMIKAZE else words)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -36,8 +36,12 @@ def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[
     }
 
 
-def failing_episodes(stored: StoredEpisodes) -> StoredEpisodes:
-    """Return the failures that a file keeps, in the order of their numbers, as episodes; none where it has none.
+def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None) -> StoredEpisodes:
+    """Return the failures that a file keeps as episodes, none where it has none.
+
+    Args:
+        stored: the episodes of the file.
+        order: numbers of crossings, in which order they come; None: that of their numbers.
 
     Raises:
         ValueError, LookupError: the arrays do not go together.
@@ -56,6 +60,9 @@ def failing_episodes(stored: StoredEpisodes) -> StoredEpisodes:
             raise ValueError("the arrays of the failures do not go together")
         if not all(np.isfinite(one).all() for one in (positions, car, times, speeds)):
             raise ValueError("a place, time or speed of a failure is not finite")
+    if order is not None:
+        places = [rows.index(row) for row in order]
+        rows, spans, times, speeds = list(order), [spans[one] for one in places], times[places], speeds[places]
     return replace(
         stored,
         adversary=tuple(positions[low:high] for low, high in spans),
