@@ -21,9 +21,9 @@ from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.measure.behaviour.walking import normals_of
 from skd_evaluator.measure.risks import ScaleRisk, Touch
-from skd_evaluator.report.failures import kept_failures
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
+from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
 from skd_evaluator.risk.single import single_crossing

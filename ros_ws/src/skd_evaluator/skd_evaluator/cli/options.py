@@ -198,6 +198,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="DIR",
         help="folder of an assessment; the others are compared with the first",
     )
+    compare.add_argument(
+        "--reference",
+        type=Path,
+        metavar="DIR",
+        help="folder of skd sweep, or of a campaign, whose basic cars are drawn as a curve behind margin and risk. "
+        "They have to be over the same safe trajectories, in the same encounter and with the same behaviour model",
+    )
     add_output_arguments(compare)
 
     verify = commands.add_parser(

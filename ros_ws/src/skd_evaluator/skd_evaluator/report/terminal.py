@@ -20,8 +20,8 @@ from skd_sim.inputs.printable import one_line, own
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.failures import failures_in, how_many
 from skd_evaluator.report.formats import TERMINAL, ninety
+from skd_evaluator.report.risk.failures import failures_in, how_many
 
 
 def counted(number: int, thing: str) -> str:

@@ -21,9 +21,9 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.surrogate.episode import episode_measures
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
-from skd_evaluator.report.failures import KeptFailure, kept_failures
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import repeat_command, repeat_crossing
+from skd_evaluator.report.risk.failures import KeptFailure, kept_failures
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,12 +17,13 @@ from skd_sim.episode.episode import Mode, Outcome
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.report.failures import failures_in, failures_sentence, kept_failures
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
+from skd_evaluator.report.html.rating_charts import rating_charts
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
@@ -35,6 +36,7 @@ from skd_evaluator.report.repeat import (
     repeat_prefix,
     scenario_name,
 )
+from skd_evaluator.report.risk.failures import failures_in, failures_sentence, kept_failures
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000
@@ -86,6 +88,8 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
+        ratings=[heading for heading, _ in rating_charts(subjects)],
+        scales=len(SCALES),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
         by_phi=any(one.figures["hit_rate_ci95"] for one in subjects),
@@ -185,6 +189,7 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
             "curves": [spec for _, spec in vulnerability_charts(subjects)],
             "comparisons": comparison_charts(subjects),
             "perSafe": per_safe_chart(),
+            "ratings": [one for _, charts in rating_charts(subjects) for one in charts],
         },
     }
 

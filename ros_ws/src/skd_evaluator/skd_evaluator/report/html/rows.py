@@ -9,9 +9,9 @@ from typing import Any
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.failures import failures_in, kept_failures
 from skd_evaluator.report.formats import NOTHING, PAGE, counted, interval, ninety, number, percent, percent_interval
 from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.risk.failures import failures_in, kept_failures
 
 _SAME_MULTIPLIER = 1e-9
 
