@@ -181,8 +181,9 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
                 share = arrays["impact_time"][row] / arrays["time_step"] - (len(psi) - 2)
                 np.testing.assert_allclose(walked[-1], psi[-2] + share * (psi[-1] - psi[-2]), atol=0.51 * RESOLUTION)
         assert keys == {}
-    assert found == len(columns["rows"]) > 0
+    assert found == content["listed"] > 0
     # The worst first, by the definition in the page's own words.
+    columns = {name: one[: content["listed"]] for name, one in columns.items()}  # behind them stand failures
     hit = columns["hit"] == 1
     speeds, touched = columns["impact_speed"], columns["outcome"] == Outcome.COLLISION
     np.testing.assert_array_equal(hit, touched & (speeds >= 0.556))

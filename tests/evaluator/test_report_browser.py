@@ -41,7 +41,7 @@ def numbers(texts: list[str]) -> list[float]:
 
 def test_figures_are_drawn(opened, subjects, file):
     charts = opened.page.locator(".chart").all()
-    assert len(charts) == 4 + 1 + 1  # against C, curves, per φ
+    assert len(charts) == 4 + 3 + 1 + 1  # against C, margin against risk, curves, per φ
     for chart in charts:
         assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
     shown = subjects[0].episodes
@@ -63,6 +63,7 @@ def test_figures_are_drawn(opened, subjects, file):
 
 def test_a_failure_of_the_risk_is_played(opened, subjects, file):
     second = kept_failures(subjects[0].figures)[1]
+    opened.page.select_option("#subject", "0")
     opened.page.locator("button[data-subject='0'][data-failure='1']").click()
     opened.page.wait_for_timeout(300)
     assert second.text in opened.page.locator("#playing").text_content()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ from skd_evaluator import palette
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.html.charts import Spec, axis, spec
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, rated_car
+from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
 
 _CURVE = "#888888"
 
@@ -37,9 +38,11 @@ def _chart(cars: Sequence[RatedCar], place: int) -> Spec:
     floor, curve = floor_of(cars, place), basic_cars(cars)
     others = [one for one in cars if one not in curve]
     names = [one.label for one in others]
-    x = axis("margin", "margin (m)", scale={"padding": 12})
-    y = axis("risk", f"R({SCALES[place]:g})", scale={"type": "log", "domain": [floor, 1.0], "clamp": True})
-    y["axis"] = {"format": "~g", "tickCount": 6}
+    x = axis("margin", "margin (m)", scale={"zero": True}, axis={"tickCount": 5})
+    y = axis("risk", f"R({SCALES[place]:g})")
+    y["scale"] = {"type": "log", "domain": [floor, 1.0], "clamp": True}
+    decades = range(round(math.log10(floor)), 1)
+    y["axis"] = {"format": "~g", "values": [float(f"1e{power}") for power in decades]}
     layers: list[Spec] = []
     if curve:
         layers += [
@@ -47,11 +50,13 @@ def _chart(cars: Sequence[RatedCar], place: int) -> Spec:
             *_points({"color": _CURVE, "size": 22}, {"color": _CURVE, "opacity": 0.5}, x, y, {}),
             {
                 "mark": {"type": "text", "dx": 9, "dy": -7, "fontSize": 10, "color": _CURVE},
-                "encoding": {"text": {"field": "C"}},
+                "encoding": {"text": {"field": "label"}},
             },
         ]
+        texts = labelled(curve, place, floor)
+        rows = [{**_row(one, place, floor), "label": text} for one, text in zip(curve, texts, strict=True)]
         for layer in layers:
-            layer["data"] = {"values": [_row(one, place, floor) for one in curve]}
+            layer["data"] = {"values": rows}
             layer["encoding"] = {"x": x, "y": y, **layer["encoding"]}
     if others:
         few = len(others) <= len(palette.SERIES)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from skd_evaluator import palette
 from skd_evaluator.measure.risks import SCALES
-from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of
+from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
 
 DPI = 150
 _CURVE = "#888888"
@@ -47,10 +47,8 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
     if curve:
         x, y = [one.margin for one in curve], [max(floor, one.risks[place][0]) for one in curve]
         axes.plot(x, y, "-", color=_CURVE, lw=1.3, marker=".", ms=5, zorder=2, label="basic cars, by C")
-        for one, across, up in zip(curve, x, y, strict=True):
-            axes.annotate(
-                f"{one.multiplier:g}", (across, up), xytext=(3, 3), textcoords="offset points", fontsize=7, color=_CURVE
-            )
+        for text, across, up in zip(labelled(curve, place, floor), x, y, strict=True):
+            axes.annotate(text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=7, color=_CURVE)
     for number, one in enumerate(one for one in cars if not one.behind):
         colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
         value, (low, high) = one.risks[place]
@@ -61,6 +59,7 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
             [one.margin], [at], yerr=rise, xerr=reach, fmt=marker, ms=6.5, color=colour, capsize=2.5, lw=1.3, zorder=4,
             label=one.label, mfc="white" if value < floor else colour, clip_on=False,
         )  # fmt: skip
+    axes.margins(x=0.1)
     axes.set_yscale("log")
     axes.set_ylim(floor, 1.0)
     axes.set_title(f"R({SCALES[place]:g})", loc="left", fontsize=10)

@@ -14,6 +14,7 @@ from skd_evaluator.measure.statistics.statistics import Interval
 
 LEAST: Final = 1e-9
 """Below it no risk is drawn: subset simulation ends there."""
+_APART: Final = 0.1  # of width and height between two names
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,19 @@ def basic_cars(cars: Sequence[RatedCar]) -> list[RatedCar]:
     found = {one.multiplier: one for one in cars if one.multiplier is not None}
     ordered = [found[multiplier] for multiplier in sorted(found)]
     return ordered if len(ordered) > 1 else []
+
+
+def labelled(curve: Sequence[RatedCar], place: int, floor: float) -> list[str]:
+    """Return C of each basic car of a curve as text, empty where it would stand on that of the one before."""
+    widest = max(one.margin for one in curve) or 1.0
+    found: list[str] = []
+    last = (-math.inf, 0.0)
+    for one in curve:
+        here = one.margin / widest, math.log(max(floor, one.risks[place][0])) / math.log(floor)
+        far = math.dist(here, last) > _APART
+        found.append(f"{one.multiplier:g}" if far else "")
+        last = here if far else last
+    return found
 
 
 def floor_of(cars: Sequence[RatedCar], place: int) -> float:
