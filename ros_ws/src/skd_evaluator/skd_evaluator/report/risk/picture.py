@@ -37,7 +37,9 @@ def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
         fontsize=11,
     )  # fmt: skip
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # a name may be anything
     figure.savefig(path, dpi=DPI)
 
 
