@@ -63,7 +63,7 @@ def test_without_a_risk_there_is_no_place(sweep):
 
 @pytest.mark.usefixtures("pictures_drawn")
 def test_a_sweep_is_drawn_behind_what_is_compared(skd_here, here: Path):
-    counts = [*SMALL, "--safe-count", "2"]
+    counts = [*SMALL, "--safe-count", "2", "--behaviour", "walkers"]
     assert skd_here("sweep", *counts, "--multipliers", "0.6", "1.2", "--out", "basics").returncode == 0
     for multiplier, seed in (("0.5", "0"), ("0.9", "0"), ("0.5", "9")):
         words = ("assess", *counts, "--multiplier", multiplier, "--seed", seed, "--out", f"{multiplier}_{seed}")
