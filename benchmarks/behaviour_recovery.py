@@ -13,10 +13,10 @@ import json
 
 import numpy as np
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.measure.behaviour.model import NAMES, load_behaviour
+from skd_evaluator.measure.behaviour.walking import normals_of
 from skd_evaluator.measure.statistics.statistics import wilson_interval
 from skd_evaluator.risk.behaviour.fit import FITTED, fit_behaviour, simulated
-from skd_evaluator.risk.behaviour.model import NAMES, load_behaviour
-from skd_evaluator.risk.behaviour.walking import normals_of
 
 LENGTHS = [length for length in (19, 22, 21, 19, 25, 31, 33, 35) for _ in range(8)]
 """Places of each of the 64 recorded tracks."""

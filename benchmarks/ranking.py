@@ -11,7 +11,9 @@ whose C they know. SKD is the paper's, with `objective: paper`, of attempts that
 from stands in ranking_figures.py.
 
     python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--attempts 5] [--figures NAME ...]
-        [--limit N] [--again PART ...] [--json]
+        [--limit N] [--crossings N] [--again PART ...] [--json]
+
+The scale of the risk that is to rank, fixed beforehand, is 2: R(2).
 
 The margin is exact for the basic car, else searched for with up to --limit simulated ticks an attempt; its note in
 --json says with how many, and whether it has converged.
@@ -242,7 +244,7 @@ def rows_of(
         plan = Plan(load_scenario("crossing"), safe_count=arguments.safe_count, seed=arguments.seed)
         safe = safe_trajectories(plan, runner)
         for car in cars:
-            work = Work(car, safe, arguments.attempts, arguments.seed, runner, arguments.limit)
+            work = Work(car, safe, arguments.attempts, arguments.seed, runner, arguments.limit, arguments.crossings)
             runs = {
                 manner: store.once(
                     car.label,
@@ -254,7 +256,7 @@ def rows_of(
             found = {
                 name: store.once(
                     car.label,
-                    f"{name}/{arguments.attempts}",
+                    f"{name}/{arguments.crossings if name.startswith('risk') else arguments.attempts}",
                     lambda name=name, work=work: FIGURES[name].compute(work),
                 )
                 for name in figures
@@ -273,6 +275,7 @@ def main() -> None:
     parser.add_argument(
         "--limit", type=int, default=LIMIT, metavar="N", help=f"ticks of the margin's search (default {LIMIT})"
     )
+    parser.add_argument("--crossings", type=int, default=25, metavar="N", help="of the risk, per φ (default 25)")
     parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")
     parser.add_argument(
         "--exceptions",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -14,8 +14,14 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.search.attempts import LIMIT
+from skd_evaluator.measure.behaviour import WALKERS
+from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_evaluator.measure.risks import SCALES, Touch
+from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.assessment_risk import crude_crossings
+from skd_evaluator.risk.crossings import Encounter
 from skd_sim.choices.objective import Objective
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
@@ -50,6 +56,8 @@ class Work:
     runner: InProcessRunner
     limit: int = LIMIT
     """Ticks of the car that the margin's search may simulate in an attempt."""
+    crossings: int = 25
+    """Of the risk, on each φ: as many as in an assessment."""
 
     def plan(self, objective: Objective = Objective.DEFORMATION) -> Plan:
         """Return the assessment that the attempts are of."""
@@ -130,6 +138,22 @@ def planned_nothing(work: Work) -> Found:
     return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts), _needed)
 
 
+def risk(scale: float) -> Callable[[Work], Found]:
+    """Return what gives which crossings are hits by the front of the car, of people whose deviations are scaled."""
+
+    def found(work: Work) -> Found:
+        plan = replace(work.plan(), safe_count=len(work.safe))
+        encounter = Encounter(plan, tuple(work.safe), load_behaviour(WALKERS).values)
+        crossings = crude_crossings(encounter, work.crossings * len(work.safe))
+        hit = AnyCar(encounter, work.runner).run(crossings, scale).touch == Touch.FRONT
+        return {
+            "values": [hit[crossings.phi == phi].astype(float).tolist() for phi in range(len(work.safe))],
+            "note": "",
+        }
+
+    return found
+
+
 def skd_paper(work: Work) -> Found:
     """Return the paper's distances."""
     return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts), _frechet)
@@ -157,4 +181,5 @@ FIGURES = {
     "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
     "along": Figure("hit along φ", -1, along, digits=3),
     "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
+    **{f"risk_{scale:g}": Figure(f"R({scale:g})", -1, risk(scale), digits=3) for scale in SCALES},
 }

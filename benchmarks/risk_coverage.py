@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.measure.behaviour.walking import walk
 from skd_evaluator.measure.risks import ScaleRisk, Touch
 from skd_evaluator.measure.statistics.statistics import wilson_interval
-from skd_evaluator.risk.behaviour.model import load_behaviour
-from skd_evaluator.risk.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate

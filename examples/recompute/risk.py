@@ -31,4 +31,10 @@ for k, scale in enumerate(a["risk_scale"]):
     said |= {"value": p, "ci95": ends, "ci95_by_phi": by_phi, "episodes": episodes}
     risk |= {f"risk.scales.{k}.{name}": value for name, value in said.items()}
     risk |= {f"risk_{scale:g}": p, f"risk_{scale:g}_ci95": by_phi, f"risk_{scale:g}_ci95_runs": ends}
+hits = (touch == FRONT).sum(axis=1)
+if hits.any():  # failures are shown of the least scale that has ten, else of that with most
+    k = next((k for k, many in enumerate(hits) if many >= 10), hits.argmax())
+    runs, looked_at = (touch[k] != ABORTED).sum(), min(hits[k], 2000)
+    said = {"scale": a["risk_scale"][k], "hits": hits[k], "runs": runs, "looked_at": looked_at}
+    risk |= {f"risk.failures.{name}": value for name, value in said.items()}
 print(*(f"{name}: {value}" for name, value in risk.items()), sep="\n")

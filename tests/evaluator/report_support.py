@@ -16,7 +16,7 @@ HOSTILE = "<script>alert(1)</script>"
 
 def make_sweep(folder: Path) -> Path:
     """Run a sweep of two cars over two φ."""
-    counts = ["--safe-count", "2", "--kamikaze-count", "14", "--collision-runs", "12"]
+    counts = ["--safe-count", "2", "--kamikaze-count", "14", "--collision-runs", "12", "--behaviour", "walkers"]
     assert run_skd("sweep", *SMALL, *counts, "--multipliers", "0.5", "1.0", "--out", str(folder)) == 0
     return folder
 

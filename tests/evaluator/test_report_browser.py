@@ -8,6 +8,7 @@ from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.risk.failures import kept_failures
 from skd_sim.episode.episode import Mode
 
 
@@ -40,7 +41,7 @@ def numbers(texts: list[str]) -> list[float]:
 
 def test_figures_are_drawn(opened, subjects, file):
     charts = opened.page.locator(".chart").all()
-    assert len(charts) == 4 + 1 + 1  # against C, curves, per φ
+    assert len(charts) == 4 + 3 + 1 + 1  # against C, margin against risk, curves, per φ
     for chart in charts:
         assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
     shown = subjects[0].episodes
@@ -55,7 +56,25 @@ def test_figures_are_drawn(opened, subjects, file):
     other = subjects[1].episodes
     mine = other.collided & (other.mode == Mode.KAMIKAZE) & (other.objective == "deformation")
     assert opened.count("#contact .touch") == mine.sum()
-    assert opened.page.locator(".of-subject:visible").count() == 1
+    assert opened.page.locator(".of-subject:visible").count() == 2  # failures, and each φ
+    assert opened.page.locator(".of-subject[data-subject='1']:visible").count() == 2
+    opened.assert_quiet(file)
+
+
+def test_a_failure_of_the_risk_is_played(opened, subjects, file):
+    second = kept_failures(subjects[0].figures)[1]
+    opened.page.select_option("#subject", "0")
+    opened.page.locator("button[data-subject='0'][data-failure='1']").click()
+    opened.page.wait_for_timeout(300)
+    assert second.text in opened.page.locator("#playing").text_content()
+    command = opened.page.locator("#command").text_content()
+    phi, attempt = second.row % len(subjects[0].episodes.safe), second.row // len(subjects[0].episodes.safe)
+    assert " --mode risk " in command
+    assert command.endswith(f"--behaviour walkers --scale {second.scale:g} --safe-number {phi} --attempt {attempt}")
+    speed = subjects[0].failing.impact_speed[1]
+    assert f"hit at {speed:.1f} m/s" in opened.page.locator("#playing").text_content()
+    opened.page.locator("#next").click()
+    assert kept_failures(subjects[0].figures)[2].kind in opened.page.locator("#playing").text_content()
     opened.assert_quiet(file)
 
 

@@ -14,11 +14,12 @@ from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
-from skd_evaluator.risk.behaviour.model import load_behaviour
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import Effort, gathered, levels_of, replicate
@@ -308,10 +309,15 @@ def test_the_command_reports_it_and_leaves_everything_else_alone(tmp_path):
 
 @pytest.mark.parametrize("change", [{"risk_1": 0.9}, {"risk_2_ci95_runs": [0.0, 0.1]}, {"risk": None}])
 def test_a_risk_that_does_not_follow_is_contradicted(change, tmp_path):
-    assert skd("assess", *SMALL, "--multiplier", "0.5", "--out", "it", cwd=tmp_path).returncode == 0
+    words = ("assess", *SMALL, "--behaviour", "walkers", "--multiplier", "0.5", "--out", "it")
+    assert skd(*words, cwd=tmp_path).returncode == 0
     path = tmp_path / "it" / "assessment.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    assert skd("verify", "it", cwd=tmp_path).returncode == 1
+    (tmp_path / "it" / MANIFEST).unlink()  # else the checksum alone would be enough
+    done = skd("verify", "it", cwd=tmp_path)
+    assert done.returncode == 1
+    named = "no assessment of this version" if change == {"risk": None} else next(iter(change))
+    assert named in done.stdout
 
 
 def test_a_behaviour_that_is_none_is_one_line(tmp_path):

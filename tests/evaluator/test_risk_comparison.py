@@ -19,10 +19,10 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.measure.behaviour.model import Parameter, load_behaviour
 from skd_evaluator.measure.statistics.difference import Difference
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_evaluator.risk.behaviour.model import Parameter, load_behaviour
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from common import PATIENCE
 from graph_support import assert_same_log, skd, skd_here, whole_graph
@@ -28,7 +29,8 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
-COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2, "--seed", 3, "--behaviour", "none")
+RUNS = 6
+COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)
 PLANNED = ("deformation", "deformation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
 
 
@@ -37,7 +39,8 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     car = ("--controller", "external", "--controller-command", NODE, "--knowledge", "nothing")
     graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
     assert graph.code == 0, graph.err
-    known = skd_here(capsys, "assess", "--multiplier", 1.0, *COUNTS, "--workers", 1, "--out", tmp_path / "exact")
+    ours = ("--multiplier", 1.0, *COUNTS, "--workers", 1, "--risk-runs", RUNS)
+    known = skd_here(capsys, "assess", *ours, "--out", tmp_path / "exact")
     assert known.code == 0, known.err
     walked, exact = (json.loads((tmp_path / name / "assessment.json").read_text()) for name in ("graph", "exact"))
     assert exact["margin_how"] != walked["margin_how"]
@@ -47,11 +50,22 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     assert walked["margin"] < walked["deformation"]  # they knew nothing of the car; the ways are planned
     assert "the car at most 0 m elsewhere" in walked["margin_how"]  # in lockstep it repeats itself
 
+    # The risk takes one crossing more for each run along φ, at each scale, and is that of the law to the last digit.
+    assert [one["episodes"] for one in walked["risk"]["scales"]] == [RUNS] * 3
+    assert 0.0 < walked["risk_1"] < 1.0
+    for key in (one for one in exact if one.startswith("risk")):
+        assert walked[key] == exact[key], key
+    with np.load(tmp_path / "graph" / "episodes.npz") as mine, np.load(tmp_path / "exact" / "episodes.npz") as its:
+        names = [name for name in its.files if name.startswith("risk_")]
+        assert "risk_failure_car" in names
+        for name in names:
+            assert mine[name].tobytes() == its[name].tobytes(), name
+
     recorded = [one.log.episode for one in read_episodes([tmp_path / "graph"])]
     assert recorded
     assert not any(walks_a_way(episode) for episode in recorded)
     modes = [episode.mode for episode in recorded]
-    assert modes.count(Mode.REPLAY) == 2
+    assert modes.count(Mode.REPLAY) == RUNS
     assert modes.count(Mode.KAMIKAZE) == 4 * len(DEFAULT_OBJECTIVES)
 
     replayed = skd_here(capsys, "replay", tmp_path / "graph" / "bags", "--out", tmp_path / "replayed")

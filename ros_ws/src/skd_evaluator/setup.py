@@ -13,7 +13,7 @@ setup(
             "py.typed",
             "campaign/assessment.schema.json",
             "report/html/templates/*",
-            "risk/behaviour/walkers.yaml",
+            "measure/behaviour/walkers.yaml",
         ]
     },
     data_files=[

@@ -26,11 +26,11 @@ from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
-from skd_evaluator.campaign.store.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
 from skd_evaluator.campaigns.rows import CHECKED
 from skd_evaluator.campaigns.store import FILE_NAME as STORE
+from skd_evaluator.temporary_folders import PREFIX, make_temporary
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import Signer

@@ -231,9 +231,14 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     )
 
 
+def add_behaviour_argument(group: argparse._ActionsContainer) -> None:
+    """Add --behaviour."""
+    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
+
+
 def add_risk_arguments(group: argparse._ActionsContainer) -> None:
     """Add --behaviour, --risk-runs and --risk-subset."""
-    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
+    add_behaviour_argument(group)
     add_count(group, "--risk-runs", 1, 10_000_000, RISK_RUNS_TEXT)
     group.add_argument("--risk-subset", action="store_true", help=RISK_SUBSET_TEXT)
 

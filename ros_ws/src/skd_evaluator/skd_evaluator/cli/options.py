@@ -10,6 +10,7 @@ from skd_sim.choices.objective import OBJECTIVES
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
+    add_behaviour_argument,
     add_campaign_arguments,
     add_car_arguments,
     add_count,
@@ -126,10 +127,19 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_car_arguments(episode, "episode")
     episode.add_argument(
         "--mode",
-        choices=("safe", "kamikaze", "replay"),
+        choices=("safe", "kamikaze", "replay", "risk"),
         default="kamikaze",
-        help="what the adversary does: safe (cross unharmed), kamikaze (be hit), or replay (follow a safe trajectory) "
+        help="what the adversary does: safe (cross unharmed), kamikaze (be hit), replay (follow a safe trajectory), or "
+        "risk (walk a safe trajectory as people do: a crossing of the risk, as --behaviour and --scale say) "
         "(default: kamikaze)",
+    )
+    add_behaviour_argument(episode)
+    episode.add_argument(
+        "--scale",
+        type=positive_number,
+        default=1.0,
+        metavar="S",
+        help="with --mode risk, by what the deviations of people are multiplied (default: 1)",
     )
     episode.add_argument(
         "--attempt",
@@ -193,6 +203,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         nargs="+",
         metavar="DIR",
         help="folder of an assessment; the others are compared with the first",
+    )
+    compare.add_argument(
+        "--reference",
+        type=Path,
+        metavar="DIR",
+        help="folder of skd sweep, or of a campaign, whose basic cars are drawn as a curve behind margin and risk. "
+        "They have to be over the same safe trajectories, in the same encounter and with the same behaviour model",
     )
     add_output_arguments(compare)
 
@@ -300,6 +317,11 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="ID",
         help="draw the episode that has this id in episodes.npz and bags",
     )
+    likely = (
+        "draw so many of the most likely failures of the risk instead: of each kind the nearest to how people walk, "
+        "the most frequent kind first, then the next of each"
+    )
+    add_count(which, "--failures", 1, 1000, likely)
     show.add_argument(
         "--objective", metavar="NAME", help="draw only kamikazes of this objective (default: all episodes)"
     )

@@ -25,9 +25,9 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
 
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.store.temporary_folders import make_temporary
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files, module_file
+from skd_evaluator.temporary_folders import make_temporary
 
 _LARGEST = 16 * 2**20  # bytes of a file that is read for the digest; of a larger one, its size and time of change
 _MOST = 10_000  # files of a package

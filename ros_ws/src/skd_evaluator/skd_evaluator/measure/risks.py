@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean, student_quantile
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
@@ -86,6 +87,7 @@ class ScaleRisk:
         phis: number of φ.
         subsets: what subset simulation found; None: it was not asked.
         confidence: of the intervals by φ.
+        ticks: of each crude run, until its end or the contact; None: not known.
     """
 
     scale: float
@@ -93,6 +95,7 @@ class ScaleRisk:
     phis: int
     subsets: Subsets | None = None
     confidence: float = 0.95
+    ticks: IntArray | None = None
 
     @property
     def counts(self) -> list[tuple[int, int]]:
@@ -202,10 +205,14 @@ class Risks:
     Attributes:
         behaviour: the behaviour model, as plain data.
         scales: one each, in their order.
+        failures: the most likely failures, as in assessment.json; None where nobody is hit, or it is not known when.
+        failing: logs of those that are kept, by the numbers of their crude runs.
     """
 
     behaviour: Mapping[str, Any]
     scales: Sequence[ScaleRisk]
+    failures: Mapping[str, Any] | None = None
+    failing: Mapping[int, EpisodeLog] = field(default_factory=dict)
 
     def at(self, scale: float) -> ScaleRisk | None:
         """Return the risk at a scale; None where it was not asked for."""
@@ -220,7 +227,11 @@ class Risks:
             found[key] = one and one.value
             found[f"{key}_ci95_runs"] = one and one.ci95
             found[f"{key}_ci95"] = one and one.ci95_by_phi
-        found["risk"] = {"behaviour": dict(self.behaviour), "scales": [one.as_dict() for one in self.scales]}
+        found["risk"] = {
+            "behaviour": dict(self.behaviour),
+            "scales": [one.as_dict() for one in self.scales],
+            "failures": self.failures,
+        }
         return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,10 +17,14 @@ from skd_sim.episode.episode import Mode
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import split_episode_id
 from skd_evaluator.campaign.store.former_names import knowledge_of
+from skd_evaluator.measure.behaviour import WALKERS
+from skd_evaluator.measure.behaviour.model import load_behaviour
 
-SCENARIO_FILE, CAR_MODEL_FILE = "scenario.yaml", "car_model.yaml"
-"""What a scenario and a car model are called that are known only from the results: whoever repeats has to save them."""
+SCENARIO_FILE, CAR_MODEL_FILE, BEHAVIOUR_FILE = "scenario.yaml", "car_model.yaml", "behaviour.yaml"
+"""What a scenario, a car model and a behaviour model are called that only the results have: who repeats saves them."""
 CONTROLLER_COMMAND = "COMMAND"
+PROGRAM = "SKD_PROGRAM"
+"""Variable in which `scripts/skd` says what was typed."""
 
 
 def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, number: int) -> list[str]:
@@ -35,11 +40,39 @@ def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, numbe
     return [*repeat_prefix(figures, mode, objective), "--safe-number", str(safe_index), "--attempt", str(attempt)]
 
 
+def repeat_crossing(figures: Mapping[str, Any], number: int) -> list[str]:
+    """Return the command that repeats a crossing of the risk, one of those that are kept as failures, as its words."""
+    _, safe_index, attempt = split_episode_id(number)
+    return [*crossing_prefix(figures), "--safe-number", str(safe_index), "--attempt", str(attempt)]
+
+
+def crossing_prefix(figures: Mapping[str, Any]) -> list[str]:
+    """Return what the commands of all failures have in common."""
+    words = _prefix(figures, [program(), "episode", "--mode", "risk"])
+    words += ["--behaviour", behaviour_name(figures) or BEHAVIOUR_FILE]
+    return [*words, "--scale", f"{figures['risk']['failures']['scale']:g}"]
+
+
+def program() -> str:
+    """Return what a command begins with, so that it works where this one did: `scripts/skd` if that was typed."""
+    return os.environ.get(PROGRAM, "skd")
+
+
+def behaviour_name(figures: Mapping[str, Any]) -> str:
+    """Return the name under which the behaviour model of results can be had; empty where it takes its file."""
+    stored = figures["risk"]["behaviour"]
+    shipped = json.loads(json.dumps(load_behaviour(WALKERS).as_dict()))
+    return WALKERS if stored == shipped else ""
+
+
 def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> list[str]:
     """Return what the commands of all episodes of one mode and one objective have in common."""
-    words = ["skd", "episode", "--mode", mode.name.lower()]
-    if mode == Mode.KAMIKAZE:
-        words += ["--objective", objective]
+    words = [program(), "episode", "--mode", mode.name.lower()]
+    return _prefix(figures, [*words, "--objective", objective] if mode == Mode.KAMIKAZE else words)
+
+
+def _prefix(figures: Mapping[str, Any], words: list[str]) -> list[str]:
+    """Return the beginning of a command with the options of the car and the test."""
     values = {
         **figures["options"],
         **{name: figures[name] for name in ("controller", "simulations", "maximum_distance", "safe", "seed")},

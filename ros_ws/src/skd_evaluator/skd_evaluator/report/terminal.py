@@ -21,6 +21,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import TERMINAL, ninety
+from skd_evaluator.report.risk.failures import failures_in, how_many
 
 
 def counted(number: int, thing: str) -> str:
@@ -144,10 +145,22 @@ def details_table(result: Mapping[str, Any]) -> Table:
         table.add_row("  control periods without a new one", str(age["held"]), f"of {age['control_periods']}")
     if result["left_out"]:
         table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
+    _add_failures(table, result)
     table.add_section()
     _add_skd(table, result)
     _add_further(table, result, Of.SKD)
     return table
+
+
+def _add_failures(table: Table, result: Mapping[str, Any]) -> None:
+    """Add the kinds of failures of the risk with their shares."""
+    found = failures_in(result)
+    if found is not None:
+        name = f"most likely failures at s = {found['scale']:g}"
+        table.add_row(name, str(found["hits"]), f"of {counted(found['runs'], 'crossing')}")
+        for one in found["kinds"]:
+            nearest = f"the nearest: {how_many(one['nearest'][0]['people'])} deviate as much or more"
+            table.add_row(f"  {escape(one['kind'])}", _percent(one["share"]), nearest)
 
 
 def _add_further(table: Table, result: Mapping[str, Any], of: Of) -> None:

@@ -16,8 +16,8 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
+from skd_evaluator.measure.behaviour.walking import walked
 from skd_evaluator.measure.risks import Touch
-from skd_evaluator.risk.behaviour.walking import walked
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import clearance_of, in_car_frame, side_touched
 
@@ -25,13 +25,18 @@ _TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
 
 
 class AnyCar:
-    """Runs crossings as episodes."""
+    """Runs crossings as episodes.
+
+    Attributes:
+        hits: logs of those that were run last in which the car hit.
+    """
 
     car_normals = 0
 
     def __init__(self, encounter: Encounter, runner: EpisodeRunner) -> None:
         """Run episodes by `runner`."""
         self._encounter, self._runner = encounter, runner
+        self.hits: list[EpisodeLog] = []
         self._specs: list[Episode] = []
         scenarios: dict[float, Scenario] = {}
         for index, phi in enumerate(encounter.safe):
@@ -55,10 +60,12 @@ class AnyCar:
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings."""
-        logs = self._runner.run(self.episodes(crossings, scale))
+        logs = list(self._runner.run(self.episodes(crossings, scale)))
         ends = [end_of(log) for log in logs]
+        self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
         touch = np.array([one for one, _ in ends], np.int64)
-        return Ends(touch, np.array([near for _, near in ends], np.float64))
+        ticks = np.array([len(log.adversary) - 1 for log in logs], np.int64)
+        return Ends(touch, np.array([near for _, near in ends], np.float64), ticks)
 
 
 def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:

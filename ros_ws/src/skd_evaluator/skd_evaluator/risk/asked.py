@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR
-from skd_evaluator.risk.behaviour.model import Behaviour, load_behaviour
+from skd_evaluator.measure.behaviour.model import Behaviour, load_behaviour
 
 NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
 

@@ -6,26 +6,28 @@ Nothing in it depends on time or on who computes it: crude crossings draw by the
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from skd_adversary.model.road_users import road_user_named
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.choices.simulators import is_own_world
+from skd_sim.episode.episode import EpisodeLog
 from skd_sim.episode.randomness import Role, generator
 
+from skd_evaluator.campaign.judge.failures import Walkers, failures_of
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.behaviour.model import Behaviour
 from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
-from skd_evaluator.risk.behaviour.model import Behaviour
-from skd_evaluator.risk.crossings import Crossings, Encounter, Runner
+from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
 
@@ -62,14 +64,20 @@ def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
+def walkers_of(encounter: Encounter) -> Walkers:
+    """Return who walks the crude crossings."""
+    plan = encounter.plan
+    return Walkers(plan.scenario, [phi.positions for phi in encounter.safe], plan.seed, encounter.values)
+
+
 def crude_crossings(encounter: Encounter, runs: int) -> Crossings:
     """Return the crude crossings, the same for every car and at every scale; φ take turns."""
     phis = len(encounter.safe)
     phi, draw = np.arange(runs) % phis, np.arange(runs) // phis
-    seed, count = encounter.plan.seed, encounter.walker_normals
-    walker = np.empty((runs, count))
-    for row, number in enumerate(numbers_of(phi, draw)):
-        walker[row] = generator(seed, number, Role.WALKER).standard_normal(count)
+    walkers = walkers_of(encounter)
+    walker = np.empty((runs, encounter.walker_normals))
+    for row in range(runs):
+        walker[row] = walkers.normals(row)
     return Crossings(phi, walker, np.empty((runs, 0)), draw)
 
 
@@ -148,13 +156,16 @@ def with_risks(
     runs = runs_of(plan, asked, graph=external)
     by_whom: EpisodeRunner = graph if external and graph is not None else runner
     try:
-        scales = list(_scales(encounter, asked, runs, runner, by_whom, rating.assessments[0].confidence, progress))
+        hits: dict[float, dict[int, EpisodeLog]] = {}
+        confidence = rating.assessments[0].confidence
+        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits))
+        failures, failing = _failures(encounter, scales, hits, runner)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(rating, risk_note=f"its crossings ended: {error}")
     seconds = rating.seconds + time.perf_counter() - begin
-    return replace(rating, risks=Risks(asked.behaviour.as_dict(), scales), seconds=seconds)
+    return replace(rating, risks=Risks(asked.behaviour.as_dict(), scales, failures, failing), seconds=seconds)
 
 
 def _scales(
@@ -165,7 +176,9 @@ def _scales(
     by_whom: EpisodeRunner,
     confidence: float,
     progress: Progress,
+    hits: dict[float, dict[int, EpisodeLog]],
 ) -> Iterator[ScaleRisk]:
+    """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
     plan = encounter.plan
     known = KnownCar(encounter) if foretold(plan.car, plan.scenario) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
@@ -174,19 +187,39 @@ def _scales(
     effort = Effort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
-            touch = known.run_drawn(crossings, draws, scale).touch
+            ends = known.run_drawn(crossings, draws, scale)
             progress(LABEL, (number + 1) * runs, total)
         else:
-            parts = []
+            parts, mine = [], hits.setdefault(scale, {})
             for first in range(0, runs, _AT_A_TIME):
                 rows = np.arange(first, min(first + _AT_A_TIME, runs))
-                parts.append(other.run(crossings.of(rows), scale).touch)
+                parts.append(other.run(crossings.of(rows), scale))
+                mine |= dict(zip(rows[parts[-1].touch == Touch.FRONT].tolist(), other.hits, strict=True))
                 progress(LABEL, number * runs + int(rows[-1]) + 1, total)
-            touch = np.concatenate(parts)
+            ends = Ends.together(parts)
         subsets = None
-        if int((touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
+        if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
             subsets = _subsets(encounter, scale, effort, runner, None if known is not None else other, progress)
-        yield ScaleRisk(scale, touch, len(encounter.safe), subsets, confidence)
+        yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
+
+
+def _failures(
+    encounter: Encounter,
+    scales: Sequence[ScaleRisk],
+    hits: Mapping[float, Mapping[int, EpisodeLog]],
+    runner: EpisodeRunner,
+) -> tuple[dict[str, Any] | None, dict[int, EpisodeLog]]:
+    """Return the most likely failures and the logs of those that are kept; compiled crossings are run for these."""
+    found = failures_of(scales, walkers_of(encounter))
+    if found is None:
+        return None, {}
+    rows = sorted(one.row for one in found.nearest)
+    if hits:
+        logs = {row: hits[found.scale][row] for row in rows}
+    else:
+        chosen = crude_crossings(encounter, rows[-1] + 1).of(np.array(rows))
+        logs = dict(zip(rows, runner.run(AnyCar(encounter, runner).episodes(chosen, found.scale)), strict=True))
+    return found.as_dict({row: log.impact_speed for row, log in logs.items()}), logs
 
 
 def _subsets(

@@ -17,7 +17,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.risk.behaviour.walking import normals_of
+from skd_evaluator.measure.behaviour.walking import normals_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +71,12 @@ class Ends:
     Attributes:
         touch: of each, a `Touch`.
         clearance: least distance to the front of the moving car, m; 0 where, and only where, it hit.
+        ticks: how many each had, that of a contact included; None: nobody asks, as in subset simulation.
     """
 
     touch: IntArray
     clearance: FloatArray
+    ticks: IntArray | None = None
 
     def of(self, rows: IntArray) -> Ends:
         """Return some of them."""
@@ -83,7 +85,12 @@ class Ends:
     @staticmethod
     def together(parts: Sequence[Ends]) -> Ends:
         """Return several as one."""
-        return Ends(np.concatenate([one.touch for one in parts]), np.concatenate([one.clearance for one in parts]))
+        ticks = [one.ticks for one in parts if one.ticks is not None]
+        return Ends(
+            np.concatenate([one.touch for one in parts]),
+            np.concatenate([one.clearance for one in parts]),
+            np.concatenate(ticks) if len(ticks) == len(parts) else None,
+        )
 
     def where(self, chosen: npt.NDArray[np.bool_], other: Ends) -> Ends:
         """Return the ends of `other` where `chosen`, else these."""

@@ -14,7 +14,7 @@ from skd_sim.geometry.contact import sweep, to_car_frame
 from skd_sim.geometry.motion import next_speed, travelled
 from skd_sim.kernels.compilation import kernel
 
-from skd_evaluator.risk.behaviour.walking import walk
+from skd_evaluator.measure.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import clearance_of, side_touched
 
@@ -63,7 +63,7 @@ def course_of(episode: Episode) -> Course:
 @kernel
 def cross(
     course: Course, way: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
-) -> tuple[int, float]:
+) -> tuple[int, float, int]:
     """Let the car meet somebody who walks a way.
 
     Args:
@@ -75,7 +75,8 @@ def cross(
         path: 2 × 4, to work in.
 
     Returns:
-        A `Touch`, and the least clearance to the front of the moving car, m.
+        A `Touch`, the least clearance to the front of the moving car, m, and the number of ticks, that of the contact
+        included.
     """
     s = -(gap + course.gap_range * draws[0]) - course.front
     x, y, heading = road_pose(course.line, s)
@@ -104,9 +105,9 @@ def cross(
         least = min(least, near)
         if contact:
             side = side_touched(path, here, there, share, footprint, course.radius, impact, course.hit_speed)
-            return side, 0.0 if side == 1 else max(least, 1e-9)
+            return side, 0.0 if side == 1 else max(least, 1e-9), tick + 1
         x, y, speed = path[1, 0], path[1, 1], after
-    return 0, max(least, 1e-9)
+    return 0, max(least, 1e-9), count - 1
 
 
 @kernel
@@ -123,6 +124,7 @@ def cross_many(
     scale: float,
     touch: IntArray,
     clearance: FloatArray,
+    lasted: IntArray,
 ) -> None:
     """Run crossings; `car` has standard normals, or what is uniform in [0, 1) already."""
     ticks = (car.shape[1] - 1) // 2
@@ -133,7 +135,7 @@ def cross_many(
         count = walk(intended, values, walker[row], scale, course.time_step, way)
         for at in range(draws.shape[0]):
             draws[at] = 0.5 * math.erfc(-car[row, at] * math.sqrt(0.5)) if normal else car[row, at]
-        touch[row], clearance[row] = cross(course, way, count, gaps[index], draws, path)
+        touch[row], clearance[row], lasted[row] = cross(course, way, count, gaps[index], draws, path)
 
 
 class KnownCar:
@@ -161,8 +163,9 @@ class KnownCar:
 
     def _run(self, crossings: Crossings, car: FloatArray, scale: float, *, normal: bool) -> Ends:
         touch, clearance = np.empty(len(crossings), np.int64), np.empty(len(crossings))
+        lasted = np.empty(len(crossings), np.int64)
         cross_many(
             self._course, self._paths, self._lengths, self._gaps, self._values, crossings.phi,
-            np.ascontiguousarray(crossings.walker), np.ascontiguousarray(car), normal, scale, touch, clearance,
+            np.ascontiguousarray(crossings.walker), np.ascontiguousarray(car), normal, scale, touch, clearance, lasted,
         )  # fmt: skip
-        return Ends(touch, clearance)
+        return Ends(touch, clearance, lasted)

@@ -7,6 +7,8 @@ from typing import Any
 
 from skd_sim.choices.options import EpisodeOptions, option
 
+from skd_evaluator.measure import behaviour
+
 SYNTHETIC = "synthetic"
 OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
@@ -16,8 +18,7 @@ MARGIN_LIMIT_TEXT = (
     "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
     "exact and needs no search"
 )
-WALKERS = "walkers"
-NO_BEHAVIOUR = "none"
+WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
 BEHAVIOUR_TEXT = (
     "how people walk who are not out to be hit, for the risk R(s): how likely the front of the moving car hits them. "
     "walkers (pedestrians who cross before a slow vehicle), a file that skd behaviour fit has written, or none: then "

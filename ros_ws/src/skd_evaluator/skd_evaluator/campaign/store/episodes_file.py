@@ -15,6 +15,8 @@ from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import split_episode_id
+from skd_evaluator.campaign.store.stored_failures import failure_columns
+from skd_evaluator.measure.risks import ScaleRisk, Touch
 
 _NOWHERE = (math.nan, math.nan)
 _BELIEVED = len(BelievedCar._fields)
@@ -193,6 +195,12 @@ def _margin_columns(rating: Rating) -> Columns:
     }
 
 
+def _contact_ticks(risk: ScaleRisk) -> npt.NDArray[np.int32]:
+    """Return of each crude crossing the number of the tick of a hit, from 1; 0 of one that is none."""
+    ticks = np.zeros(len(risk.touches), np.int32) if risk.ticks is None else risk.ticks
+    return np.where(risk.touches == Touch.FRONT, ticks, 0).astype(np.int32)
+
+
 def _risk_columns(rating: Rating) -> Columns:
     """Return how the crossings of the risk ended, scale by scale; nothing where the risk is not known.
 
@@ -211,4 +219,6 @@ def _risk_columns(rating: Rating) -> Columns:
         "risk_levels": np.array([levels if one is None else one.levels for one in subsets], np.int64).reshape(-1),
         "risk_per_level": np.array([0 if one is None else one.per_level for one in subsets], np.int64),
         "risk_open": np.array([0 if one is None else one.open_levels for one in subsets], np.int64),
+        "risk_tick": np.concatenate([_contact_ticks(one) for one in scales]),
+        **(failure_columns(rating.risks.failing) if rating.risks.failing else {}),
     }

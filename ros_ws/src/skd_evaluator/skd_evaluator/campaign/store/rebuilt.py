@@ -24,6 +24,7 @@ from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
+from skd_evaluator.campaign.store.stored_failures import with_failures
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins
@@ -133,7 +134,8 @@ def rebuilt(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
     rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
     rating = replace(rating, assessments=tuple(_with_floors(one, stored) for one in rating.assessments))
     margins = _margins(figures, stored, scenario, confidence)
-    return replace(rating, margins=margins, risks=stored_risks(figures, stored, confidence))
+    risks = stored_risks(figures, stored, confidence)
+    return replace(rating, margins=margins, risks=risks and with_failures(risks, stored, scenario))
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:
@@ -211,6 +213,8 @@ def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence:
         return None
     scales = further["risk_scale"].tolist()
     touches = further["risk_touch"].astype(np.int64).reshape(len(scales), -1)
+    # Older files do not say when somebody is hit.
+    ticks = further["risk_tick"].astype(np.int64).reshape(touches.shape) if "risk_tick" in further else None
     levels = further["risk_levels"].reshape(len(scales), -1)
     shares = further["risk_share"].reshape(len(scales), -1, phis)
     if not np.isin(touches, [*map(int, Touch)]).all():
@@ -220,7 +224,7 @@ def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence:
         per_level, subsets = int(further["risk_per_level"][row]), None
         if per_level:
             subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
-        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence))
+        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, None if ticks is None else ticks[row]))
     return Risks(figures["risk"]["behaviour"], found)
 
 

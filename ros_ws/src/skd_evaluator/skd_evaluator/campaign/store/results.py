@@ -21,7 +21,7 @@ from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.campaign.store.temporary_folders import make_temporary
+from skd_evaluator.temporary_folders import make_temporary
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:

@@ -79,7 +79,18 @@ def _definitions() -> dict[str, Any]:
                 runs=_said(_COUNT, "crude crossings, aborted ones left out"),
                 hits=_said(_COUNT, "of these, by the front of the moving car"),
                 flank=_said(_COUNT, "contacts with a side or the rear of the moving car"),
-                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT, note=_TEXT))),
+                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT, note=_TEXT)),
+            failures=_said(or_null(_object(
+                scale=_said(_NUMBER, "s at which they are"), runs=_COUNT,
+                hits=_said(_COUNT, "crude crossings in which the car hits"),
+                looked_at=_said(_COUNT, "of these, told apart: the first of them"),
+                kinds=_list(_object(
+                    kind=_said(_TEXT, "what the walker did"), hits=_COUNT, share=_SHARE,
+                    nearest=_list(_object(
+                        safe_trajectory=_COUNT, attempt=_COUNT,
+                        deviation=_said(_NUMBER, "from φ, in standard deviations of people"),
+                        people=_said(_SHARE, "share of people who deviate as much or more"),
+                        impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: nobody was hit")),
         "clustering": _object(
             safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
             variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),

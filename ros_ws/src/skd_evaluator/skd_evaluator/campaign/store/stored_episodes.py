@@ -62,6 +62,13 @@ _FURTHER = {
     "risk_levels": Column(np.int64, (-1,)),
     "risk_per_level": Column(np.int64, (-1,)),
     "risk_open": Column(np.int64, (-1,)),
+    "risk_tick": Column(np.int32, (-1,)),
+    "risk_failure": Column(np.int64, (-1,)),
+    "risk_failure_positions": Column(np.float64, (-1, 2)),
+    "risk_failure_car": Column(np.float64, (-1, 3)),
+    "risk_failure_offsets": Column(np.int64, (-1,)),
+    "risk_failure_impact_time": Column(np.float64, (-1,)),
+    "risk_failure_impact_speed": Column(np.float64, (-1,)),
 }
 """What figures follow from beside the trajectories; see `rebuilt`."""
 _OF_EPISODES = ("clipped", "reason", "floor")

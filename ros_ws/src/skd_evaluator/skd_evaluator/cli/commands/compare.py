@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
@@ -19,6 +22,8 @@ from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.files import tails
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car
 from skd_evaluator.report.side_by_side import comparison_table, verdict_table
 from skd_evaluator.report.terminal import car_name, print_table
 
@@ -33,9 +38,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
-    out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     names = labels(results)
+    rated = [rated_car(result.figures, name) for result, name in zip(results, names, strict=True)]
+    cars = [one for one in rated if one is not None]
+    behind = [] if arguments.reference is None else _reference(arguments.reference, results[0])
+    out = result_folder(arguments)
+    refuse_to_replace(out.path, [*arguments.paths, *([arguments.reference] if arguments.reference else [])])
     rows = [
         {
             "car": name,
@@ -58,10 +66,12 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         "ranked_by": ranked_by,
         "confidence": confidence,
         "comparisons": entries,
+        "reference": [one.as_dict() for one in behind],
         "warnings": warnings,
     }
 
     def write(folder: Path) -> None:
+        from skd_evaluator.report.risk.picture import save_rating
         from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
 
         write_json(folder / "comparison.json", content)
@@ -72,6 +82,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         ]
         if shown:  # curves of unlike kind say nothing beside each other
             save_vulnerability(folder / "vulnerability.png", shown)
+        if ranked_by == MARGIN and len(cars) == len(results) and all(_one_scale(results[0], one) for one in results):
+            save_rating(folder / "rating.png", [*cars, *behind])
 
     problem = out.save(write)
     if arguments.json:
@@ -86,6 +98,40 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     if problem:
         print(f"skd compare: {problem}", file=sys.stderr)
     return 1 if problem else 0
+
+
+def _one_scale(first: StoredResult, other: StoredResult) -> bool:
+    """Return whether margins and risks of two results may stand in one picture."""
+    return alike(first.figures, other.figures) and first.same_safe(other)
+
+
+def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
+    """Return the basic cars of a folder that may stand behind a result.
+
+    Raises:
+        UsageError: there are fewer than two.
+    """
+    found = []
+    for subject in read_subjects([folder]):
+        car = rated_car(subject.figures, subject.label, behind=True)
+        same = len(subject.episodes.safe) == len(first.safe) and all(
+            map(np.array_equal, subject.episodes.safe, first.safe)
+        )
+        same = same and alike(subject.figures, first.figures)
+        if car is not None and same and not encounter_difference(*map(_encounter, (subject.figures, first.figures))):
+            found.append(car)
+    curve = basic_cars(found)
+    if not curve:
+        raise UsageError(
+            f"--reference {folder}: has no two basic cars with margin and risk over the φ of {first.folder}, in its "
+            "encounter and with its behaviour model; skd sweep --multipliers makes them, with its --seed, --safe and "
+            "--safe-count"
+        )
+    return curve
+
+
+def _encounter(figures: Mapping[str, Any]) -> dict[str, Any]:
+    return scenario_from_dict(figures["scenario"], "a result").as_dict()
 
 
 def _curves(result: StoredResult, *, margins: bool) -> dict[str, Any]:

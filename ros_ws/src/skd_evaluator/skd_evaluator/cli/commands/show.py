@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,8 @@ from skd_evaluator.measure.surrogate.episode import episode_measures
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_evaluator.report.repeat import repeat_command
+from skd_evaluator.report.repeat import repeat_command, repeat_crossing
+from skd_evaluator.report.risk.failures import KeptFailure, kept_failures
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,19 +39,24 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _show(subject: Subject, arguments: argparse.Namespace) -> int:
-    numbers = _chosen(subject, arguments)
+    kept = kept_failures(subject.figures)
+    numbers = _chosen(subject, arguments) if arguments.failures is None else _likeliest(kept, arguments)
+    if arguments.failures is None:
+        kept = []
+    else:
+        subject = replace(subject, episodes=subject.failing)
     out = result_folder(arguments)
     refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
     entries = [
-        {**_entry(subject, number, name), "measures": _measures(subject, number)}
+        {**_entry(subject, number, name, kept), "measures": _measures(subject, number)}
         for number, name in zip(numbers, names, strict=True)
     ]
     content = {"result": str(arguments.path), "episodes": entries}
 
     def write(folder: Path) -> None:
         for number, name in zip(numbers, names, strict=True):
-            save_episode(folder / name, shown_episode(subject, number))
+            save_episode(folder / name, shown_episode(subject, number, kept))
         write_json(folder / "show.json", content)
 
     out.write(write)
@@ -91,15 +99,26 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
     return order[: arguments.worst]
 
 
-def shown_episode(subject: Subject, number: int) -> ShownEpisode:
-    """Return an episode of a result as it is drawn."""
+def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> list[int]:
+    """Return the places of the failures that are asked for: the nearest of each kind first, then the next of each.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if not kept:
+        raise UsageError(f"--failures: {arguments.path} has none: nobody was hit in crossings of its risk")
+    return sorted(range(len(kept)), key=lambda place: (kept[place].rank, place))[: arguments.failures]
+
+
+def shown_episode(subject: Subject, number: int, kept: Sequence[KeptFailure] = ()) -> ShownEpisode:
+    """Return an episode of a result as it is drawn; with `kept`, one of the failures that are kept."""
     episodes = subject.episodes
     adversary, car = episodes.until_contact(number)
     times = [tick * episodes.time_step for tick in range(len(adversary))]
     if episodes.collided[number]:
         times[-1] = float(episodes.impact_time[number])
     return ShownEpisode(
-        _title(subject, number),
+        _title(subject, number, kept),
         subject.scenario,
         episodes.safe[int(episodes.safe_index[number])],
         adversary,
@@ -130,19 +149,20 @@ def _said(measures: dict[str, Any]) -> str:
     return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)
 
 
-def _title(subject: Subject, number: int) -> str:
+def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
     episodes, figures = subject.episodes, subject.figures
     name = figures["per_safe_trajectory"][int(episodes.safe_index[number])]["name"]
     objective = str(episodes.objective[number])
-    who = f"kamikaze of objective {objective}" if objective else "along φ"
+    who = f"kamikaze of objective {objective}" if objective else kept[number].text if kept else "along φ"
     skd = "" if figures["skd"] is None else f" (SKD {figures['skd']:.2f} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
     if episodes.collided[number]:
         ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deformation {episodes.deformation[number]:.2f} m"
-    return f"{subject.label}{skd}\n{name}, {who}: {ended}"
+    ended = f"\n{kept[number].likely}, {ended}" if kept else f" {ended}"
+    return f"{subject.label}{skd}\n{name}, {who}:{ended}"
 
 
-def _entry(subject: Subject, number: int, name: str) -> dict[str, Any]:
+def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]) -> dict[str, Any]:
     episodes = subject.episodes
     hit = bool(episodes.collided[number])
     mode, objective, found = (
@@ -152,12 +172,15 @@ def _entry(subject: Subject, number: int, name: str) -> dict[str, Any]:
     )
     return {
         "file": name,
-        "title": _title(subject, number).replace("\n", ": "),
+        "title": _title(subject, number, kept).replace(":\n", ", ").replace("\n", ": "),
         "episode_id": found,
         "mode": mode.name.lower(),
         "objective": objective,
         "outcome": Outcome(int(episodes.outcome[number])).name.lower(),
         "deformation": float(episodes.deformation[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
-        "command": shlex.join(repeat_command(subject.figures, mode, objective, found)),
+        **({"failure": asdict(kept[number])} if kept else {}),
+        "command": shlex.join(
+            repeat_crossing(subject.figures, found) if kept else repeat_command(subject.figures, mode, objective, found)
+        ),
     }

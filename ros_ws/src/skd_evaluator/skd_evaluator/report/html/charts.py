@@ -24,7 +24,8 @@ _PLANNED = "#888888"
 Spec = dict[str, Any]
 
 
-def _spec(height: int, description: str, **rest: Any) -> Spec:
+def spec(height: int, description: str, **rest: Any) -> Spec:
+    """Return a chart as wide as its place; `height` is in px."""
     fit = {"type": "fit-x", "contains": "padding"}
     return {
         "$schema": _SCHEMA,
@@ -35,7 +36,8 @@ def _spec(height: int, description: str, **rest: Any) -> Spec:
     } | rest
 
 
-def _axis(field: str, title: str, **more: Any) -> Spec:
+def axis(field: str, title: str, **more: Any) -> Spec:
+    """Return the encoding of a number along an axis that need not begin at 0."""
     scale = more.pop("scale", {})
     return {"field": field, "type": "quantitative", "title": title, "scale": {"zero": False, **scale}, **more}
 
@@ -92,8 +94,8 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     )
     colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
     dash = {**colour, "scale": {"domain": names, "range": dashes}}
-    x = _axis("eta", "η: how far the adversary may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
-    y = _axis("rate", "can be hit (% of attempts)", scale={"domain": [0, 100]})
+    x = axis("eta", "η: how far the adversary may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
+    y = axis("rate", "can be hit (% of attempts)", scale={"domain": [0, 100]})
     line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
     layers: list[Spec] = [
         {
@@ -173,7 +175,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                 "encoding": {"x": x, "y": y},
             },
         ]
-    return _spec(
+    return spec(
         320, "Vulnerability curve: share of attempts in which somebody who strays at most η can be hit", layer=layers
     )
 
@@ -254,12 +256,12 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
             )
         if not values:
             continue
-        x: Spec = _axis("C", "multiplier C of the basic controller", scale={"padding": 12})
+        x: Spec = axis("C", "multiplier C of the basic controller", scale={"padding": 12})
         if not against:
             # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
-            axis = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
-            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": axis}
-        y = _axis("value", title, scale={"zero": figure.kind is SHARE})
+            names = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
+            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": names}
+        y = axis("value", title, scale={"zero": figure.kind is SHARE})
         if not against:
             y["axis"] = {"tickCount": 6}
         colour = {
@@ -299,7 +301,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
         if against:
             layers.insert(0, {"mark": {"type": "line", "strokeWidth": 1.2, "opacity": 0.6}, "encoding": {"y": y}})
         found.append(
-            _spec(
+            spec(
                 260 if against else 60 + _ROW * len(subjects),
                 f"{title}, with 95 % intervals",
                 data={"values": values},
@@ -319,8 +321,8 @@ def per_safe_chart() -> Spec:
     }
     colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}
     offset = {"field": "what", "type": "nominal", "scale": {"domain": kinds["domain"]}}
-    x = _axis("value", "distance from φ (m)", scale={"zero": True})
-    return _spec(
+    x = axis("value", "distance from φ (m)", scale={"zero": True})
+    return spec(
         0,
         "Distances of each attempt per φ",
         layer=[

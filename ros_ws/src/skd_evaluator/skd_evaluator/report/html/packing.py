@@ -11,6 +11,7 @@ import base64
 import gzip
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def unpack(block: str) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> dict[str, Array]:
-    """Return episodes as columns; row k of each but the ways is episode k.
+    """Return episodes as columns, behind them the failures of each subject; row k of each but the ways is episode k.
 
     `rows` says how many positions an episode has, at ticks up to the contact; 0: they are not in the page. `ways` holds
     them in units of `RESOLUTION`: of each episode x of the adversary, then y, then x and y of the car, its speed, and
@@ -76,19 +77,23 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
     columns: dict[str, list[Any]] = {name: [] for name in _KINDS}
     found: list[Array] = [np.empty(0, np.int64)]
     beliefs: list[Array] = [np.empty(0, np.int64)]
-    for place, (index, number) in enumerate(order):
-        stored = subjects[index].episodes
-        columns["subject"].append(index)
+    subjects = [*subjects, *(replace(one, episodes=one.failing) for one in subjects)]
+    count = len(subjects) // 2
+    sizes = enumerate((len(one.episodes) for one in subjects[count:]), start=count)
+    failing = [(index, number) for index, size in sizes for number in range(size)]
+    for place, (index, number) in enumerate([*order, *failing]):
+        stored, shown = subjects[index].episodes, place < ways or index >= count
+        columns["subject"].append(index % count)
         columns["objective"].append(objectives.index(str(stored.objective[number])))
         columns["hit"].append(bool(stored.hit[number]))
         columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
         for name in ("safe_index", "outcome", "deformation", "frechet", "impact_time", "impact_speed"):
             columns[name].append(getattr(stored, name)[number])
-        belief = _belief(subjects[index], number) if place < ways else None  # none where it never began
+        belief = _belief(subjects[index], number) if shown else None  # none where it never began
         columns["believed"].append(belief is not None)
         if belief is not None:
             beliefs.append(belief)
-        drawn = place < ways and bool(np.isfinite(stored.car[number]).all())  # else it was aborted before it began
+        drawn = shown and bool(np.isfinite(stored.car[number]).all())  # else it was aborted before it began
         if drawn:
             found.append(_way(subjects[index], number))
         columns["rows"].append(len(found[-1]) // _WAY if drawn else 0)

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from shlex import join
 from typing import Any
 
 import jinja2
@@ -16,15 +17,26 @@ from skd_sim.episode.episode import Mode, Outcome
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
-from skd_evaluator.report.html.rows import bounds_of, figure_rows
+from skd_evaluator.report.html.rating_charts import rating_charts
+from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.repeat import CAR_MODEL_FILE, SCENARIO_FILE, repeat_prefix, scenario_name
+from skd_evaluator.report.repeat import (
+    BEHAVIOUR_FILE,
+    CAR_MODEL_FILE,
+    SCENARIO_FILE,
+    behaviour_name,
+    crossing_prefix,
+    repeat_prefix,
+    scenario_name,
+)
+from skd_evaluator.report.risk.failures import failures_in, failures_sentence, kept_failures
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000
@@ -62,7 +74,7 @@ def render(subjects: Sequence[Subject]) -> str:
 
 
 def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> str:
-    block = pack(_content(subjects), episode_columns(subjects, order, ways))
+    block = pack({**_content(subjects), "listed": len(order)}, episode_columns(subjects, order, ways))
     script, library, style = _joined(_SCRIPTS), chart_library(), _template("style.css")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("skd_evaluator.report.html"),
@@ -76,6 +88,8 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
+        ratings=[heading for heading, _ in rating_charts(subjects)],
+        scales=len(SCALES),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
         by_phi=any(one.figures["hit_rate_ci95"] for one in subjects),
@@ -92,6 +106,8 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         palette=palette,
         scenario_file=SCENARIO_FILE,
         car_model_file=CAR_MODEL_FILE,
+        behaviour_file=BEHAVIOUR_FILE,
+        failures=any(failures_in(one.figures) for one in subjects),
         externals=any(CarUnderTest(str(one.figures["controller"])).is_external for one in subjects),
     )
 
@@ -106,6 +122,12 @@ def _view(subject: Subject) -> dict[str, Any]:
         "rows": figure_rows(subject),
         "bounds": bounds_of(subject),
         "has_margin": subject.figures["margin"] is not None,
+        "failures": failure_rows(subject),
+        "failures_sentence": failures_sentence(subject.figures),
+        "behaviour": subject.figures["risk"]["behaviour"]["name"] if failures_in(subject.figures) else "",
+        "behaviour_link": ""
+        if not failures_in(subject.figures) or behaviour_name(subject.figures)
+        else _link(subject.figures["risk"]["behaviour"]),
         "per_safe": figures.per_safe_rows(subject),
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
@@ -153,6 +175,8 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
                 "etaMax": one.figures["eta_max"],
                 "margins": [[round(value, 3) for value in margins.tolist()] for margins in one.margins],
                 "ways": margin_ways(one, shown),
+                "repeatFailure": join(crossing_prefix(one.figures)) if failures_in(one.figures) else "",
+                "failures": [f"{failure.text}, {failure.likely}" for failure in kept_failures(one.figures)],
                 "repeat": {name: _prefix(one, name) for name in ("", *one.figures["objectives"])},
             }
             for one in subjects
@@ -165,13 +189,12 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
             "curves": [spec for _, spec in vulnerability_charts(subjects)],
             "comparisons": comparison_charts(subjects),
             "perSafe": per_safe_chart(),
+            "ratings": [one for _, charts in rating_charts(subjects) for one in charts],
         },
     }
 
 
 def _prefix(subject: Subject, objective: str) -> str:
-    from shlex import join
-
     return join(repeat_prefix(subject.figures, Mode.KAMIKAZE if objective else Mode.REPLAY, objective))
 
 

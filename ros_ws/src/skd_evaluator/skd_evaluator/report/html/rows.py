@@ -11,6 +11,7 @@ from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NOTHING, PAGE, counted, interval, ninety, number, percent, percent_interval
 from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.risk.failures import failures_in, kept_failures
 
 _SAME_MULTIPLIER = 1e-9
 
@@ -41,6 +42,33 @@ class Row:
 def figure_rows(subject: Subject) -> list[Row]:
     """Return the figures of a car: those that are read first, in the order of the terminal, then others."""
     return [*_first_rows(subject), *_margin_details(subject), *_planned_details(subject), *_skd_details(subject)]
+
+
+def failure_rows(subject: Subject) -> list[dict[str, Any]]:
+    """Return a row for each kind of failure, the most frequent first, with those that are kept and their places."""
+    found = failures_in(subject.figures)
+    kept = list(enumerate(kept_failures(subject.figures)))
+    names = [row["name"] for row in subject.figures["per_safe_trajectory"]]
+    return [
+        {
+            "kind": group["kind"],
+            "share": percent(group["share"], 0),
+            "hits": str(group["hits"]),
+            "nearest": [
+                {
+                    "place": place,
+                    "phi": names[where["safe_trajectory"]],
+                    "deviation": number(one.deviation, 1),
+                    "likely": one.likely,
+                    "speed": number(where["impact_speed"], 1, "m/s"),
+                }
+                for (place, one), where in zip(
+                    [pair for pair in kept if pair[1].kind == group["kind"]], group["nearest"], strict=True
+                )
+            ],
+        }
+        for group in (found["kinds"] if found else ())
+    ]
 
 
 def _first_rows(subject: Subject) -> list[Row]:

@@ -19,9 +19,11 @@ from skd_sim.inputs.outside import read_json
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.stored_failures import failing_episodes
 from skd_evaluator.files import tails
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
+from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.report.terminal import car_name
 
 _TOLERANCE = 1e-9  # m, between what assessment.json says and what the trajectories give
@@ -81,6 +83,11 @@ class Subject:
         if self.episodes.margins is None:
             return (np.empty(0),) * len(self.episodes.safe)
         return tuple(np.minimum(one, float(self.figures["eta_max"])) for one in self.episodes.margins)
+
+    @cached_property
+    def failing(self) -> StoredEpisodes:
+        """The most likely failures of the risk that are kept, as episodes, kind by kind (`kept_failures`)."""
+        return failing_episodes(self.episodes, [one.row for one in kept_failures(self.figures)])
 
     @cached_property
     def safe_key(self) -> bytes:

@@ -1,1 +1,1 @@
-"""How people deviate from the way that they intend: models as data, and their fit to people who were tracked."""
+"""What people who were tracked tell of how they deviate from the way that they intend: fits, and whether they hold."""

@@ -17,9 +17,9 @@ import numpy as np
 from scipy import special
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.risk.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
+from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
+from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
 from skd_evaluator.risk.behaviour.residuals import padded, summary
-from skd_evaluator.risk.behaviour.walking import normals_of, walk_many
 
 LEAST_TRACKS: Final = 8
 FITTED: Final = tuple(name for name, one in MEANINGS.items() if one.fitted)

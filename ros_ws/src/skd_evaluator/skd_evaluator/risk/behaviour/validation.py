@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 
+from skd_evaluator.measure.behaviour.walking import normals_of
 from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, fit_behaviour, simulated
 from skd_evaluator.risk.behaviour.residuals import HORIZONS, QUANTILES, padded, quantile_table
 from skd_evaluator.risk.behaviour.tracks import TIME_STEP, Tracked
-from skd_evaluator.risk.behaviour.walking import normals_of
 
 FOLDS: Final = 4
 WITHIN: Final = 0.2

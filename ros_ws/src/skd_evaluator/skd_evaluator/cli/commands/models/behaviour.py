@@ -19,10 +19,10 @@ from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.measure.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, behaviour_of, fit_behaviour
-from skd_evaluator.risk.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
 from skd_evaluator.risk.behaviour.residuals import HORIZONS, QUANTILES
 from skd_evaluator.risk.behaviour.tracks import TIME_STEP, Tracked, read_tracks
 from skd_evaluator.risk.behaviour.validation import WITHIN, Validation, folds_of, validate

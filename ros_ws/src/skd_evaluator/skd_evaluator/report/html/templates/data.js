@@ -22,10 +22,10 @@ async function unpack(text) {
 
 class Episodes {
   constructor(head, columns) {
-    Object.assign(this, head, { columns, count: columns.rows.length });
-    this.begin = new Uint32Array(this.count + 1);
-    this.believedFrom = new Uint32Array(this.count + 1);
-    for (let k = 0; k < this.count; k++) {
+    Object.assign(this, head, { columns, count: head.listed, total: columns.rows.length });
+    this.begin = new Uint32Array(this.total + 1);
+    this.believedFrom = new Uint32Array(this.total + 1);
+    for (let k = 0; k < this.total; k++) {
       this.begin[k + 1] = this.begin[k] + WAY * columns.rows[k];
       this.believedFrom[k + 1] = this.believedFrom[k] + BELIEF * columns.rows[k] * columns.believed[k];
     }
@@ -37,10 +37,18 @@ class Episodes {
   phi(k) { return this.subject(k).scene.safe[this.columns.safe_index[k]]; }
   outcome(k) { return this.isHit(k) ? this.hitText : this.outcomes[this.columns.outcome[k]]; }
   plans(k) { return this.columns.objective[k] > 0; } // 0: along φ, where nobody decides
-  adversary(k) { const name = this.objectives[this.columns.objective[k]]; return name ? `kamikaze, ${name}` : "along φ"; }
+  // The failures of the risk stand behind the episodes of the table, subject by subject.
+  isFailure(k) { return k >= this.count; }
+  failure(subject, place) { return this.count + this.subjects.slice(0, subject).reduce((sum, one) => sum + one.failures.length, 0) + place; }
+  adversary(k) {
+    if (this.isFailure(k)) return this.subject(k).failures[k - this.failure(this.columns.subject[k], 0)];
+   const name = this.objectives[this.columns.objective[k]];
+    return name ? `kamikaze, ${name}` : "along φ";
+  }
 
   command(k) {
-    const prefix = this.subject(k).repeat[this.objectives[this.columns.objective[k]]];
+    const { repeat, repeatFailure } = this.subject(k);
+    const prefix = this.isFailure(k) ? repeatFailure : repeat[this.objectives[this.columns.objective[k]]];
     return `${prefix} --safe-number ${this.columns.safe_index[k]} --attempt ${this.columns.attempt[k]}`;
   }
 

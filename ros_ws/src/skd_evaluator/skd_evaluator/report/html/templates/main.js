@@ -7,9 +7,20 @@ async function main() {
   await drawAll(episodes);
   await detail.show(0);
   if (episodes.count) {
-    const player = new Player(episodes, (by) => table.step(by));
+    const player = new Player(episodes, (by) => {
+      const next = player.k + by;
+      if (!episodes.isFailure(player.k)) table.step(by);
+      else if (episodes.isFailure(next) && next < episodes.total) player.load(next);
+    });
     const table = new Table(episodes, (k) => player.load(k));
     table.choose(0);
+    for (const button of document.querySelectorAll("button[data-failure]")) {
+      button.addEventListener("click", () => {
+        player.load(episodes.failure(Number(button.dataset.subject), Number(button.dataset.failure)));
+        document.getElementById("player").scrollIntoView();
+        player.start();
+      });
+    }
   } else {
     for (const one of document.querySelectorAll("#episodes .js")) one.hidden = true;
   }

@@ -45,7 +45,7 @@ def _place(path: FloatArray, moment: float) -> tuple[float, float]:
 
 
 @kernel
-def _smooth(now: float, past: float, keep: float, normal: float, tick: int) -> float:
+def smooth(now: float, past: float, keep: float, normal: float, tick: int) -> float:
     """Return the next value of a stationary process of variance 1 and of second order, both roots alike.
 
     It has a velocity: nobody stops at once, as a process of first order would have it.
@@ -101,7 +101,7 @@ def walk(
         else:
             now_pace = keep_pace * now_pace + new_pace * normals[first]
             now_turn = keep_turn * now_turn + new_turn * normals[first + 1]
-        now_doubt, past_doubt = _smooth(now_doubt, past_doubt, keep_doubt, normals[first + 2], tick), now_doubt
+        now_doubt, past_doubt = smooth(now_doubt, past_doubt, keep_doubt, normals[first + 2], tick), now_doubt
         off = min(max(tick + 1.0 - delay, 0.0), 1.0)  # share of the tick after the start
         slowed = min(max(1.0 - depth * (scale * restless * now_doubt - threshold), 0.0), 1.0)
         passed = off * slowed * math.exp(own_pace + scale * pace_noise * restless * now_pace)

@@ -20,7 +20,7 @@ from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
 
-from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, WALKERS
+from skd_evaluator.measure.behaviour import NO_BEHAVIOUR, WALKERS
 
 FILE_NAME: Final = "behaviour.yaml"
 _SHIPPED: Final = {WALKERS: Path(__file__).with_name("walkers.yaml")}

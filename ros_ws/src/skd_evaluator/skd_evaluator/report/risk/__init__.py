@@ -1,0 +1,1 @@
+"""What reports show of the risk: the most likely failures, and margin against risk."""

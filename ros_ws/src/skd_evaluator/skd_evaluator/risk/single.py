@@ -1,0 +1,37 @@
+"""One crossing of the risk by itself, the same that an assessment runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from skd_sim.episode.episode import Episode
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.behaviour.model import Behaviour
+from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.assessment_risk import walkers_of, why_no_risk
+from skd_evaluator.risk.crossings import Crossings, Encounter
+
+
+def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, attempt: int, scale: float) -> Episode:
+    """Return a crossing of a plan's risk as an episode.
+
+    Args:
+        plan: plan of the assessment.
+        behaviour: how people walk.
+        safe_number: number of φ among those of the plan, counted from 0.
+        attempt: number of the draws of walker and car on it.
+        scale: by which the walker's normals are multiplied.
+
+    Raises:
+        UsageError: the plan has no risk.
+    """
+    if why := why_no_risk(plan, behaviour):
+        raise UsageError(f"--mode risk: {why}")
+    runner = InProcessRunner(1)
+    safe = tuple(safe_trajectories(plan, runner))
+    encounter = Encounter(plan, safe, behaviour.values)
+    normals = walkers_of(encounter).normals(safe_number + attempt * len(safe))
+    one = Crossings(np.array([safe_number]), normals[None], np.empty((1, 0)), np.array([attempt]))
+    return AnyCar(encounter, runner).episodes(one, scale)[0]

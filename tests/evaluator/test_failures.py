@@ -1,0 +1,263 @@
+"""The most likely failures: why they happen, how near they are to how people walk, and that none can be made up."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal, stats
+from skd_evaluator.campaign.judge import failures as module
+from skd_evaluator.campaign.judge.failures import HARDLY, Walkers, failures_of, nine_normals
+from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.measure.behaviour.walking import normals_of
+from skd_evaluator.measure.risks import ScaleRisk, Touch
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.repeat import repeat_crossing
+from skd_evaluator.report.risk.failures import kept_failures
+from skd_evaluator.risk.asked import RiskAsked
+from skd_evaluator.risk.assessment_risk import with_risks
+from skd_evaluator.risk.single import single_crossing
+from skd_sim.choices.objective import Objective
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+
+PLAN = Plan(
+    load_scenario("crossing"), safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20, multiplier=0.8
+)
+WALKERS = load_behaviour("walkers")
+TICK = 0.3
+ASKED = RiskAsked(WALKERS, runs=60)
+
+
+def quiet(*_told: object) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def rated() -> Rating:
+    with InProcessRunner(1) as runner:
+        return rate(PLAN, [Objective.DEFORMATION], safe_trajectories(PLAN, runner), runner, quiet)
+
+
+@pytest.fixture(scope="module")
+def found(rated) -> Rating:
+    with InProcessRunner(1) as runner:
+        return with_risks(rated, ASKED, runner, quiet)
+
+
+@pytest.fixture
+def folder(found, tmp_path) -> Path:
+    write_assessment(tmp_path, found)
+    return tmp_path
+
+
+def walkers(length: float = 2.4) -> Walkers:
+    """φ leads straight across the lane, from West to East."""
+    x = np.arange(-4.0, 4.0, length * TICK / 2.0)
+    return Walkers(PLAN.scenario, [np.column_stack([x, np.zeros(x.size)])], 5, WALKERS.values)
+
+
+def normals(**of: float) -> np.ndarray:
+    """Normals of a walker: those of the person by name, of every tick by name and `_ticks`, all others 0."""
+    zero = np.zeros(normals_of(PLAN.scenario.ticks))
+    for name, value in of.items():
+        if name.endswith("_ticks"):
+            zero[4 + ["pace", "turn", "doubt", "along", "across"].index(name.removesuffix("_ticks")) :: 5] = value
+        else:
+            zero[["start", "pace", "heading", "unrest"].index(name)] = value
+    return zero
+
+
+@pytest.mark.parametrize(
+    ("kind", "of"),
+    [
+        ("starts late", {"start": 2.0, "pace": 0.3}),
+        ("starts early", {"start": -2.0}),
+        ("walks fast", {"pace": 2.5}),
+        ("walks slowly", {"pace": -2.5, "start": 0.3}),
+        ("walks slowly", {"pace_ticks": -2.5, "unrest": 2.5}),
+        ("drifts away from the car", {"turn_ticks": 1.0}),
+        ("drifts towards the car", {"turn_ticks": -1.0}),
+        ("hesitates before the lane", {"doubt_ticks": 1.0}),
+        ("sways", {"along_ticks": 20.0}),
+        (HARDLY, {}),
+        (HARDLY, {"unrest": 3.0}),
+    ],
+)
+def test_a_failure_is_named_by_what_led_furthest_from_phi(kind, of, monkeypatch):
+    here = walkers()
+    monkeypatch.setattr(Walkers, "normals", lambda _self, _row: normals(**of))
+    assert here.failure(0, 1.0, 7).kind == kind
+
+
+def test_who_hesitates_late_does_so_in_the_lane(monkeypatch):
+    late = normals()
+    late[4 + 5 * 8 + 2 : 4 + 5 * 12 : 5] = 4.0  # walks 0.36 m a tick, from 4 m West on: in the lane from tick 7 on
+    monkeypatch.setattr(Walkers, "normals", lambda _self, _row: late)
+    assert walkers().failure(0, 1.0, 13).kind == "hesitates in the lane"
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 6, 15])
+def test_nine_normals_are_standard_and_of_what_happened_before_the_contact(ticks):
+    """The means of the processes, filtered by another library, over closed forms of their deviations."""
+    drawn = np.random.default_rng(3).standard_normal(normals_of(40))
+    mine = nine_normals(drawn, ticks, WALKERS.values, TICK)
+    of_tick = drawn[4 : 4 + 5 * ticks].reshape(ticks, 5)
+    lag = np.abs(np.subtract.outer(np.arange(ticks), np.arange(ticks)))
+    for place, (column, time) in enumerate([(0, "pace_time"), (1, "turn_time")]):
+        keep = math.exp(-TICK / WALKERS.parameters[time].value)
+        inputs = of_tick[:, column] * np.r_[1.0, np.full(ticks - 1, math.sqrt(1 - keep**2))]
+        mean = signal.lfilter([1.0], [1.0, -keep], inputs).mean()
+        assert mine[4 + place] == pytest.approx(mean / math.sqrt((keep**lag).mean()))
+    keep = math.exp(-TICK / WALKERS.parameters["hesitation_time"].value)
+    covariance = (1.0 + lag * (1.0 - keep**2) / (1.0 + keep**2)) * keep**lag
+    doubt = np.linalg.cholesky(covariance) @ of_tick[:, 2]  # the process that these innovations make
+    assert mine[6] == pytest.approx(doubt.mean() / math.sqrt(covariance.mean()))
+    np.testing.assert_array_equal(mine[:4], drawn[:4])
+    np.testing.assert_array_equal(mine[7:], of_tick[-1, 3:])
+    drawn[4 + 5 * ticks :] = 9.0
+    np.testing.assert_array_equal(mine, nine_normals(drawn, ticks, WALKERS.values, TICK))
+
+
+def test_the_deviation_and_how_many_people_deviate_so(found):
+    here = failures_of(found.risks.scales, walkers_of(found))
+    for one in here.nearest:
+        drawn = walkers_of(found).normals(one.row)
+        at = found.risks.at(here.scale).ticks[one.row]
+        square = here.scale**2 * float((nine_normals(drawn, at, WALKERS.values, TICK) ** 2).sum())
+        assert one.deviation == pytest.approx(math.sqrt(square))
+        assert one.people == pytest.approx(stats.chi2.sf(square, 9))
+
+
+def walkers_of(rating: Rating) -> Walkers:
+    plan = rating.plan
+    return Walkers(plan.scenario, [one.positions for one in rating.safe], plan.seed, WALKERS.values)
+
+
+def risk(scale: float, hits: int, runs: int = 60) -> ScaleRisk:
+    touches = np.array([Touch.FRONT] * hits + [Touch.NONE] * (runs - hits), np.int64)
+    return ScaleRisk(scale, touches, 3, ticks=np.full(runs, 5))
+
+
+@pytest.mark.parametrize(
+    ("hits", "scale"), [((0, 0, 0), None), ((10, 30, 40), 1.0), ((9, 30, 40), 2.0), ((2, 5, 5), 2.0), ((1, 0, 0), 1.0)]
+)
+def test_failures_are_of_the_least_scale_that_has_enough(hits, scale, found):
+    scales = [risk(one, count) for one, count in zip((1.0, 2.0, 3.0), hits, strict=True)]
+    here = failures_of(scales, walkers_of(found))
+    assert (None if here is None else here.scale) == scale
+    if here is not None:
+        assert here.looked_at == here.hits == sum(count for _, count, _ in here.kinds)
+
+
+def test_few_are_kept_however_many_there_are(found, monkeypatch):
+    monkeypatch.setattr(module, "MOST", 40)
+    here = failures_of([risk(1.0, 60)], walkers_of(found))
+    assert (here.hits, here.looked_at) == (60, 40)
+    counts = [count for _, count, _ in here.kinds]
+    assert counts == sorted(counts, reverse=True)
+    for kind, count, nearest in here.kinds:
+        assert len(nearest) == min(3, count)
+        assert {one.kind for one in nearest} == {kind}
+        assert [one.deviation for one in nearest] == sorted(one.deviation for one in nearest)
+
+
+def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
+    """Compiled crossings, and whole episodes in two processes."""
+    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.foretold", lambda *_of: False)
+    with InProcessRunner(2) as runner:
+        other = with_risks(rated, ASKED, runner, quiet).risks
+    mine = found.risks
+    assert mine is not None
+    assert other is not None
+    assert mine.failures is not None
+    assert json.dumps(mine.failures) == json.dumps(other.failures)
+    assert mine.failing.keys() == other.failing.keys()
+    for row, log in mine.failing.items():
+        np.testing.assert_array_equal(log.adversary, other.failing[row].adversary)
+        np.testing.assert_array_equal(log.car, other.failing[row].car)
+
+
+def test_one_is_read_back_and_repeated_to_the_bit(folder):
+    (subject,) = read_subjects([folder])
+    kept = kept_failures(subject.figures)
+    assert len(kept) == len(subject.failing) > 3
+    for number, one in enumerate(kept):
+        words = repeat_crossing(subject.figures, int(subject.failing.episode_id[number]))
+        of = dict(zip(words[2::2], words[3::2], strict=True))
+        assert (of["--mode"], of["--behaviour"], float(of["--scale"])) == ("risk", "walkers", one.scale)
+        log = run_episode(
+            single_crossing(PLAN, WALKERS, int(of["--safe-number"]), int(of["--attempt"]), float(of["--scale"]))
+        )
+        assert log.hit
+        np.testing.assert_array_equal(log.adversary, subject.failing.adversary[number])
+        np.testing.assert_array_equal(log.car, subject.failing.car[number])
+        assert log.impact_time == subject.failing.impact_time[number]
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("kind", "kinds.0.kind"),
+        ("share", "kinds.0.share"),
+        ("deviation", "nearest.0.deviation"),
+        ("gone", "risk.failures"),
+        ("walker", "is of somebody who walks otherwise"),
+        ("car", "ends where nobody touches the car"),
+        ("slow", "is no hit"),
+        ("time", "has its contact at another time"),
+        ("others", "are not those nearest"),
+        ("tick", "a tick that no crossing has"),
+        ("offsets", "do not go together"),
+    ],
+)
+def test_no_failure_can_be_made_up(fault, said, folder):
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text())
+    with np.load(folder / "episodes.npz") as stored:
+        arrays = {name: array for name, array in stored.items() if name.startswith("risk_")}
+    first = figures["risk"]["failures"]["kinds"][0]
+    if fault == "kind":
+        first["kind"] = "sways"
+    elif fault == "share":
+        first["share"] += 0.01
+    elif fault == "deviation":
+        first["nearest"][0]["deviation"] *= 0.9
+    elif fault == "gone":
+        for name in [name for name in arrays if name.startswith("risk_failure") or name == "risk_tick"]:
+            del arrays[name]
+    else:
+        name, where, value = {
+            "walker": ("risk_failure_positions", (1, 0), 0.01),
+            "car": ("risk_failure_car", (slice(None), 1), -3.0),
+            "slow": ("risk_failure_impact_speed", 0, -100.0),
+            "time": ("risk_failure_impact_time", 0, 0.5),
+            "others": ("risk_failure", 0, 1),
+            "tick": ("risk_tick", slice(None), 1000),
+            "offsets": ("risk_failure_offsets", 0, 1),
+        }[fault]
+        arrays[name][where] += value
+    path.write_text(json.dumps(figures))
+    with np.load(folder / "episodes.npz") as stored:
+        others = {name: array for name, array in stored.items() if not name.startswith("risk_")}
+    np.savez_compressed(folder / "episodes.npz", **others, **arrays)
+    (folder / MANIFEST).unlink(missing_ok=True)
+    write_manifests(folder, None)
+    with pytest.raises(UsageError, match=said.replace(".", r"\.")) as error:
+        read_subjects([folder])
+    assert "\n" not in str(error.value)
+
+
+def test_a_crossing_of_another_kind_of_road_user_is_refused():
+    with pytest.raises(UsageError, match="--mode risk: behaviour walkers is of a pedestrian"):
+        single_crossing(replace(PLAN, scenario=load_scenario("cyclist")), WALKERS, 0, 0, 1.0)
