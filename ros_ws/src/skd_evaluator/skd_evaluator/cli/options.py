@@ -29,6 +29,7 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.cli.gate import add_gate_arguments
 from skd_evaluator.cli.model_options import add_model_commands
+from skd_evaluator.cli.regulator_options import add_regulator_command
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -327,6 +328,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the file to write (default: standard output)",
     )
 
+    add_regulator_command(commands)
     add_model_commands(commands)
 
     completion = commands.add_parser(
