@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module  # it is slow to import, an extra, and nobody else's
 from importlib.util import find_spec
 
 from skd_evaluator.ncap.matrices import encounters_of, matrix_of
 from skd_evaluator.ncap.result import Grid, Points
 
 PACKAGE = "euroncap_rating_2026"
-HOW = 'points are computed by euroncap-rating-2026, which is not installed: pip install "skd[ncap]"'
+HOW = (
+    "they are computed by Euro NCAP's own calculator, which is not installed: python -m pip install "
+    "'euroncap-rating-2026>=5.4.9,<6'"
+)
+_MODULES = ("crash_avoidance.matrix_processing", "crash_avoidance.test_info")
 
 
 def with_calculator() -> bool:
@@ -34,16 +39,11 @@ def _points(test: str, grids: Sequence[Grid]) -> Points:
         return Points(
             test, why=f"{len(cells)} of {wanted} tests have a colour; they are those of {' and '.join(names)}"
         )
-    # Slow to import, and nobody else's: only now.
-    from euroncap_rating_2026.common import PredictionColor
-    from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
-    from euroncap_rating_2026.crash_avoidance.matrix_processing import TestPoint, TestRange
-    from euroncap_rating_2026.crash_avoidance.test_info import compute_predicted_score
-
+    kinds, scores, colours = (import_module(f"{PACKAGE}.{name}") for name in (*_MODULES, "common"))
     tests = [
-        TestPoint(0, number, PredictionColor(cell.colour), TestRange(cell.range.capitalize()))
+        kinds.TestPoint(0, number, colours.PredictionColor(cell.colour), kinds.TestRange(cell.range.capitalize()))
         for number, cell in enumerate(cells)
     ]
-    standard, extended = compute_predicted_score(test, tests)
-    most = TOTAL_SCORES[test]
+    standard, extended = scores.compute_predicted_score(test, tests)
+    most = kinds.data_model.TOTAL_SCORES[test]
     return Points(test, float(standard), float(most["Standard"]), float(extended), float(most["Extended"]))
