@@ -108,11 +108,11 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
     assert 0.95 * beside < cell.margin < beside + 0.1
     assert "G  0" in done.stdout
     assert "!" in done.stdout
-    assert "1 of 1 tests are green. 1 of them with less than 0.5 m of room" in done.stdout
+    assert "1 of 1 test is green, 1 with less than 0.5 m of room: the least is 0.18 m, at 30 km/h, 90 %." in done.stdout
     assert 'class="green narrow"' in (cars / "out" / "ncap.html").read_text("utf-8")
     quiet = skd("ncap", "--controller", "ncap_cars:JustPasses", "--encounters", "still.yaml", "--speeds", "30:30:1",
                 *FEW, "--room", "0.01", "--out", "wide", cwd=cars)  # fmt: skip
-    assert "None of them has less than 0.01 m of room" in quiet.stdout
+    assert "1 of 1 test is green, none with less than 0.01 m of room." in quiet.stdout
 
 
 def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from skd_evaluator.ncap.colours import GREEN
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.report.terminal import counted
 
 NOTHING = "–"
 LEGEND = "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m)"
@@ -103,18 +105,16 @@ def narrow_ones(grid: Grid, room: float) -> list[Cell]:
 def headline(grid: Grid, room: float) -> str:
     """Return what is to be said of a grid first, in a sentence or two."""
     coloured = [cell for cell in grid.cells if cell.colour]
-    green, narrow = sum(cell.colour == "green" for cell in coloured), narrow_ones(grid, room)
+    green, narrow = sum(cell.colour == GREEN for cell in coloured), narrow_ones(grid, room)
     if not coloured:
         return "No test has a colour."
-    said = f"{green} of {len(coloured)} tests are green."
-    if not narrow:
-        known = any(cell.margin is not None for cell in coloured)
-        return f"{said} None of them has less than {room:g} m of room." if green and known else said
-    least = narrow[0]
-    return (
-        f"{said} {len(narrow)} of them with less than {room:g} m of room, the least {least.margin:.2f} m "
-        f"({row_name(least)})."
-    )
+    said = f"{green} of {counted(len(coloured), 'test')} {'is' if green == 1 else 'are'} green"
+    if narrow:
+        least = narrow[0]
+        where = f"the least is {margin_text(least)} m, at {row_name(least)}"
+        return f"{said}, {len(narrow)} with less than {room:g} m of room: {where}."
+    known = green and any(cell.margin is not None for cell in coloured)
+    return f"{said}, none with less than {room:g} m of room." if known else f"{said}."
 
 
 def points_lines(found: Ncap) -> list[str]:
