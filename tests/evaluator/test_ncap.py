@@ -16,7 +16,7 @@ from skd_evaluator.cli.commands import ncap
 from skd_evaluator.ncap import points
 from skd_evaluator.ncap.colours import colour_of
 from skd_evaluator.ncap.judging import scenario_of, wanted_cells
-from skd_evaluator.ncap.layout import layout_of, margin_text
+from skd_evaluator.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
 from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -267,13 +267,31 @@ def test_a_file_of_another_version_or_kind_is_refused(tmp_path):
 
 
 def test_a_green_test_with_as_much_room_as_wanted_is_not_narrow():
-    green = {"colour": "green", "value": 0.0, "touched": False, "margins": (0.5,)}
+    green = {"colour": "green", "value": 0.0, "impact_speed": 0.0, "touched": False, "margins": (0.5,)}
     for margin, narrow in ((0.5, False), (0.49, True), (None, False)):
         (cell,) = small(**green, margin=margin).grids[0].cells
         assert cell.is_narrow(0.5) == narrow
-    (cell,) = small().grids[0].cells
-    assert not cell.is_narrow(9.0)
+    head_on = {"colour": "green", "criterion": "speed reduction", "value": 25.0, "margin": 0.0, "margins": (0.0,)}
+    for changes in ({}, head_on):  # red, and green though it hits
+        (cell,) = small(**changes).grids[0].cells
+        assert not cell.is_narrow(9.0)
     assert margin_text(Cell(speed=1.0, margin=5.0, margins=(5.0, 5.0), beyond=2)) == "≥5.00"
+
+
+def test_what_is_said_of_a_grid():
+    unsure = Cell(speed=30.0, place=50.0, colour="green", margin=2.0, margins=(2.0,), converged=False)
+    refused = [
+        Cell(speed=speed, place=50.0, why="it is too fast", margin_why="it is too fast") for speed in (70.0, 80.0)
+    ]
+    grid = Grid("cpna", "", (unsure, *refused))
+    assert headline(grid, 0.5) == "1 of 1 test is green, none with less than 0.5 m of room."
+    assert reasons(grid) == [
+        "30 km/h, 50 %: the search for the margin has not converged, which is an upper bound: try a greater "
+        "--margin-limit",
+        "2 cells, from 70 km/h, 50 %: it is too fast",
+    ]
+    assert headline(Grid("cpna", "", tuple(refused)), 0.5) == "No test has a colour."
+    assert headline(small(margin=None, margins=()).grids[0], 0.5) == "0 of 1 test is green."
 
 
 def test_columns_are_places_or_the_speeds_of_targets():

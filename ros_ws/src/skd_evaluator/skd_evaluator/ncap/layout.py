@@ -82,8 +82,12 @@ def row_name(cell: Cell) -> str:
 
 
 def reasons(grid: Grid) -> list[str]:
-    """Return why cells have no colour, or no margin, a line for each reason."""
+    """Return why cells have no colour, no margin, or one that is too large, a line for each reason."""
     found: dict[str, list[Cell]] = {}
+    if loose := [cell for cell in grid.cells if not cell.converged]:
+        found["the search for the margin has not converged, which is an upper bound: try a greater --margin-limit"] = (
+            loose
+        )
     for cell in grid.cells:
         for why in dict.fromkeys(filter(None, (cell.why, cell.margin_why and f"no margin: {cell.margin_why}"))):
             if why != f"no margin: {cell.why}":
@@ -108,7 +112,7 @@ def headline(grid: Grid, room: float) -> str:
     green, narrow = sum(cell.colour == GREEN for cell in coloured), narrow_ones(grid, room)
     if not coloured:
         return "No test has a colour."
-    said = f"{green} of {counted(len(coloured), 'test')} {'is' if green == 1 else 'are'} green"
+    said = f"{green} of {counted(len(coloured), 'test')} {'is' if 1 in (green, len(coloured)) else 'are'} green"
     if narrow:
         least = narrow[0]
         where = f"the least is {margin_text(least)} m, at {row_name(least)}"

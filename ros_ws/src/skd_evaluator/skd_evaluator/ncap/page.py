@@ -54,7 +54,7 @@ def _details(cell: Cell) -> str:
     if cell.margins:
         said.append(f"margins of the attempts (m): {', '.join(f'{margin:.2f}' for margin in cell.margins)}")
     if not cell.converged:
-        said.append("their search has not converged: they are upper bounds")
+        said.append("they are upper bounds")
     if cell.deformation is not None:
         said.append(f"planned deformation {cell.deformation:.2f} m")
     said += [why for why in dict.fromkeys((cell.why, cell.margin_why)) if why]

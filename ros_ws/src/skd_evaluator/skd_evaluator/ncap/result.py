@@ -68,8 +68,8 @@ class Cell:
     deformation: Metres | None = None
 
     def is_narrow(self, room: float) -> bool:
-        """Return whether it is passed with less room (m) than wanted."""
-        return self.colour == GREEN and self.margin is not None and self.margin < room
+        """Return whether it is passed with less room (m) than wanted; not of one that is green though it hits."""
+        return self.colour == GREEN and not self.impact_speed and self.margin is not None and self.margin < room
 
 
 @dataclass(frozen=True)
