@@ -31,6 +31,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r"scripts/skd behaviour fit": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
+    r"scripts/skd encounters reference": "minutes: tests/evaluator/test_reference_sweep.py has smaller ones",
     r"scripts/skd encounters check": "tests/evaluator/test_encounters_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
     r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",

@@ -1,7 +1,8 @@
-"""The options of `skd ncap`; light, for every command begins with it."""
+"""The options of `skd ncap` and of `skd encounters reference`; light, for every command begins with them."""
 
 from __future__ import annotations
 
+import argparse
 from typing import Any
 
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT
@@ -15,6 +16,7 @@ from skd_evaluator.cli.arguments import (
     steps_of,
 )
 
+REFERENCE_ATTEMPTS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"
 ATTEMPTS = 5
 ROOM = 0.5  # m
@@ -63,3 +65,19 @@ def add_regulator_command(commands: Any) -> None:
     )
     add_runner_arguments(ncap)
     add_output_arguments(ncap)
+
+
+def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
+    """Add the options of `skd encounters reference`."""
+    group = encounters.add_argument_group("reference")
+    group.add_argument(
+        "--multipliers",
+        type=real_number(0.0, 100.0),
+        nargs="+",
+        metavar="C",
+        help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
+    )
+    add_count(group, "--attempts", 1, 10_000, "attempts on each φ of an encounter", default=REFERENCE_ATTEMPTS)
+    add_count(group, "--margin-limit", 0, 10_000_000, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    add_options(group, "reference")
+    add_runner_arguments(group)

@@ -70,5 +70,5 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe", "ncap"),
+        commands=("assess", "sweep", "episode", "probe", "ncap", "reference"),
     )
