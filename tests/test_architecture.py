@@ -24,6 +24,7 @@ ROOMS = {  # of the evaluator: which others each may import
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign"},
     "fusion": {"measure", "campaign", "bags"},
+    "ncap": {"measure", "campaign", "margin", "report"},
     "learning": {"campaign", "bags", "measure"},
     "risk": {"campaign", "bags", "margin", "measure"},
     "assessing": {"campaign", "floor", "margin", "report", "learning", "risk"},

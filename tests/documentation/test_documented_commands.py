@@ -31,6 +31,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r"scripts/skd behaviour fit": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
+    r"scripts/skd encounters reference": "minutes: tests/evaluator/test_reference_sweep.py has smaller ones",
     r"scripts/skd encounters check": "tests/evaluator/test_encounters_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
     r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
@@ -41,6 +42,7 @@ COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
     "assess": f"{COUNTS} --workers 1 --margin-limit 128",
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
+    "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
 }
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first

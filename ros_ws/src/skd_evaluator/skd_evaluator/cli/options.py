@@ -30,6 +30,7 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.cli.gate import add_gate_arguments
 from skd_evaluator.cli.model_options import add_model_commands
+from skd_evaluator.cli.regulator_options import add_reference_arguments, add_regulator_command
 
 
 def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
@@ -338,16 +339,24 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="list encounters, show one, check a file of your own",
         description="list: the encounters that have a name, which --scenario takes. show: what happens in some of "
         "them, with a picture each. check: the same of files of your own, after all checks that an assessment makes "
-        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds.",
+        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds. "
+        "reference: the margins of basic cars in encounters, or in those of assessments, whose cars' equivalent "
+        "multiplier then follows.",
     )
-    encounters.add_argument("action", choices=("list", "show", "check", "campaign"), help="what to do")
-    encounters.add_argument("names", nargs="*", metavar="NAME", help="names or files of encounters")
+    encounters.add_argument("action", choices=("list", "show", "check", "campaign", "reference"), help="what to do")
+    encounters.add_argument(
+        "names",
+        nargs="*",
+        metavar="NAME",
+        help="names or files of encounters; with reference also folders of assessments",
+    )
     encounters.add_argument(
         "--speeds",
         type=steps_of("km/h", 0.0, 200.0),
         metavar="FROM:TO:STEP",
         help="test speeds of the car, km/h, as 10:60:10; with campaign",
     )
+    add_reference_arguments(encounters)
     add_output_arguments(
         encounters,
         "PATH",
@@ -355,6 +364,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the file to write (default: standard output)",
     )
 
+    add_regulator_command(commands)
     add_model_commands(commands)
 
     completion = commands.add_parser(

@@ -212,7 +212,7 @@ class EpisodeOptions:
         "class of your own), or external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
-        commands=("assess", "episode", "probe"),
+        commands=("assess", "episode", "probe", "ncap"),
         field=True,
     )
     multiplier: float = option(
@@ -223,7 +223,7 @@ class EpisodeOptions:
         high=100.0,
         metavar="C",
         group="car and test",
-        commands=("assess", "episode", "probe"),
+        commands=("assess", "episode", "probe", "ncap"),
         field=True,
     )
     simulator: str = option(
@@ -288,6 +288,7 @@ class EpisodeOptions:
         low=1,
         high=100_000,
         metavar="N",
+        commands=(*COMMANDS, "ncap"),
         field=True,
         planning=True,
     )

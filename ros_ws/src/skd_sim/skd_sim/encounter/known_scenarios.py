@@ -56,11 +56,7 @@ def _extended(source: str, before: tuple[str, ...]) -> Any:
     data = scenario_of_today(_own_data(source, before), source)
     if not isinstance(data, Mapping) or _EXTENDS not in data:
         return data
-    base = data[_EXTENDS]
-    if not isinstance(base, str):
-        raise UsageError(f"{source}: {_EXTENDS} must be the name or the path of a scenario")
-    beside = Path(source).parent / base
-    base = str(beside) if not is_named(base) and Path(source).is_file() else base
+    base = _base_of(data, source)
     if base in (*before, source):
         raise UsageError(f"{source}: {_EXTENDS} leads back to {base}: a scenario cannot build upon itself")
     try:
@@ -68,6 +64,27 @@ def _extended(source: str, before: tuple[str, ...]) -> Any:
     except UsageError as error:
         raise error if before else UsageError(f"{source}: {_EXTENDS}: {error}") from error
     return _merged(found, {key: value for key, value in data.items() if key != _EXTENDS})
+
+
+def _base_of(data: Mapping[str, Any], source: str) -> str:
+    """Return the name or the path of the scenario that a file builds upon."""
+    base = data[_EXTENDS]
+    if not isinstance(base, str):
+        raise UsageError(f"{source}: {_EXTENDS} must be the name or the path of a scenario")
+    return str(Path(source).parent / base) if not is_named(base) and Path(source).is_file() else base
+
+
+def lineage(source: str) -> list[str]:
+    """Return a scenario and those that it builds upon, the nearest first.
+
+    Args:
+        source: its name, or the path of its file; one that `scenario_data` reads.
+    """
+    found, at_place = [source], _AT_PLACE.fullmatch(source)
+    if at_place is not None and source not in SCENARIOS and not Path(source).is_file():
+        return [source, *lineage(at_place[1])]
+    data = scenario_of_today(_own_data(source, ()), source)
+    return [*found, *lineage(_base_of(data, source))] if isinstance(data, Mapping) and _EXTENDS in data else found
 
 
 def _merged(base: Any, own: Any) -> Any:

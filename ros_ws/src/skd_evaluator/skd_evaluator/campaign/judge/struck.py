@@ -49,6 +49,13 @@ def closing_speed(log: EpisodeLog) -> float:
     return math.hypot(log.impact_speed * math.cos(heading) - vx, log.impact_speed * math.sin(heading) - vy)
 
 
+def speed_ahead(log: EpisodeLog) -> float:
+    """Return how fast the adversary moves the way that the car points, when the two collide, m/s."""
+    heading = _car_at_impact(log)[0][2]
+    vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+    return float(vx * math.cos(heading) + vy * math.sin(heading))
+
+
 def _car_at_impact(log: EpisodeLog) -> tuple[tuple[float, float, float], float]:
     """Return the car's pose at the impact (m, rad), and the share of the last tick at which that is."""
     share = log.impact_time / log.episode.scenario.time_step - (len(log.adversary) - 2)

@@ -52,7 +52,11 @@ class CampaignOptions(EpisodeOptions):
     )
     safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(
-        25, "how many kamikazes are planned for each safe trajectory", low=1, high=1_000_000, **_CAMPAIGN
+        25,
+        "how many kamikazes are planned for each safe trajectory",
+        low=1,
+        high=1_000_000,
+        **{**_CAMPAIGN, "commands": (*_CAMPAIGN["commands"], "ncap")},
     )
     collision_runs: int = option(
         500,
@@ -67,5 +71,5 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe"),
+        commands=("assess", "sweep", "episode", "probe", "ncap", "reference"),
     )

@@ -55,20 +55,19 @@ def without_noise(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, car=still)
 
 
-def static_tests(scenario: Scenario, car: CarUnderTest, controller: Controller | None = None) -> list[StaticTest]:
-    """Run the static test of each impact place of a scenario's protocol.
+def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[Episode]:
+    """Return the static test of each impact place of a scenario's protocol, to be run.
 
     Args:
         scenario: with a section `protocol`, and the control period that the controller declares.
         car: the car under test.
-        controller: the same, if it is there already; made by its name by default.
 
     Raises:
         UsageError: the scenario has no protocol.
     """
-    still, found = without_noise(scenario), []
-    for number, way in enumerate(regulatory_trajectories(still)):
-        episode = Episode(
+    still = without_noise(scenario)
+    return [
+        Episode(
             still,
             Mode.REPLAY,
             0,
@@ -77,6 +76,22 @@ def static_tests(scenario: Scenario, car: CarUnderTest, controller: Controller |
             controller=car.controller,
             multiplier=car.multiplier,
         )
-        assert still.protocol is not None
-        found.append(StaticTest(still.protocol.impact_places[number], run_episode(episode, controller)))
-    return found
+        for number, way in enumerate(regulatory_trajectories(still))
+    ]
+
+
+def static_tests(scenario: Scenario, car: CarUnderTest, controller: Controller | None = None) -> list[StaticTest]:
+    """Run the static test of each impact place of a scenario's protocol.
+
+    Args:
+        scenario: as of `static_episodes`.
+        car: the car under test.
+        controller: the same, if it is there already; made by its name by default.
+
+    Raises:
+        UsageError: the scenario has no protocol.
+    """
+    episodes = static_episodes(scenario, car)
+    assert scenario.protocol is not None
+    places = scenario.protocol.impact_places
+    return [StaticTest(place, run_episode(one, controller)) for place, one in zip(places, episodes, strict=True)]

@@ -28,6 +28,8 @@ _KMH = 3.6
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if arguments.multipliers and arguments.action != "reference":
+        raise UsageError("--multipliers goes with skd encounters reference")
     if arguments.action == "list":
         if arguments.names:
             raise UsageError("skd encounters list takes no names; skd encounters show does")
@@ -37,6 +39,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"skd encounters {arguments.action} needs {what}")
     if arguments.action == "campaign":
         return _campaign(arguments)
+    if arguments.action == "reference":
+        from skd_evaluator.cli.commands import reference  # only now: margins are slow to import
+
+        return reference.run(arguments)
     if arguments.speeds:
         raise UsageError("--speeds goes with skd encounters campaign")
     return _show(arguments, [load_scenario(name) for name in arguments.names])

@@ -1,0 +1,131 @@
+"""`skd ncap`: the regulator's view, test speeds × impact places with 2026's colours and the margin beside each."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from skd_adversary.safe_trajectories import REGULATORY
+from skd_sim.choices.options import options_of, values_of
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.asked import check_car
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.ncap.judging import Asked, judged_grid, scenario_of, wanted_cells
+from skd_evaluator.ncap.points import HOW, points_of, with_calculator
+from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
+from skd_evaluator.ncap.table import print_ncap
+from skd_evaluator.provenance import provenance
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.version import version
+
+_INTERRUPTED = 130
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    sources = names_in(arguments.encounters)
+    asked = asked_of(arguments, sources)
+    out = result_folder(arguments)
+    grids: list[Grid] = []
+    try:
+        with runner_of(arguments, isolated=not asked.plan.car.is_own) as runner:
+            if asked.margin_limit:
+                warm_up_margins()
+            runner.start()
+            with progress_bar(quiet=arguments.quiet) as progress:
+                for source in sources:
+                    grids.append(judged_grid(source, asked, runner, progress))
+    except KeyboardInterrupt:
+        if not grids:
+            raise
+        print_ncap(_found(arguments, asked, grids))
+        print(
+            f"skd ncap: interrupted; nothing was written. What is above is of {len(grids)} of {len(sources)} "
+            "encounters; the same command begins anew and gives the same",
+            file=sys.stderr,
+        )
+        return _INTERRUPTED
+    found = _found(arguments, asked, grids)
+    content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
+
+    def write(folder: Path) -> None:
+        from skd_evaluator.ncap.page import render  # slow to import, and needed only now
+        from skd_evaluator.ncap.picture import save_ncap
+
+        write_json(folder / RESULT, content)
+        write_table(folder / TABLE, found)
+        save_ncap(folder / PICTURE, found)
+        (folder / PAGE).write_text(render(found), encoding="utf-8")
+
+    problem = out.save(write)
+    if arguments.json:
+        print_json(content)
+    else:
+        print_ncap(found)
+        if not problem:
+            print(f"results in {out.path}")
+    failures = [problem, None if any(_is_judged(grid) for grid in grids) else "no test could be judged"]
+    for why in filter(None, failures):
+        print(f"skd ncap: {why}", file=sys.stderr)
+    return 1 if any(failures) else 0
+
+
+def names_in(text: str) -> list[str]:
+    """Return the encounters of a list with commas in between.
+
+    Raises:
+        UsageError: it is empty, or one is there twice.
+    """
+    (names,) = csv.reader([text]) if text.strip() else ([],)
+    found = [name.strip() for name in names]
+    if not found or not all(found) or len(set(found)) < len(found):
+        raise UsageError(f"--encounters must be different names with commas in between, as cpna,cpnco; got {text!r}")
+    return found
+
+
+def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
+    """Return what is asked of every encounter, after all checks that can be made before any work.
+
+    Raises:
+        UsageError: there is no such encounter or car, or they do not go together.
+    """
+    every = [(source, *wanted_cells(source, arguments.speeds)) for source in sources]
+    source, matrix, cells = every[0]
+    scenario = scenario_of(source, cells[0], matrix)
+    unsaid = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
+    values = {**unsaid, **vars(arguments), "objective": "deformation", "safe": REGULATORY, "safe_count": 1}
+    checked = check_car(values, scenario, graph=False)
+    period = None if checked.control_period == scenario.control_period else checked.control_period
+    plan = Plan(scenario, **values_of(CampaignOptions, values))
+    return Asked(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned)
+
+
+def _is_judged(grid: Grid) -> bool:
+    return any(cell.touched is not None for cell in grid.cells)
+
+
+def _found(arguments: argparse.Namespace, asked: Asked, grids: Sequence[Grid]) -> Ncap:
+    plan, counts = asked.plan, with_calculator()
+    car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
+    return Ncap(
+        skd=version(),
+        car=car,
+        seed=plan.seed,
+        attempts=plan.kamikaze_count,
+        margin_limit=asked.margin_limit,
+        room=arguments.room,
+        grids=tuple(grids),
+        points=tuple(points_of(grids)) if counts else (),
+        points_why="" if counts else HOW,
+    )

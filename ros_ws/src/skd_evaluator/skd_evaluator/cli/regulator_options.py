@@ -1,0 +1,83 @@
+"""The options of `skd ncap` and of `skd encounters reference`; light, for every command begins with them."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, MARGIN_LIMIT_TEXT
+from skd_evaluator.cli.arguments import (
+    CAR_GROUP,
+    add_count,
+    add_options,
+    add_output_arguments,
+    add_runner_arguments,
+    real_number,
+    steps_of,
+)
+
+REFERENCE_ATTEMPTS = 10
+ENCOUNTERS = "cpna,cpfa,cpnco"
+ATTEMPTS = 5
+ROOM = 0.5  # m
+
+
+def add_regulator_command(commands: Any) -> None:
+    """Add it to a parser's commands."""
+    ncap = commands.add_parser(
+        "ncap",
+        help="a regulator's tests: colours of Euro NCAP 2026, and the margin beside each",
+        description="Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does "
+        "what the protocol prescribes. Each cell has the impact speed, its colour, and beside it the margin: how far "
+        "the target would have to stray from its way, at the least, until the moving car hits. So a test that is "
+        "passed with little room stands out. This is not an official rating (docs/ncap.md).",
+    )
+    tests = ncap.add_argument_group(CAR_GROUP)
+    add_options(tests, "ncap", CAR_GROUP)
+    tests.add_argument(
+        "--encounters",
+        default=ENCOUNTERS,
+        metavar="LIST",
+        help="encounters with impact places, names or files, with commas in between (default: %(default)s)",
+    )
+    tests.add_argument(
+        "--speeds",
+        type=steps_of("km/h", 0.0, 200.0),
+        metavar="FROM:TO:STEP",
+        help="test speeds of the car, km/h, as 10:60:10 (default: those of each encounter's matrix)",
+    )
+    margins = ncap.add_argument_group("margins")
+    add_count(margins, "--margin-limit", 0, 10_000_000, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    attempts = f"how many attempts there are in each cell, each with draws of its own (default: {ATTEMPTS})"
+    add_options(margins, "ncap", "campaign", kamikaze_count={"default": ATTEMPTS, "help": attempts})
+    margins.add_argument(
+        "--planned",
+        action="store_true",
+        help="also plan kamikazes in each cell, and print the deformation that they needed behind the margin; this "
+        "takes longer",
+    )
+    margins.add_argument(
+        "--room",
+        type=real_number(0.0, 100.0),
+        default=ROOM,
+        metavar="M",
+        help="margin below which a green test stands out, m (default: %(default)s)",
+    )
+    add_runner_arguments(ncap)
+    add_output_arguments(ncap)
+
+
+def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
+    """Add the options of `skd encounters reference`."""
+    group = encounters.add_argument_group("reference")
+    group.add_argument(
+        "--multipliers",
+        type=real_number(0.0, 100.0),
+        nargs="+",
+        metavar="C",
+        help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
+    )
+    add_count(group, "--attempts", 1, 10_000, "attempts on each φ of an encounter", default=REFERENCE_ATTEMPTS)
+    add_count(group, "--margin-limit", 0, 10_000_000, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    add_options(group, "reference")
+    add_runner_arguments(group)

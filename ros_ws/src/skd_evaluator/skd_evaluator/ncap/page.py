@@ -1,0 +1,61 @@
+"""The regulator's view as one HTML page, without scripts and without any request."""
+
+from __future__ import annotations
+
+import jinja2
+
+from skd_evaluator.ncap.layout import (
+    LEGEND,
+    headline,
+    impact_text,
+    layout_of,
+    letter_of,
+    margin_text,
+    points_lines,
+    reasons,
+    row_name,
+)
+from skd_evaluator.ncap.picture import COLOURS, LIGHT
+from skd_evaluator.ncap.result import Cell, Ncap
+
+
+def render(found: Ncap) -> str:
+    """Return the page."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("skd_evaluator.ncap"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("ncap.html.j2").render(
+        found=found,
+        grids=[(grid, layout_of(grid), headline(grid, found.room), reasons(grid)) for grid in found.grids],
+        colours=COLOURS,
+        light=LIGHT,
+        legend=LEGEND,
+        points=points_lines(found),
+        letter=letter_of,
+        impact=impact_text,
+        margin=margin_text,
+        details=_details,
+    )
+
+
+def _details(cell: Cell) -> str:
+    """Return all that is known of a cell, for whoever points at it."""
+    said = [row_name(cell)]
+    if cell.range:
+        said.append(f"{cell.range} range")
+    if cell.value is not None:
+        said.append(f"{cell.criterion} {cell.value:.1f} km/h")
+    if cell.touched and not cell.impact_speed:
+        said.append("the target ran into the car, which stood")
+    if cell.margins:
+        said.append(f"margins of the attempts (m): {', '.join(f'{margin:.2f}' for margin in cell.margins)}")
+    if not cell.converged:
+        said.append("they are upper bounds")
+    if cell.deformation is not None:
+        said.append(f"planned deformation {cell.deformation:.2f} m")
+    said += [why for why in dict.fromkeys((cell.why, cell.margin_why)) if why]
+    return "; ".join(said)

@@ -1,0 +1,215 @@
+"""What `skd ncap` finds, and its file `ncap.json`: written and read back by the same description."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from skd_sim.encounter.reader import build
+from skd_sim.errors import UsageError
+from skd_sim.inputs.keys import Choice, Range
+from skd_sim.inputs.outside import read_json
+
+from skd_evaluator.ncap.colours import COLOURS, GREEN, colour_of
+from skd_evaluator.ncap.matrices import CRITERIA, Criterion
+
+RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
+VERSION: Final = 1
+STANDARD, EXTENDED = RANGES = ("standard", "extended")
+_ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
+
+KmH = Annotated[float, Range(-400.0, 400.0, "km/h")]
+Metres = Annotated[float, Range(0.0, 1e6, "m")]
+Count = Annotated[int, Range(0, 2**53, "a number of things")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One test, and what kamikazes around it can do. What is not known is None, or an empty text.
+
+    Attributes:
+        speed: test speed of the car, km/h.
+        target: speed of the target, km/h; None: that of the encounter.
+        place: impact place, % of the car's width; None: that of the encounter.
+        range: of the matrix in which it is, `standard` or `extended`.
+        criterion: what its colour goes by.
+        touched: whether the car touched the target.
+        impact_speed: speed of the car when it did, km/h; 0 where it did not.
+        value: of the criterion, km/h.
+        colour: of 2026.
+        why: why it has no colour.
+        margin: mean over the attempts of the least deformation with which anybody could have been hit, m.
+        margins: that of each attempt, m; η_max where nobody could have been.
+        beyond: attempts in which nobody could have been hit within η_max, as far as was found.
+        converged: whether the search for the margin has converged.
+        margin_why: why there is no margin.
+        deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
+    """
+
+    speed: KmH
+    target: KmH | None = None
+    place: Annotated[float, Range(-100.0, 200.0, "% of the car's width")] | None = None
+    range: Annotated[str, Choice(("", *RANGES))] = ""
+    criterion: Annotated[str, Choice(("", *CRITERIA))] = ""
+    touched: bool | None = None
+    impact_speed: KmH | None = None
+    value: KmH | None = None
+    colour: Annotated[str, Choice(("", *COLOURS))] = ""
+    why: str = ""
+    margin: Metres | None = None
+    margins: tuple[Metres, ...] = ()
+    beyond: Count = 0
+    converged: bool = True
+    margin_why: str = ""
+    deformation: Metres | None = None
+
+    def is_narrow(self, room: float) -> bool:
+        """Return whether it is passed with less room (m) than wanted; not of one that is green though it hits."""
+        return self.colour == GREEN and not self.impact_speed and self.margin is not None and self.margin < room
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The tests of one encounter.
+
+    Attributes:
+        encounter: its name, or the path of its file.
+        description: what happens in it.
+        cells: row by row.
+        test: the matrix of 2026 that it belongs to; empty: none.
+        source: where the numbers of its target come from.
+    """
+
+    encounter: str
+    description: str
+    cells: tuple[Cell, ...]
+    test: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of a matrix.
+
+    Attributes:
+        test: the matrix.
+        standard: points of its standard range.
+        standard_most: most that there are.
+        extended: points of its extended range.
+        extended_most: most that there are.
+        why: why it has none; then the others are 0.
+    """
+
+    test: str
+    standard: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
+    standard_most: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
+    extended: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
+    extended_most: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
+    why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ncap:
+    """The regulator's view of one car.
+
+    Attributes:
+        ncap: version of the file.
+        skd: version of SKD.
+        car: the car, as people read it.
+        seed: of all draws.
+        attempts: for each margin.
+        margin_limit: ticks that the search may simulate in each attempt.
+        room: margin below which a green test stands out, m.
+        grids: one for each encounter.
+        points: one for each matrix; empty where nobody computed any.
+        points_why: why nobody did.
+    """
+
+    ncap: Annotated[int, Range(VERSION, VERSION, "version of the file")] = VERSION
+    skd: str
+    car: str
+    seed: Count
+    attempts: Count
+    margin_limit: Count
+    room: Metres
+    grids: tuple[Grid, ...]
+    points: tuple[Points, ...] = ()
+    points_why: str = ""
+
+
+def rounded_kmh(speed: float) -> float:
+    """Return a speed in km/h, rounded so that what was asked for in km/h comes back as it was."""
+    return round(speed, _ROUNDED) + 0.0  # no −0
+
+
+def as_data(found: Ncap) -> dict[str, Any]:
+    """Return the result as plain data, without what is not known."""
+    known: dict[str, Any] = _known(dataclasses.asdict(found))
+    return known
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _known(one) for key, one in value.items() if one is not None and one != "" and one != ()}
+    return [_known(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def read_ncap(folder: Path) -> Ncap:
+    """Read a result back from its folder.
+
+    Raises:
+        UsageError: there is none, it is of another version, or its colours do not follow from its speeds.
+    """
+    path = folder / RESULT
+    data = read_json(path)
+    found = ncap_of(data, str(path))
+    for grid in found.grids:
+        for cell in grid.cells:
+            _check(cell, f"{path}: {grid.encounter} at {cell.speed:g} km/h")
+    return found
+
+
+def ncap_of(data: Any, where: str) -> Ncap:
+    """Return the result that plain data hold; `provenance` is not part of it."""
+    if isinstance(data, Mapping):
+        data = {key: value for key, value in data.items() if key != "provenance"}
+    return build(Ncap, data, where, "")
+
+
+def _check(cell: Cell, where: str) -> None:
+    """Refuse a cell of which one entry contradicts another."""
+    if cell.colour:
+        if cell.value is None or not cell.criterion:
+            raise UsageError(f"{where}: is {cell.colour}, and does not say of what")
+        try:
+            colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
+        except ValueError as error:
+            raise UsageError(f"{where}: {error}") from error
+        if colour != cell.colour:
+            raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
+    if cell.margin is not None and (
+        not cell.margins or not min(cell.margins) - 1e-9 <= cell.margin <= max(cell.margins) + 1e-9
+    ):
+        raise UsageError(f"{where}: its margin of {cell.margin:g} m is no mean of those of its attempts")
+
+
+def write_table(path: Path, found: Ncap) -> None:
+    """Write ncap.csv: a row for each cell."""
+    names = [one.name for one in dataclasses.fields(Cell)]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["encounter", "test", *names])
+        for grid in found.grids:
+            for cell in grid.cells:
+                values = (getattr(cell, name) for name in names)
+                writer.writerow([grid.encounter, grid.test, *(_text(value) for value in values)])
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " ".join(map(repr, value))
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,137 @@
+"""Matrices, colours and points against Euro NCAP's own calculator, where the extra `ncap` is installed."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import random
+
+import pytest
+from skd_evaluator.ncap.colours import colour_of
+from skd_evaluator.ncap.matrices import Criterion, MatrixPoint, encounters_of, known_encounters, matrix_of
+from skd_evaluator.ncap.points import points_of
+from skd_evaluator.ncap.result import Cell, Grid
+
+integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
+from euroncap_rating_2026.common import PredictionColor  # noqa: E402
+from euroncap_rating_2026.crash_avoidance import data_model, matrix_processing, test_info  # noqa: E402
+
+TESTS = sorted({matrix.test for name in known_encounters() if (matrix := matrix_of(name)) is not None})
+FRONTAL = data_model.StageSubelementKey.FC
+GRIDS = 200
+
+
+@pytest.fixture(scope="module")
+def template():
+    """The calculator's test points of each matrix, all rows of which brake, as it has them then."""
+    logging.getLogger("euroncap_rating_2026").setLevel(logging.ERROR)
+    sheets = integrity._pristine_dfs()
+    found = {}
+    for test in TESTS:
+        name = "FC - Ped & Cyc pred." if test[:2] in ("CP", "CB") else "FC - Car & PTW pred."
+        sheet = sheets[name]
+        tests = matrix_processing.get_test_matrix(sheet, test, FRONTAL)
+        if test in ("CPLA day", "CBLA"):
+            for one in tests:
+                one.color = PredictionColor.GREEN
+                one.attributes["Function"] = "AEB"
+            left, removed, _ = test_info.collapse_cpla_cbla_aeb_duplicate_rows(sheet, tests, test)
+            assert len(removed) == 2
+            tests = matrix_processing.get_test_matrix(left, test, FRONTAL)
+        for one in tests:
+            one.attributes["Function"] = "AEB"
+        found[test] = tests
+    return found
+
+
+def kmh(text: str) -> float:
+    return float(text.removesuffix(" km/h"))
+
+
+def key_of(one) -> tuple[str, float, float, float | None]:
+    place = one.attributes.get("Impact location")
+    return (
+        one.attributes.get("Turn", ""),
+        kmh(one.attributes["VUT speed"]),
+        kmh(one.attributes["Target speed"]),
+        None if place is None else float(place.removesuffix("%")),
+    )
+
+
+def ours(test: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
+    found = {}
+    for name in encounters_of(test):
+        matrix = matrix_of(name)
+        assert matrix is not None
+        turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
+        for point in matrix.points:
+            found[turn, point.speed, point.target, point.place] = point
+    return found
+
+
+def random_value(draw: random.Random, criterion: Criterion, speed: float) -> float:
+    """Often on an edge of a band: there a code of its own is wrong first."""
+    if draw.random() < 0.4:
+        return float(draw.choice([0, 10, 20, 30, 9.999999, 10.000001]))
+    return round(draw.uniform(0.0, min(speed, 60.0)), 6)
+
+
+@pytest.mark.parametrize("test", TESTS)
+def test_the_matrices_are_those_of_the_calculators_template(template, test):
+    theirs = {key_of(one): one.test_range.value.lower() for one in template[test]}
+    assert {key: "standard" if point.standard else "extended" for key, point in ours(test).items()} == theirs
+
+
+def test_colours_and_points_of_random_grids_are_the_calculators(template):
+    draw = random.Random(5)
+    seen = set()
+    for number in range(GRIDS):
+        test = TESTS[number % len(TESTS)]
+        points, theirs, coloured = ours(test), [], {}
+        for one in template[test]:
+            point = points[key_of(one)]
+            value = random_value(draw, point.criterion, point.speed)
+            measured = matrix_processing.ComputedTestPoint(one, test, value).measured_color.value
+            colour = colour_of(point.criterion, point.speed, value)
+            assert colour == measured, (test, key_of(one), value)
+            coloured[key_of(one)] = colour
+            theirs.append(dataclasses.replace(one, color=PredictionColor(measured)))
+            seen.add((point.criterion, colour))
+        standard, extended = test_info.compute_predicted_score(test, theirs)
+        (found,) = points_of(grids_of(test, coloured))
+        assert found.why == ""
+        assert (found.standard, found.extended) == (pytest.approx(standard), pytest.approx(extended))
+        most = data_model.TOTAL_SCORES[test]
+        assert (found.standard_most, found.extended_most) == (most["Standard"], most["Extended"])
+    assert len(seen) == 5 + 2 + 3
+
+
+def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], str]) -> list[Grid]:
+    turns = {"f": "Farside", "n": "Nearside"}
+    grids = []
+    for name in encounters_of(test):
+        turn = turns[name[4]] if name[1:4] in ("pta", "bta") else ""
+        cells = tuple(
+            Cell(
+                speed=key[1],
+                target=key[2],
+                place=key[3],
+                range="standard" if point.standard else "extended",
+                colour=coloured[key],
+            )
+            for key, point in ours(test).items()
+            if key[0] == turn
+        )
+        grids.append(Grid(name, "", cells, test))
+    return grids
+
+
+def test_half_a_matrix_has_no_points(template):
+    coloured = dict.fromkeys(ours("CPTAfs & CPTAns"), "green")
+    whole = grids_of("CPTAfs & CPTAns", coloured)
+    assert points_of(whole)[0].standard == pytest.approx(1.0)
+    (half,) = points_of(whole[:1])
+    assert (half.standard, half.why) == (0.0, "20 of 25 tests have a colour; they are those of cptafs and cptans")
+    blank = dataclasses.replace(whole[0].cells[0], colour="")
+    left = [dataclasses.replace(whole[0], cells=(blank, *whole[0].cells[1:])), whole[1]]
+    assert points_of(left)[0].why.startswith("24 of 25")

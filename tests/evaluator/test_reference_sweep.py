@@ -1,0 +1,73 @@
+"""`skd encounters reference`: basic cars as a yardstick, in encounters in which their margins are searched for."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from cli_support import one_line
+from skd_evaluator.assessing.library import assess
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.margin.reference import asked_of_result, equivalent_in, reference_sweep
+
+SIZES = {"collision_runs": 1, "simulations": 20, "behaviour": "none", "objective": "deformation", "workers": 1}
+
+
+def silent(*_told: object) -> None:
+    pass
+
+
+def test_margins_rise_with_c_where_they_are_searched_for(skd_here, here):
+    done = skd_here("encounters", "reference", "cpna-50", "cbna-50", "--multipliers", "0.5", "1", "1.5",
+                    "--attempts", "3", "--margin-limit", "256", "--workers", "1", "--out", "out")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    entries = json.loads((here / "out" / "reference.json").read_text("utf-8"))["references"]
+    assert [one["name"] for one in entries] == ["cpna-50", "cbna-50"]
+    for entry in entries:
+        margins = [row["margin"] for row in entry["rows"]]
+        assert margins == sorted(margins)
+        assert margins[0] + 1.0 < margins[-1]
+        assert [[len(one) for one in row["margins"]] for row in entry["rows"]] == [[3]] * 3
+    assert "cbna-50: basic cars, 1 φ × 3 attempts" in done.stdout
+
+
+def test_a_basic_car_has_the_margin_of_itself(skd_here, here):
+    """In the attempts of its own assessment; that has no exact margin, for the target comes from the right."""
+    rating = assess(scenario="cpna", multiplier=1.1, safe="regulatory", safe_count=3, kamikaze_count=3,
+                    margin_limit=256, out=here / "assessed", **SIZES)  # fmt: skip
+    assert rating.equivalent is None
+    done = skd_here("encounters", "reference", "assessed", "--multipliers", "0.9", "1", "1.2", "1.3",
+                    "--margin-limit", "256", "--workers", "1", "--out", "out", "--json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (entry,) = json.loads(done.stdout)["references"]
+    assert entry["equivalent_multiplier"] == pytest.approx(1.1, abs=0.06)
+    low, high = entry["equivalent_multiplier_ci95"]
+    assert (low or 0.0) < 1.1 < (high or 9.0)
+
+
+def test_where_margins_are_exact_they_are_those_of_an_assessment(here):
+    """And so the equivalent multiplier is what the assessment says."""
+    rating = assess(multiplier=1.0, safe_count=2, kamikaze_count=3, out=here / "assessed", **SIZES)
+    asked = asked_of_result(read_result(here / "assessed"))
+    found = reference_sweep(asked, (0.9, 1.0, 1.1), InProcessRunner(1), silent, 256)
+    assert rating.margins is not None
+    assert found[1.0].exact
+    assert [one.tolist() for one in found[1.0].per_phi] == [one.tolist() for one in rating.margins.per_phi]
+    equivalent = equivalent_in(asked, found)
+    assert equivalent is not None
+    assert equivalent.value == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("reference",), "needs a name"),
+        (("reference", "cpnaa"), "cpna"),
+        (("reference", "cpna", "--margin-limit", "0"), "without margins there is no reference"),
+        (("list", "--multipliers", "1"), "goes with skd encounters reference"),
+    ],
+)
+def test_what_cannot_be_asked_is_said_in_one_line(skd_here, here, words, said):
+    one_line(skd_here("encounters", *words, "--out", "out"), 2, said)
+    assert not (here / "out").exists()
