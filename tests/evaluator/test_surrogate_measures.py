@@ -18,8 +18,9 @@ from skd_evaluator.measure.surrogate.clearance import clearances, least_clearanc
 from skd_evaluator.measure.surrogate.collision_time import collision_times, least_collision_time
 from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
 from skd_evaluator.measure.surrogate.episode import episode_measures
-from skd_evaluator.measure.surrogate.impact import closing_speed, delta_v, fatality_risk
-from skd_evaluator.measure.surrogate.scene import Scene, scene_of, velocities
+from skd_evaluator.measure.surrogate.impact import closing_speeds, delta_v, fatality_risk
+from skd_evaluator.measure.surrogate.scene import Scene
+from skd_evaluator.measure.surrogate.scenes import Course, Scenes, scene_of, velocities
 from skd_sim.encounter.scenario import load_scenario
 
 FOOTPRINT = 2.25, 1.75, 0.9
@@ -68,7 +69,7 @@ def test_the_least_clearance_lies_between_moments_too(shape):
     between = 0
     for _ in range(SCENES):
         scene = scene_at(rng, shape, rows=5)
-        dense = scene.every(0.001)
+        dense = Scenes.of(scene).every(0.001).whole
         expected = min(distance(dense, row) for row in range(len(dense)))
         found = least_clearance(scene)
         assert expected - 0.01 <= found <= expected + 1e-6  # at 15 m/s a millisecond is 15 mm
@@ -156,9 +157,9 @@ def test_an_episode_is_a_scene_on_its_lane():
     scene = scene_of(scenario, times, adversary, car)
     assert scene.gap == pytest.approx([12.75, 10.35, 8.05])
     assert scene.seen[0] == pytest.approx([15.25, 3.5])  # ahead, and to the left: in the West of who drives North
-    assert scene.velocity == pytest.approx(velocities(times, adversary))
+    assert scene.velocity == pytest.approx(velocities(times, adversary, np.array([0, 3])))
     assert scene.closing == pytest.approx([8.0, 8.0 - 1 / 3, 8.0 - 1 / 3])
-    finer = scene.every(0.1)
+    finer = Scenes.of(scene).every(0.1).whole
     assert finer.times == pytest.approx(np.arange(7) * 0.1)
     assert finer.car[1, 1] == pytest.approx(-14.45)
 
@@ -201,7 +202,7 @@ def test_what_a_contact_does():
     for _ in range(SCENES):
         scene = scene_at(rng, (0.25, 0.0, 0.0))
         own = scene.car[1, 3] * np.array([math.cos(scene.car[1, 2]), math.sin(scene.car[1, 2])])
-        assert closing_speed(scene) == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
+        assert closing_speeds(scene)[-1] == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
         closing, mass, other = rng.uniform(0.0, 30.0), rng.uniform(800.0, 2500.0), rng.uniform(20.0, 120.0)
         # Momentum before and after; both go on together.
         together = mass * closing / (mass + other)
@@ -232,20 +233,20 @@ def test_the_measures_of_an_episode():
     times = 0.3 * np.arange(9)
     phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
     car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
-    found = episode_measures(scenario, times, phi, car, phi, collided=False)
+    found = episode_measures(scenario, Course(times, phi, car), phi, collided=False)
     scene = scene_of(scenario, times, phi, car)
     assert found["clearance"] == least_clearance(scene)
     # He goes on as φ does, at a constant velocity until its end: both predictions are the same where both lead to one.
     over = found["over_time"]
-    assert len(over["time"]) == len(over["collision_time"]) == len(over["headway"])
+    assert len(over["time"]) == len(over["time_to_collision"]) == len(over["headway"])
     both = [
         (plain, along)
-        for plain, along in zip(over["collision_time"], over["path_collision_time"], strict=True)
+        for plain, along in zip(over["time_to_collision"], over["path_time_to_collision"], strict=True)
         if plain is not None and along is not None
     ]
     for plain, along in both:
         assert plain == pytest.approx(along, abs=0.01)
     assert found["fatality_risk"] is None
-    hit = episode_measures(scenario, times, phi, car, phi, collided=True)
+    hit = episode_measures(scenario, Course(times, phi, car), phi, collided=True)
     assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
     assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]

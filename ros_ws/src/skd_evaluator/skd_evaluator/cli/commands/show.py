@@ -17,6 +17,7 @@ from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.surrogate.episode import episode_measures
+from skd_evaluator.measure.surrogate.scenes import course_of
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
@@ -112,19 +113,25 @@ def shown_episode(subject: Subject, number: int) -> ShownEpisode:
 
 def _measures(subject: Subject, number: int) -> dict[str, Any]:
     """Return the surrogate safety measures of an episode; none of one that never began."""
-    shown = shown_episode(subject, number)
-    if len(shown.times) < 2 or not np.isfinite(shown.car).all():
+    episodes, collided = subject.episodes, bool(subject.episodes.collided[number])
+    adversary, car = episodes.adversary[number], episodes.car[number]
+    if len(car) < 2 or not np.isfinite(car).all():
         return {}
-    return episode_measures(shown.scenario, shown.times, shown.adversary, shown.car, shown.phi, collided=shown.collided)
+    contact = float(episodes.impact_time[number]) if collided else None
+    course = course_of(adversary, car, episodes.time_step, contact)
+    phi = episodes.safe[int(episodes.safe_index[number])]
+    return episode_measures(subject.scenario, course, phi, collided=collided)
 
 
 def _said(measures: dict[str, Any]) -> str:
     """Return the surrogate safety measures of an episode in one line."""
     texts = {
         "clearance": "least clearance {:.2f} m",
-        "collision_time": "time to collision {:.2f} s",
+        "time_to_collision": "time to collision {:.2f} s",
         "post_encroachment_time": "post-encroachment time {:.2f} s",
+        "required_deceleration": "required deceleration {:.1f} m/s²",
         "closing_speed": "closing speed {:.1f} m/s",
+        "delta_v": "ΔV {:.1f} m/s",
         "fatality_risk": "risk of a fatality {:.1%}",
     }
     return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)
