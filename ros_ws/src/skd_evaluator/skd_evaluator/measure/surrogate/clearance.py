@@ -30,8 +30,10 @@ def least_clearances(scenes: Scenes) -> FloatArray:
     of = np.repeat(np.arange(len(least)), np.diff(scenes.starts))
     starts = np.flatnonzero(np.arange(len(scene)) < scenes.last)
     way = scene.seen[starts + 1] - scene.seen[starts]
-    # A distance changes by no more than the way: most stretches cannot have the least one inside of them.
-    nearest = 0.5 * (apart[starts] + apart[starts + 1] - np.hypot(*way.T))
+    # A distance changes by no more than the way: most stretches cannot have the least one inside of them. A box keeps
+    # its heading along a stretch, and turns at its end.
+    end = _apart(scene, scene.seen[starts + 1], scene.turned_from_car[starts])
+    nearest = 0.5 * (apart[starts] + end - np.hypot(*way.T))
     may = nearest < least[of[starts]]
     starts, way = starts[may], way[may]
     start, turned = scene.seen[starts], scene.turned_from_car[starts]
