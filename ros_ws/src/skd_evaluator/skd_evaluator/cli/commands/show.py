@@ -23,6 +23,9 @@ from skd_evaluator.report.episode_picture import ShownEpisode, check_format, sav
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import repeat_command
 
+_RUNS = 4
+"""Runs of ids that are named where there is no episode with an id."""
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
@@ -80,7 +83,8 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
             and arguments.objective in (None, str(episodes.objective[number]))
         ]
         if not found:
-            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode")
+            has = _ids(subject, arguments)
+            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode; it has {has}")
         return found
     order = [
         int(number)
@@ -90,6 +94,19 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
     if not order:
         raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")
     return order[: arguments.worst]
+
+
+def _ids(subject: Subject, arguments: argparse.Namespace) -> str:
+    """Return which ids of episodes there are, in a few words: runs of numbers by their ends."""
+    episodes, objective = subject.episodes, arguments.objective
+    ids = episodes.episode_id[episodes.objective == objective] if objective is not None else episodes.episode_id
+    found = np.unique(ids)
+    if not found.size:
+        return "none"
+    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+    texts = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    more = f" and {len(texts) - _RUNS} more such runs" if len(texts) > _RUNS else ""
+    return ", ".join(texts[:_RUNS]) + more
 
 
 def shown_episode(subject: Subject, number: int) -> ShownEpisode:
