@@ -19,7 +19,7 @@ import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.fusion.trial import figures_of
-from skd_evaluator.measure.surrogate.scene import scene_of
+from skd_evaluator.measure.surrogate.scenes import scene_of
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome, until_contact
 from skd_sim.geometry.trajectory import Trajectory

@@ -17,7 +17,7 @@ for k in np.flatnonzero(touch & (a["mode"] == 1)):
 for name, of, rows in sets:
     kept = rows & touch & ~(d[of] > a["maximum_distance"])
     of_phi = [needed[kept & mine & np.isfinite(needed)] for _, mine in each]
-    values, key = np.concatenate(of_phi), f"{name}measures.required_deceleration."
+    values, key = np.concatenate(of_phi), f"{name}measures.required_deceleration_at_entry."
     braking |= {f"{key}pairs": values.size, f"{key}undefined": kept.sum() - values.size}
     if values.size > 1:
         half = norm.ppf(0.975) * sem(values)

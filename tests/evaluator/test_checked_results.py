@@ -25,6 +25,7 @@ from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.encounter.scenario import load_scenario
@@ -352,3 +353,27 @@ def test_a_cell_in_another_folder_is_no_cell(campaign, skd_here):
     words = ("campaign", "cars.yaml", "--out", "out", "--workers", "1", "--overwrite")
     one_line(skd_here(*words), 2, "is no name of a cell's folder")
     assert outside.exists()
+
+
+# --- surrogate safety measures
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace(",collision,0,0,", ",collision,0.25,0,", 1), "line 2: clearance is 0.25"),
+        (lambda text: text.rsplit("\n", 2)[0] + "\n", "has other columns or rows"),
+        (lambda text: text.replace("headway", "headroom"), "has other columns or rows"),
+        (lambda text: text.replace(text.splitlines()[1], text.splitlines()[1] + ","), "the number of its cells"),
+    ],
+)
+def test_verify_finds_surrogate_measures_that_do_not_follow(result, change, says):
+    path = result / "surrogate_measures.csv"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(change(text), encoding="utf-8")
+    write_manifests(result)
+    (problem,) = verify(result).problems
+    assert says in problem
+    path.write_text(text, encoding="utf-8")
+    write_manifests(result)
+    assert verify(result).fine

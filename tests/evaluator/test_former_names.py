@@ -19,8 +19,10 @@ from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.former_names import NOTE, of_today
+from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.report.html.subjects import read_subjects
@@ -277,3 +279,27 @@ def test_commands_read_results_of_before(skd_here, here, folders):
     one_line(skd_here("plan", str(folders[0.5]), "--width", "0.1"), 2, "has no margin", NOTE)
     done = skd_here("plan", str(folders[0.5]), "--width", "0.5", "--figure", "deformation")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_measure_that_was_renamed_is_read_under_the_name_of_today(ratings, tmp_path):
+    """Its figures as they are, and the result is still believed with its manifest."""
+
+    def before_its_name(today: dict[str, Any]) -> dict[str, Any]:
+        found = json.loads(json.dumps(today))
+        for one in (found, *found["objectives"].values()):
+            one["measures"]["required_deceleration"] = one["measures"].pop("required_deceleration_at_entry")
+            one["measures"]["required_deceleration"]["label"] = "required deceleration"
+        del found["surrogate_measures"]
+        return found
+
+    write_assessment(tmp_path, ratings[0.5])
+    rewrite(tmp_path, before_its_name)
+    (tmp_path / "surrogate_measures.csv").unlink()
+    write_manifests(tmp_path, None)
+    read = read_result(tmp_path).figures
+    said = plain(ratings[0.5])["measures"]["required_deceleration_at_entry"]
+    assert read["measures"]["required_deceleration_at_entry"] == said
+    assert "required_deceleration" not in read["measures"]
+    found = verify(tmp_path)
+    assert found.fine
+    assert "measures.required_deceleration_at_entry.mean" in found.agree

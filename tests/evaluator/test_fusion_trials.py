@@ -216,7 +216,7 @@ def test_bags_become_sentences(simulated: Path, trials: Path, tmp_path: Path, ca
 def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
     from skd_evaluator import Plan, load_result, run_episode
     from skd_evaluator.measure.surrogate.clearance import least_clearance
-    from skd_evaluator.measure.surrogate.scene import scene_of
+    from skd_evaluator.measure.surrogate.scenes import scene_of
     from skd_sim import Mode, Trajectory
     from skd_sim.encounter.scenario import scenario_from_dict
 

@@ -55,7 +55,7 @@ NOT_RECOMPUTED = {
 
 OF_THE_CAR = (
     "objectives.", "collision_", "clustering.collision_rate", "vulnerability", "margin", "closeness", "hit_rate",
-    "impact_speed", "risk",
+    "impact_speed", "risk", "surrogate_measures",
 )  # fmt: skip
 """Figures that are of no objective."""
 
@@ -145,10 +145,11 @@ def recomputed(results):
             ("curve", "curve", "vulnerability_curve."),
             ("margins", "margin", ""),
             ("risk", "risk", ""),
+            ("surrogate", "surrogate", ""),
         ):
             entries = runpy.run_path(str(SCRIPTS / f"{name}.py"))[variable]
             found |= {f"{prefix}{key}": value for key, value in entries.items()}
-        for name in ("coupling", "intervals", "bounds", "by_phi", "margins", "recompute"):
+        for name in ("coupling", "intervals", "bounds", "by_phi", "margins", "recompute", "touching"):
             sys.modules.pop(name, None)
     assert all(f"\n{name}: " in f"\n{said.getvalue()}" for name in found)
     return found
@@ -175,11 +176,13 @@ def test_the_scripts_give_every_figure(results, recomputed):
         "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
         "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
         "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
-        "measures.warped.ci95", "measures.required_deceleration.ci95", "clustering.skd.variance_between",
+        "measures.warped.ci95", "measures.required_deceleration_at_entry.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
         "objectives.paper.probability_bound_ci95.1",
         "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
+        "surrogate_measures.along_phi.clearance.median", "surrogate_measures.along_phi.post_encroachment_time.median",
+        "surrogate_measures.kamikazes.paper.fatality_risk.worst",
         "kamikaze_success_rate_ci95", "mean_impact_speed", "mean_closing_speed", "objectives.paper.standing_contacts",
     ):  # fmt: skip
         assert figure in compared or said["maximum_distance"], figure

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
+from skd_evaluator.measure.surrogate.braking import required_decelerations
+from skd_evaluator.measure.surrogate.collision_time import collision_times
+from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.risk.failures import kept_failures
@@ -128,6 +133,40 @@ def test_the_player_moves(opened, subjects):
     opened.page.click("#next")
     assert opened.text("#command") != command
     assert opened.page.locator("#table tr.chosen").inner_text().startswith("▶ 4")
+
+
+def test_the_player_says_what_the_measures_say(opened, subjects):
+    """At the beginning of each episode, to what centimetres of the page's places come to."""
+    episodes, compared = subjects[0].episodes, 0
+    for row in range(1, 9):
+        opened.page.locator("#table tbody tr").nth(row).click()
+        words = opened.text("#command").split()
+        (mine,) = (one for one in subjects if opened.text("#playing").startswith(f"{one.label}:"))
+        episodes = mine.episodes
+        objective = words[words.index("--objective") + 1] if "--objective" in words else ""
+        wanted = int(words[words.index("--safe-number") + 1]) << 32 | int(words[words.index("--attempt") + 1])
+        same = (episodes.episode_id & (1 << 48) - 1 == wanted) & (episodes.objective == objective)
+        (number,) = np.flatnonzero(same)
+        course = course_of(episodes.adversary[number], episodes.car[number], episodes.time_step, None)
+        scene = scene_of(mine.scenario, *course)
+        time, braking = float(collision_times(scene)[0]), float(required_decelerations(scene)[0])
+        opened.page.focus("#time")
+        opened.page.keyboard.press("Home")
+        said = re.search(r"time to collision ([\d.]+) s · required deceleration ([\d.]+) m/s²", opened.text("#state"))
+        assert (said is not None) == np.isfinite(time), opened.text("#state")
+        if said is not None:
+            assert float(said[1]) == pytest.approx(time, abs=0.11)
+            assert float(said[2]) == pytest.approx(braking, abs=0.11)
+            compared += 1
+    assert opened.count("#surrogates polyline") == 2
+    assert compared > 2
+
+
+def test_surrogate_measures_are_a_table_and_no_rating(opened, subjects):
+    said = opened.text("#surrogates-section")
+    worst = subjects[0].figures["surrogate_measures"]["along_phi"]["clearance"]["median"]
+    assert f"{worst:.2f}" in said
+    assert "They are no rating" in said
 
 
 def test_the_chooser_covers_nothing_but_its_own_sections(opened):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +16,19 @@ from skd_evaluator.measure.surrogate.braking import (
     required_decelerations,
 )
 from skd_evaluator.measure.surrogate.clearance import clearances, least_clearance
-from skd_evaluator.measure.surrogate.collision_time import collision_times, least_collision_time
+from skd_evaluator.measure.surrogate.collision_time import collision_times, least_collision_time, path_collision_times
 from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
-from skd_evaluator.measure.surrogate.episode import episode_measures
-from skd_evaluator.measure.surrogate.impact import closing_speed, delta_v, fatality_risk
-from skd_evaluator.measure.surrogate.scene import Scene, scene_of, velocities
+from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES, episode_measures, surrogate_measures
+from skd_evaluator.measure.surrogate.impact import (
+    CAR_MASS,
+    MASSES,
+    closing_speeds,
+    delta_v,
+    fatality_risk,
+    greater_delta_v,
+)
+from skd_evaluator.measure.surrogate.scene import Scene
+from skd_evaluator.measure.surrogate.scenes import Course, Scenes, scene_of, velocities
 from skd_sim.encounter.scenario import load_scenario
 
 FOOTPRINT = 2.25, 1.75, 0.9
@@ -38,20 +47,20 @@ def scene_at(rng: np.random.Generator, shape: tuple[float, float, float], rows: 
     return Scene(times, car, other, np.tile(velocity, (rows, 1)), turned, FOOTPRINT, shape)
 
 
-def rectangle(x: float, y: float, turned: float, front: float, rear: float, half: float) -> shapely.Polygon:
+def rectangles(places: np.ndarray, turned: np.ndarray, front: float, rear: float, half: float) -> np.ndarray:
     corners = np.array([(front, half), (-rear, half), (-rear, -half), (front, -half)])
-    cos, sin = math.cos(turned), math.sin(turned)
-    return shapely.Polygon(corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y))
+    cos, sin = np.cos(turned), np.sin(turned)
+    turns = np.stack([np.stack([cos, sin], axis=1), np.stack([-sin, cos], axis=1)], axis=1)
+    return np.asarray(shapely.polygons(corners @ turns + places[:, None]))
 
 
-def distance(scene: Scene, row: int) -> float:
+def distances(scene: Scene) -> np.ndarray:
     """By shapely; a disc by its centre, exactly."""
-    x, y, heading, _ = scene.car[row]
-    car = rectangle(x, y, heading, *scene.footprint)
+    car = rectangles(scene.car[:, :2], scene.car[:, 2], *scene.footprint)
     radius, length, width = scene.shape
     if radius:
-        return max(0.0, car.distance(shapely.Point(scene.other[row])) - radius)
-    return float(car.distance(rectangle(*scene.other[row], scene.turned[row], length, length, width)))
+        return np.maximum(0.0, shapely.distance(car, shapely.points(scene.other)) - radius)
+    return np.asarray(shapely.distance(car, rectangles(scene.other, scene.turned, length, length, width)))
 
 
 @pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3), (0.0, 2.2, 0.9)])
@@ -59,7 +68,7 @@ def test_clearances_are_distances_of_polygons(shape):
     rng = np.random.default_rng(1)
     for _ in range(SCENES):
         scene = scene_at(rng, shape)
-        assert clearances(scene) == pytest.approx([distance(scene, row) for row in range(2)], abs=1e-9)
+        assert clearances(scene) == pytest.approx(distances(scene), abs=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(0.25, 0.0, 0.0), (0.0, 0.9, 0.3)])
@@ -68,8 +77,8 @@ def test_the_least_clearance_lies_between_moments_too(shape):
     between = 0
     for _ in range(SCENES):
         scene = scene_at(rng, shape, rows=5)
-        dense = scene.every(0.001)
-        expected = min(distance(dense, row) for row in range(len(dense)))
+        dense = Scenes.of(scene).every(0.001).whole
+        expected = distances(dense).min()
         found = least_clearance(scene)
         assert expected - 0.01 <= found <= expected + 1e-6  # at 15 m/s a millisecond is 15 mm
         between += found < clearances(scene).min() - 1e-6
@@ -92,7 +101,7 @@ def test_after_the_time_to_collision_the_outlines_touch_and_not_before(shape):
             car = scene.car[:1] + np.array([*(moment * moving), 0.0, 0.0])
             other = scene.other[:1] + moment * scene.velocity[:1]
             then = Scene(scene.times[:1], car, other, scene.velocity[:1], scene.turned[:1], FOOTPRINT, shape)
-            assert (distance(then, 0) < 1e-6) == (moment == time)
+            assert (distances(then)[0] < 1e-6) == (moment == time)
     assert met > 25
 
 
@@ -156,9 +165,9 @@ def test_an_episode_is_a_scene_on_its_lane():
     scene = scene_of(scenario, times, adversary, car)
     assert scene.gap == pytest.approx([12.75, 10.35, 8.05])
     assert scene.seen[0] == pytest.approx([15.25, 3.5])  # ahead, and to the left: in the West of who drives North
-    assert scene.velocity == pytest.approx(velocities(times, adversary))
+    assert scene.velocity == pytest.approx(velocities(times, adversary, np.array([0, 3])))
     assert scene.closing == pytest.approx([8.0, 8.0 - 1 / 3, 8.0 - 1 / 3])
-    finer = scene.every(0.1)
+    finer = Scenes.of(scene).every(0.1).whole
     assert finer.times == pytest.approx(np.arange(7) * 0.1)
     assert finer.car[1, 1] == pytest.approx(-14.45)
 
@@ -201,7 +210,7 @@ def test_what_a_contact_does():
     for _ in range(SCENES):
         scene = scene_at(rng, (0.25, 0.0, 0.0))
         own = scene.car[1, 3] * np.array([math.cos(scene.car[1, 2]), math.sin(scene.car[1, 2])])
-        assert closing_speed(scene) == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
+        assert closing_speeds(scene)[-1] == pytest.approx(math.dist(own, scene.velocity[1]), abs=1e-6)
         closing, mass, other = rng.uniform(0.0, 30.0), rng.uniform(800.0, 2500.0), rng.uniform(20.0, 120.0)
         # Momentum before and after; both go on together.
         together = mass * closing / (mass + other)
@@ -232,20 +241,83 @@ def test_the_measures_of_an_episode():
     times = 0.3 * np.arange(9)
     phi = np.column_stack([-3.5 + 1.4 * times, np.zeros(9)])
     car = np.column_stack([np.zeros(9), -20.0 + 6.0 * times, np.full(9, 6.0)])
-    found = episode_measures(scenario, times, phi, car, phi, collided=False)
+    found = episode_measures(scenario, Course(times, phi, car), phi, collided=False)
     scene = scene_of(scenario, times, phi, car)
     assert found["clearance"] == least_clearance(scene)
     # He goes on as φ does, at a constant velocity until its end: both predictions are the same where both lead to one.
     over = found["over_time"]
-    assert len(over["time"]) == len(over["collision_time"]) == len(over["headway"])
+    assert len(over["time"]) == len(over["time_to_collision"]) == len(over["headway"])
     both = [
         (plain, along)
-        for plain, along in zip(over["collision_time"], over["path_collision_time"], strict=True)
+        for plain, along in zip(over["time_to_collision"], over["path_time_to_collision"], strict=True)
         if plain is not None and along is not None
     ]
     for plain, along in both:
         assert plain == pytest.approx(along, abs=0.01)
     assert found["fatality_risk"] is None
-    hit = episode_measures(scenario, times, phi, car, phi, collided=True)
+    hit = episode_measures(scenario, Course(times, phi, car), phi, collided=True)
     assert hit["closing_speed"] == pytest.approx(math.hypot(6.0, 1.4))
     assert hit["fatality_risk_interval"][0] < hit["fatality_risk"] < hit["fatality_risk_interval"][1]
+
+
+def test_along_predicted_ways_that_are_straight_it_is_the_same_time():
+    """And none where φ ends before: who stands at its end is not on the way to a touch, or touched later."""
+    rng = np.random.default_rng(9)
+    scenario, compared = load_scenario("crossing"), 0
+    for _ in range(SCENES):
+        speed, walks = rng.uniform(1.0, 12.0), rng.uniform(0.8, 2.5)
+        times = scenario.time_step * np.arange(2)
+        phi = np.column_stack([-4.0 + walks * scenario.time_step * np.arange(30), np.full(30, 0.0)])
+        car = np.column_stack([np.zeros(2), rng.uniform(-25.0, -4.0) + speed * times, np.full(2, speed)])
+        scene = scene_of(scenario, times, phi[:2], car)
+        plain, along = collision_times(scene)[0], path_collision_times(scene, scenario, phi)[0]
+        if plain < scenario.time_step * 28:
+            assert along == pytest.approx(plain, abs=1e-6)
+            compared += math.isfinite(plain)
+        else:
+            assert along > scenario.time_step * 28
+    assert compared > 25
+
+
+@pytest.mark.parametrize("name", ["crossing", "cut_in"])
+def test_episodes_together_are_what_they_are_alone(name):
+    rng = np.random.default_rng(10)
+    scenario = load_scenario(name)
+    courses, collided = [], rng.random(SCENES) < 0.3
+    for _ in range(SCENES):
+        count = int(rng.integers(2, 9))
+        times = np.cumsum(rng.uniform(0.1, 0.4, count))
+        adversary = np.cumsum(rng.uniform(-0.6, 0.6, (count, 2)), axis=0) + rng.uniform(-4.0, 4.0, 2)
+        car = np.column_stack(
+            [np.zeros(count), np.cumsum(rng.uniform(0.0, 2.0, count)) - 8.0, rng.uniform(0, 9, count)]
+        )
+        courses.append(Course(times, adversary, car))
+    together = surrogate_measures(scenario, courses, collided)
+    for number, one in enumerate(courses):
+        alone = surrogate_measures(scenario, [one], collided[number : number + 1])
+        assert {key: values[0] for key, values in alone.items()} == pytest.approx(
+            {key: values[number] for key, values in together.items()}, abs=1e-12, nan_ok=True
+        )
+        dense = Scenes.of(scene_of(scenario, *one)).every(0.05).whole
+        least = together["clearance"][number]
+        assert least <= distances(dense).min() + 1e-9
+        assert not collided[number] or (least, together["post_encroachment_time"][number]) == (0.0, 0.0)
+    assert np.isnan(together["closing_speed"]).tolist() == (~collided).tolist()
+
+
+def test_of_a_contact_the_lighter_one_changes_more():
+    for kind, mass in MASSES.items():
+        share = max(mass, CAR_MASS) / (mass + CAR_MASS)
+        assert greater_delta_v(7.0, kind) == pytest.approx(7.0 * share)
+        assert share >= 0.5
+    assert math.isnan(greater_delta_v(7.0, "hovercraft"))
+
+
+def test_every_measure_and_mass_is_documented():
+    page = (Path(__file__).parents[2] / "docs" / "measure.md").read_text(encoding="utf-8")
+    for name, one in SURROGATE_MEASURES.items():
+        assert f"| `{name}`{', ' if one.unit else ''}{one.unit} |" in page
+    for mass in MASSES.values():
+        assert f" {mass:,.0f}" in page
+    for kmh in (20, 30, 40, 50, 59, 70, 80):
+        assert f"| {100 * fatality_risk(kmh / 3.6).value:.1f} |" in page

@@ -16,7 +16,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
-from skd_evaluator.measure.surrogate.scene import scene_of
+from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +73,12 @@ def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> 
     ran = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED) & (stored.safe_index == index)
     found = []
     for number in np.flatnonzero(ran).tolist():
-        adversary, car = stored.until_contact(number)
-        times = np.arange(len(adversary), dtype=np.float64) * stored.time_step
-        if stored.collided[number]:
-            times[-1] = stored.impact_time[number]
-        if len(times) > 1 and times[-1] <= times[-2]:  # a contact at the tick itself
-            times, adversary, car = times[:-1], adversary[:-1], car[:-1]
-        values = figures_of(scene_of(scenario, times, adversary, car), hit=bool(stored.hit[number]))
+        contact = float(stored.impact_time[number]) if stored.collided[number] else None
+        course = course_of(stored.adversary[number], stored.car[number], stored.time_step, contact)
+        values = figures_of(scene_of(scenario, *course), hit=bool(stored.hit[number]))
         if stored.collided[number]:
             values["clearance"] = 0.0
-        found.append(Trial(name, values, gap_to_crossing(scenario, car[0]), stored_name(number, stored)))
+        found.append(Trial(name, values, gap_to_crossing(scenario, course.car[0]), stored_name(number, stored)))
     return found
 
 

@@ -11,10 +11,9 @@ from skd_sim.encounter.scenario import Scenario
 
 from skd_evaluator.measure.surrogate.braking import greatest_required_deceleration
 from skd_evaluator.measure.surrogate.clearance import least_clearance
+from skd_evaluator.measure.surrogate.episode import GRID
 from skd_evaluator.measure.surrogate.scene import Scene
-
-GRID = 0.05
-"""s between the moments at which trials are looked at, whatever their rate: greatest values over time depend on it."""
+from skd_evaluator.measure.surrogate.scenes import Scenes
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def figures_of(scene: Scene, *, hit: bool) -> dict[str, float]:
     """Return the figures of a trial by what happened in it."""
     return {
         "clearance": least_clearance(scene),
-        "required_deceleration": greatest_required_deceleration(scene.every(GRID)),
+        "required_deceleration": greatest_required_deceleration(Scenes.of(scene).every(GRID).whole),
         "hit": float(hit),
     }
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_evaluator.campaign.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
+from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES
 
 NOTHING = "–"
 
@@ -102,3 +103,32 @@ def counted(count: int, thing: str) -> str:
     """Return a number with its noun, which takes an s for all but one; thousands apart, φ as it is."""
     plural = thing if count == 1 or thing.endswith("φ") else f"{thing}s"
     return f"{count:,} {plural}"
+
+
+NO_RATING = "They are no rating: they depend on who walks, and along φ nobody aims at the car."
+
+
+def surrogate_groups(figures: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return who walks, and what the measures come to; nothing where a result is of before them."""
+    found = figures.get("surrogate_measures")
+    if not found:
+        return []
+    kamikazes = [(f"kamikazes, {name}", group) for name, group in found["kamikazes"].items()]
+    groups = [("along φ", found["along_phi"]), *kamikazes]
+    return [(f"{name} ({group['episodes']})", group) for name, group in groups if group["episodes"]]
+
+
+def surrogate_rows(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
+    """Return each measure with its unit, and for each group median, worst and in how many episodes it is defined."""
+    groups = [group for _, group in surrogate_groups(figures)]
+    rows = []
+    for name, measure in SURROGATE_MEASURES.items():
+        label = f"{measure.label} ({measure.unit})" if measure.unit else measure.label
+        cells = [group.get(name) or {"median": None, "worst": None, "defined": 0} for group in groups]
+        texts = [[_surrogate(one["median"]), _surrogate(one["worst"]), str(one["defined"])] for one in cells]
+        rows.append((label, [text for one in texts for text in one]))
+    return rows
+
+
+def _surrogate(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}" if 0.0 < abs(value) < 0.1 else f"{value:.2f}"

@@ -20,7 +20,7 @@ from skd_sim.inputs.printable import one_line, own
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.formats import TERMINAL, ninety
+from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
 from skd_evaluator.report.risk.failures import failures_in, how_many
 
 
@@ -161,6 +161,23 @@ def _add_failures(table: Table, result: Mapping[str, Any]) -> None:
         for one in found["kinds"]:
             nearest = f"the nearest: {how_many(one['nearest'][0]['people'])} deviate as much or more"
             table.add_row(f"  {escape(one['kind'])}", _percent(one["share"]), nearest)
+
+
+def surrogate_table(result: Mapping[str, Any]) -> Table | None:
+    """Return what the surrogate safety measures come to, from the content of assessment.json; None without any."""
+    groups = surrogate_groups(result)
+    if not groups:
+        return None
+    table = Table(title=f"Surrogate safety measures, median and worst. {NO_RATING}", title_justify="left")
+    table.add_column("")
+    for name, _ in groups:
+        table.add_column(name, justify="right")
+    for label, cells in surrogate_rows(result):
+        pairs = zip(cells[::3], cells[1::3], strict=True)
+        table.add_row(
+            label, *(f"{median}, {worst}" if median != TERMINAL.nothing else median for median, worst in pairs)
+        )
+    return table
 
 
 def _add_further(table: Table, result: Mapping[str, Any], of: Of) -> None:

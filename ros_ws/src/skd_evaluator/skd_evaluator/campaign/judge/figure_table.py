@@ -316,6 +316,8 @@ FIGURES = (
     Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")), of=_OBJECTIVE),
     Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),
            "all figures of the kamikazes of each objective"),
+    Figure("surrogate_measures", Kind(ref("surrogate_measures")), "surrogate safety measures of the episodes: median "
+           "and worst; they are no rating", newer=True),
     Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve")))),
     Figure("seconds", Kind(ref("number"), "s"), "wall-clock time of the command, of a sweep of this car, s", _SETTING,
            told=Told.ASKED, campaign=24),

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
+from skd_evaluator.campaign.judge.surrogate_figures import Surrogates, surrogates_of
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -197,6 +199,17 @@ class Rating:
             planned.append(same)
         return closeness(planned, self.margins.per_phi, assessment.confidence)
 
+    @cached_property
+    def surrogates(self) -> Surrogates:
+        """The surrogate safety measures of all episodes, in the order of episodes.npz."""
+        kamikazes = [
+            (log, str(one.plan.objective))
+            for one in self.assessments
+            for group in one.kamikaze
+            for log in group.in_order
+        ]
+        return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.replays)])
+
     @property
     def vulnerability(self) -> Vulnerability | None:
         """The vulnerability curves, of margins and of planned kamikazes; None without an attempt."""
@@ -278,6 +291,7 @@ class Rating:
             **({} if self.verification is None else {"verification": dict(self.verification)}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
+            "surrogate_measures": self.surrogates.as_dict(),
             "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),
             "seconds": round(self.seconds, 3),
             "seed": plan.seed,

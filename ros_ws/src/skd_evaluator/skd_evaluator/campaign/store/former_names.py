@@ -1,7 +1,7 @@
 """Results of before: the keys that assessment.json had then, and what they are called today.
 
 Results of before the adversary was called so have its section in the scenario under another name, which
-`skd_sim.former_names` knows. Those of before the margin have other figures.
+`skd_sim.former_names` knows. Those of before the margin have other figures. A measure was renamed since.
 
 Before, a plain `…_ci95` took attempts, pairs or runs as independent, and `…_ci95_clustered` was the interval by φ;
 today the plain one is by φ. So the same key had another meaning, and has to be translated before anybody looks at it.
@@ -23,6 +23,8 @@ NOTE = "a result of before the margin"
 """Why a result that was translated has no margin."""
 TODAYS = ("margin", "margin_note", "deformation_ci95_attempts")
 """Keys that every result has today, whatever of them is null, and that none had before."""
+MEASURES_OF_TODAY = {"required_deceleration": "required_deceleration_at_entry"}
+"""Measures of pairs that were called otherwise: the greatest required deceleration of an episode is another figure."""
 _OF_BEFORE = "_ci95_clustered"
 """In names of keys that there were before, and are no more."""
 _INDEPENDENT = {one.key: one.independent for one in FIGURES if one.independent not in ("", CI95)}
@@ -57,6 +59,10 @@ def of_today(figures: Mapping[str, Any]) -> dict[str, Any]:
         other = before or f"no {next(name for name in TODAYS if name not in figures)}"
         raise ValueError(f"it has {present[0]} and {other}: its keys are of different versions")
     found = dict(figures) if present else _translated(figures)
+    found |= {"measures": _renamed(found["measures"])} if "measures" in found else {}
+    if "objectives" in found:
+        objectives = {name: {**one, "measures": _renamed(one["measures"])} for name, one in found["objectives"].items()}
+        found["objectives"] = objectives
     found["knowledge"] = str(knowledge_of(figures))
     if "scenario" in found:
         found["scenario"] = scenario_of_today(found["scenario"], "scenario")
@@ -128,6 +134,14 @@ def _by_phi_plain(found: dict[str, Any], figures: Mapping[str, Any], name: str, 
 def _measure(one: Mapping[str, Any]) -> dict[str, Any]:
     rest = {name: value for name, value in one.items() if name not in ("ci95", "ci95_clustered")}
     return {**rest, "ci95_pairs": one["ci95"], "ci95": one.get("ci95_clustered")}
+
+
+def _renamed(measures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return measures of pairs under the names that they have today."""
+    names = {name: MEASURES_OF_TODAY.get(name, name) for name in measures}
+    labels = {today: today.replace("_", " ") for before, today in names.items() if before != today}
+    renamed = {names[name]: one for name, one in measures.items()}
+    return renamed | {name: {**renamed[name], "label": label} for name, label in labels.items()}
 
 
 def _no_equivalent(figures: Mapping[str, Any]) -> dict[str, Any]:

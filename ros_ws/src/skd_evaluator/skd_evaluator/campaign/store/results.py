@@ -19,6 +19,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.temporary_folders import make_temporary
@@ -243,9 +244,10 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def write_assessment(folder: Path, rating: Rating) -> None:
-    """Write assessment.json and episodes.npz."""
+    """Write assessment.json, episodes.npz and surrogate_measures.csv."""
     write_json(folder / "assessment.json", rating.as_dict())
     write_episodes(folder / "episodes.npz", rating)
+    (folder / SURROGATES).write_text(rating.surrogates.as_csv(), encoding="utf-8")
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:

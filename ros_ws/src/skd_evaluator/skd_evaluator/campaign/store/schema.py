@@ -13,6 +13,7 @@ from typing import Any
 
 from skd_evaluator.campaign.judge import figure_table as table
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, OF_OBJECTIVES, OF_PHI, Of, Schema, or_null, ref
+from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES
 
 _WIDTH = 220
 _KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)
@@ -114,6 +115,17 @@ def _definitions() -> dict[str, Any]:
             points=_list(_object(
                 eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
                 cantelli=_SHARE))),
+        "surrogate_measure": _object(
+            median=_FIGURE, worst=_FIGURE, defined=_said(_COUNT, "episodes in which it is defined")),
+        "surrogates": _object(
+            depends_on=_TEXT, episodes=_said(_COUNT, "aborted ones left out"),
+            **{
+                name: _said(ref("surrogate_measure"), one.label + (one.unit and f", {one.unit}"))
+                for name, one in SURROGATE_MEASURES.items()
+            }),
+        "surrogate_measures": _object(
+            along_phi=ref("surrogates"),
+            kamikazes=_said({"type": "object", "additionalProperties": ref("surrogates")}, "by their objective")),
         "vulnerability_curve": _object(
             kamikazes=ref("curve"),
             budgets=_list(_object(

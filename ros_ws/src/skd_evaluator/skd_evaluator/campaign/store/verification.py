@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import read_json, read_text
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
+from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, recompute
+from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
@@ -20,6 +24,8 @@ if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey
 
 _CAMPAIGN = "campaign.json"
+_AGREE = 1e-7
+"""Relative to a value in a CSV, or to 1: rounding of another machine, and of nine digits."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +124,8 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
+            if (folder / SURROGATES).exists():  # older results have none
+                problems += _surrogates_that_differ(folder / SURROGATES, rebuilt(figures, stored).surrogates)
     except UsageError as error:
         return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
     unknown: dict[str, tuple[str, ...]] = {}
@@ -163,3 +171,33 @@ def _rows_that_differ(folder: Path) -> list[str]:
     except (LookupError, TypeError, AttributeError) as error:
         found.append(f"{path}: is not of a campaign ({type(error).__name__}: {error})")
     return found
+
+
+def _surrogates_that_differ(path: Path, found: Surrogates) -> list[str]:
+    """Return where the file says something else than follows from the episodes, in a line; none: nowhere."""
+    try:
+        said = list(csv.reader(io.StringIO(read_text(path))))
+    except UsageError as error:
+        return [str(error)]
+    except csv.Error as error:
+        return [f"{path}: is no CSV ({error})"]
+    again = list(csv.reader(io.StringIO(found.as_csv())))
+    if said[:1] != again[:1] or len(said) != len(again):
+        return [f"{path}: has other columns or rows than its {len(found.logs)} episodes give"]
+    for line, (row, expected) in enumerate(zip(said, again, strict=True), 1):
+        cells = zip(again[0], row, expected, strict=False)
+        wrong = [(name, cell, other) for name, cell, other in cells if not _same_cell(cell, other)]
+        if wrong or len(row) != len(expected):
+            name, cell, other = wrong[0] if wrong else ("the number of its cells", str(len(row)), str(len(expected)))
+            return [f"{path}, line {line}: {name} is {cell[:40] or 'blank'}, its episode gives {other or 'blank'}"]
+    return []
+
+
+def _same_cell(said: str, found: str) -> bool:
+    if said == found:
+        return True
+    try:
+        one, other = float(said), float(found)
+    except ValueError:
+        return False
+    return math.isclose(one, other, rel_tol=_AGREE, abs_tol=_AGREE)

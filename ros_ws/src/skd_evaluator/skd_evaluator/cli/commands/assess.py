@@ -51,6 +51,7 @@ from skd_evaluator.report.terminal import (
     interval_notes,
     print_table,
     safe_trajectory_table,
+    surrogate_table,
 )
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.ros.programs.node_logs import log_of
@@ -116,6 +117,8 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     if not details:
         return
     print_table(details_table(result))
+    if (surrogates := surrogate_table(result)) is not None:
+        print_table(surrogates)
     print_table(safe_trajectory_table(result))
     for note in interval_notes(result):
         print(f"Interval of {note}")

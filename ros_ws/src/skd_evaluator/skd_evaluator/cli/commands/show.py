@@ -19,11 +19,15 @@ from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.surrogate.episode import episode_measures
+from skd_evaluator.measure.surrogate.scenes import course_of
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import repeat_command, repeat_crossing
 from skd_evaluator.report.risk.failures import KeptFailure, kept_failures
+
+_RUNS = 4
+"""Runs of ids that are named where there is no episode with an id."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -87,7 +91,8 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
             and arguments.objective in (None, str(episodes.objective[number]))
         ]
         if not found:
-            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode")
+            has = _ids(subject, arguments)
+            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode; it has {has}")
         return found
     order = [
         int(number)
@@ -97,6 +102,19 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
     if not order:
         raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")
     return order[: arguments.worst]
+
+
+def _ids(subject: Subject, arguments: argparse.Namespace) -> str:
+    """Return which ids of episodes there are, in a few words: runs of numbers by their ends."""
+    episodes, objective = subject.episodes, arguments.objective
+    ids = episodes.episode_id[episodes.objective == objective] if objective is not None else episodes.episode_id
+    found = np.unique(ids)
+    if not found.size:
+        return "none"
+    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+    texts = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    more = f" and {len(texts) - _RUNS} more such runs" if len(texts) > _RUNS else ""
+    return ", ".join(texts[:_RUNS]) + more
 
 
 def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> list[int]:
@@ -131,19 +149,25 @@ def shown_episode(subject: Subject, number: int, kept: Sequence[KeptFailure] = (
 
 def _measures(subject: Subject, number: int) -> dict[str, Any]:
     """Return the surrogate safety measures of an episode; none of one that never began."""
-    shown = shown_episode(subject, number)
-    if len(shown.times) < 2 or not np.isfinite(shown.car).all():
+    episodes, collided = subject.episodes, bool(subject.episodes.collided[number])
+    adversary, car = episodes.adversary[number], episodes.car[number]
+    if len(car) < 2 or not np.isfinite(car).all():
         return {}
-    return episode_measures(shown.scenario, shown.times, shown.adversary, shown.car, shown.phi, collided=shown.collided)
+    contact = float(episodes.impact_time[number]) if collided else None
+    course = course_of(adversary, car, episodes.time_step, contact)
+    phi = episodes.safe[int(episodes.safe_index[number])]
+    return episode_measures(subject.scenario, course, phi, collided=collided)
 
 
 def _said(measures: dict[str, Any]) -> str:
     """Return the surrogate safety measures of an episode in one line."""
     texts = {
         "clearance": "least clearance {:.2f} m",
-        "collision_time": "time to collision {:.2f} s",
+        "time_to_collision": "time to collision {:.2f} s",
         "post_encroachment_time": "post-encroachment time {:.2f} s",
+        "required_deceleration": "required deceleration {:.1f} m/s²",
         "closing_speed": "closing speed {:.1f} m/s",
+        "delta_v": "ΔV {:.1f} m/s",
         "fatality_risk": "risk of a fatality {:.1%}",
     }
     return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)

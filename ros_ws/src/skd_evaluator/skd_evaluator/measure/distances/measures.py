@@ -31,7 +31,7 @@ MEASURES = Registry(
         PREFIX: "skd_evaluator.measure.skd:PREFIX",
         DEFORMATION: "skd_evaluator.measure.mean_deformation:DEFORMATION",
         "warped": "skd_evaluator.measure.distances.time_warping:WARPED",
-        "required_deceleration": "skd_evaluator.measure.required_deceleration:REQUIRED_DECELERATION",
+        "required_deceleration_at_entry": "skd_evaluator.measure.entry_deceleration:DECELERATION_AT_ENTRY",
     },
 )
 

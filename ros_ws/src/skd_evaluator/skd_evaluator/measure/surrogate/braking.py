@@ -21,6 +21,7 @@ from skd_evaluator.measure.surrogate.scene import Scene
 
 MOST = 9.81
 """m/s² at which a greatest required deceleration ends: tyres have no more, and at a contact it is infinite."""
+_TOUCHING = 1e-6  # m: whom the front touches is not beside it by rounding
 
 
 def required_decelerations(scene: Scene) -> FloatArray:
@@ -28,9 +29,9 @@ def required_decelerations(scene: Scene) -> FloatArray:
 
     It is 0 where the other is beside the car or behind its front: braking no longer decides whether they touch.
     """
-    on_course = np.isfinite(collision_times(scene)) & (scene.closing > 0.0) & (scene.gap >= 0.0)
+    on_course = np.isfinite(collision_times(scene)) & (scene.closing > 0.0) & (scene.gap >= -_TOUCHING)
     with np.errstate(divide="ignore", invalid="ignore"):
-        needed = scene.closing**2 / (2.0 * scene.gap)
+        needed = scene.closing**2 / (2.0 * np.maximum(scene.gap, 0.0))
     return np.where(on_course, needed, 0.0)
 
 
@@ -57,6 +58,6 @@ def brake_threat_numbers(scene: Scene, deceleration: float) -> FloatArray:
 def headways(scene: Scene) -> FloatArray:
     """Return the time headway at each moment, n, s; infinite where nobody is ahead in the car's strip, or it stands."""
     aside = np.abs(scene.seen[:, 1]) - scene.extent[:, 1]
-    ahead = (scene.gap >= 0.0) & (aside < scene.footprint[2]) & (scene.car[:, 3] > 0.0)
+    ahead = (scene.gap >= -_TOUCHING) & (aside < scene.footprint[2]) & (scene.car[:, 3] > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(ahead, scene.gap / scene.car[:, 3], np.inf)
+        return np.where(ahead, np.maximum(scene.gap, 0.0) / scene.car[:, 3], np.inf)

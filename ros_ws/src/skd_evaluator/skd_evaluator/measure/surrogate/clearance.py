@@ -11,6 +11,7 @@ import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.measure.surrogate.scene import Scene
+from skd_evaluator.measure.surrogate.scenes import Scenes
 
 _SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
 _STEPS = 60  # of it: to 1e-12 of a segment
@@ -21,12 +22,21 @@ def clearances(scene: Scene) -> FloatArray:
     return _apart(scene, scene.seen, scene.turned_from_car)
 
 
-def least_clearance(scene: Scene) -> float:
-    """Return the least distance between the outlines, m, over the whole time: between the given moments as well."""
-    if len(scene) < 2:
-        return float(clearances(scene).min())
-    start, way = scene.seen[:-1], np.diff(scene.seen, axis=0)
-    turned = scene.turned_from_car[:-1]
+def least_clearances(scenes: Scenes) -> FloatArray:
+    """Return the least distance between the outlines in each scene, k, m: between the given moments as well."""
+    scene = scenes.whole
+    apart = clearances(scene)
+    least = scenes.least(apart)
+    of = np.repeat(np.arange(len(least)), np.diff(scenes.starts))
+    starts = np.flatnonzero(np.arange(len(scene)) < scenes.last)
+    way = scene.seen[starts + 1] - scene.seen[starts]
+    # A distance changes by no more than the way: most stretches cannot have the least one inside of them. A box keeps
+    # its heading along a stretch, and turns at its end.
+    end = _apart(scene, scene.seen[starts + 1], scene.turned_from_car[starts])
+    nearest = 0.5 * (apart[starts] + end - np.hypot(*way.T))
+    may = nearest < least[of[starts]]
+    starts, way = starts[may], way[may]
+    start, turned = scene.seen[starts], scene.turned_from_car[starts]
 
     def at(share: FloatArray) -> FloatArray:
         return _apart(scene, start + share[:, None] * way, turned)
@@ -37,7 +47,13 @@ def least_clearance(scene: Scene) -> float:
         left, right = high - width, low + width
         nearer = at(left) < at(right)
         low, high = np.where(nearer, low, left), np.where(nearer, right, high)
-    return float(min(clearances(scene).min(), at(0.5 * (low + high)).min()))
+    np.minimum.at(least, of[starts], at(0.5 * (low + high)))
+    return least
+
+
+def least_clearance(scene: Scene) -> float:
+    """Return the least distance between the outlines, m, over the whole time: between the given moments as well."""
+    return float(least_clearances(Scenes.of(scene))[0])
 
 
 def _apart(scene: Scene, seen: FloatArray, turned: FloatArray) -> FloatArray:

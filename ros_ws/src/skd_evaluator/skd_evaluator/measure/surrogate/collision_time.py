@@ -13,6 +13,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import right_and_along, road_pose
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import first_contact, first_contact_of_boxes, to_car_frame
+from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.measure.surrogate.scene import Scene
 
@@ -22,12 +23,9 @@ HORIZON = 20.0
 
 def collision_times(scene: Scene) -> FloatArray:
     """Return the time to collision at each moment, n, s; infinite where the two would pass each other."""
-    seen = scene.seen
     drift = scene.moving - np.column_stack([scene.car[:, 3], np.zeros(len(scene))])
-    after = seen + HORIZON * drift
-    pairs = zip(seen.tolist(), after.tolist(), strict=True)
-    shares = np.array([_share(scene, index, (a, b), (c, d)) for index, ((a, b), (c, d)) in enumerate(pairs)])
-    return np.asarray(HORIZON * shares)
+    after = scene.seen + HORIZON * drift
+    return np.asarray(HORIZON * _shares(scene.seen, after, scene.turned_from_car, scene.footprint, scene.shape))
 
 
 def least_collision_time(scene: Scene) -> float:
@@ -55,20 +53,39 @@ def path_collision_times(scene: Scene, scenario: Scenario, phi: FloatArray) -> F
         walked = np.column_stack([np.interp(now + later, ticks, column) for column in phi.T])
         places = (scene.other[index] + walked - walked[0]).tolist()
         way = [road_pose(line, float(along[index] + scene.car[index, 3] * ahead)) for ahead in later.tolist()]
-        seen = [to_car_frame(x, y, *pose) for (x, y), pose in zip(places, way, strict=True)]
-        for part in range(len(seen) - 1):
-            share = _share(scene, index, seen[part], seen[part + 1])
-            if share <= 1.0:
-                found[index] = (part + share) * step
-                break
+        seen = np.array([to_car_frame(x, y, *pose) for (x, y), pose in zip(places, way, strict=True)])
+        turned = np.full(len(seen) - 1, scene.turned_from_car[index])
+        shares = _shares(seen[:-1], seen[1:], turned, scene.footprint, scene.shape)
+        (parts,) = np.nonzero(shares <= 1.0)
+        if parts.size:
+            found[index] = (parts[0] + shares[parts[0]]) * step
     return found
 
 
-def _share(scene: Scene, index: int, before: tuple[float, float], after: tuple[float, float]) -> float:
-    """Return the share of a straight segment in the car's frame at which the outlines first touch, else infinity."""
-    (a, b), (c, d), (front, rear, side) = before, after, scene.footprint
-    radius, half_length, half_width = scene.shape
-    if radius > 0.0:
-        return float(first_contact(a, b, c, d, front, rear, side, radius))
-    turned = float(scene.turned_from_car[index])
-    return float(first_contact_of_boxes(a, b, c, d, turned, front, rear, side, half_length, half_width))
+@kernel
+def _shares(
+    before: FloatArray,
+    after: FloatArray,
+    turned: FloatArray,
+    footprint: tuple[float, float, float],
+    shape: tuple[float, float, float],
+) -> FloatArray:
+    """Return the share of each straight segment in the car's frame at which the outlines first touch, else infinity.
+
+    Args:
+        before: n × 2, where the other's centre is in the beginning, m.
+        after: n × 2, and in the end, m.
+        turned: n, where its box points from the car's heading, rad.
+        footprint: of the car, as in `Scene`.
+        shape: of the other, as in `Scene`.
+    """
+    found = np.empty(before.shape[0])
+    front, rear, side = footprint
+    radius, half_length, half_width = shape
+    for row in range(before.shape[0]):
+        a, b, c, d = before[row, 0], before[row, 1], after[row, 0], after[row, 1]
+        if radius > 0.0:
+            found[row] = first_contact(a, b, c, d, front, rear, side, radius)
+        else:
+            found[row] = first_contact_of_boxes(a, b, c, d, turned[row], front, rear, side, half_length, half_width)
+    return found

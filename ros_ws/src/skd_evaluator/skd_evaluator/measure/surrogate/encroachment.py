@@ -10,9 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.arrays import FloatArray
+import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.measure.surrogate.scene import Scene
+from skd_evaluator.measure.surrogate.scenes import Scenes
 
 _STRAIGHT = 1e-6
 """rad by which the car's heading may change: rounding."""
@@ -24,52 +27,109 @@ def post_encroachment_time(scene: Scene) -> float:
     Raises:
         ValueError: the car turned, so that there is no strip with two straight edges.
     """
-    headings = scene.car[:, 2]
-    if np.abs(headings - headings[0]).max() > _STRAIGHT:
+    found, turned = _of_scenes(Scenes.of(scene))
+    if turned[0]:
         raise ValueError("the post-encroachment time is defined here on a straight way of the car")
-    front, rear, half_width = scene.footprint
-    ahead = np.array([math.cos(headings[0]), math.sin(headings[0])])
-    left = np.array([-ahead[1], ahead[0]])
+    return float(found[0])
+
+
+def post_encroachment_times(scenes: Scenes) -> FloatArray:
+    """Return the post-encroachment time in each scene, k, s; nan where the car turned, too."""
+    found, turned = _of_scenes(scenes)
+    return np.where(turned, math.nan, found)
+
+
+def _of_scenes(scenes: Scenes) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the post-encroachment time in each scene, k, s, and whether the car turned in it."""
+    scene = scenes.whole
+    begins = scenes.starts[np.searchsorted(scenes.starts, np.arange(len(scene)), side="right") - 1]
+    headings = scene.car[begins, 2]
+    turned = scenes.most(np.abs(scene.car[:, 2] - headings)) > _STRAIGHT
     # Everything along and across the car's first place.
-    driven = (scene.car[:, :2] - scene.car[0, :2]) @ ahead
-    along, across = (scene.other - scene.car[0, :2]) @ ahead, (scene.other - scene.car[0, :2]) @ left
-    reaches = half_width + scene.extent[:, 1]
-    inside = both(spans(scene.times, reaches - across), spans(scene.times, reaches + across))
-    if not inside:
-        return math.nan
-    enters, leaves = inside[0][0], inside[-1][1]
-    there = (scene.times >= enters) & (scene.times <= leaves)
-    places = [*along[there].tolist(), *(float(np.interp(time, scene.times, along)) for time in (enters, leaves))]
-    reach = float(scene.extent[:, 0].max())
-    low, high = min(places) - reach, max(places) + reach
-    covered = both(spans(scene.times, driven + front - low), spans(scene.times, high - (driven - rear)))
-    if not covered:
-        return math.nan
-    if any(first < last_of and first_of < last for first, last in covered for first_of, last_of in inside):
-        return 0.0
-    gaps = [max(other[0] - own[1], own[0] - other[1]) for own in covered for other in inside]
-    return float(min(gaps))
+    cos, sin = np.cos(headings), np.sin(headings)
+    origin = scene.car[begins, :2]
+    (x, y), (car_x, car_y) = (scene.other - origin).T, (scene.car[:, :2] - origin).T
+    front, rear, half_width = scene.footprint
+    places = np.column_stack([cos * car_x + sin * car_y, cos * x + sin * y, cos * y - sin * x])
+    return _between(scenes.starts, scene.times, places, scene.extent, front, rear, half_width), turned
 
 
-def spans(times: FloatArray, depth: FloatArray) -> list[tuple[float, float]]:
-    """Return the spans of time in which a quantity that is straight between moments is above 0."""
-    found: list[tuple[float, float]] = []
-    begin = float(times[0]) if depth[0] > 0.0 else None
-    for index in range(1, len(times)):
-        before, after = float(depth[index - 1]), float(depth[index])
-        if (before > 0.0) != (after > 0.0):
-            crossing = float(times[index - 1] + (times[index] - times[index - 1]) * before / (before - after))
-            if after > 0.0:
-                begin = crossing
-            elif begin is not None:
-                found.append((begin, crossing))
-                begin = None
-    if begin is not None:
-        found.append((begin, float(times[-1])))
+@kernel
+def _between(
+    starts: IntArray,
+    times: FloatArray,
+    places: FloatArray,
+    extent: FloatArray,
+    front: float,
+    rear: float,
+    half_width: float,
+) -> FloatArray:
+    """Return the post-encroachment time in each scene, k, s; nan where one of them was never there.
+
+    Args:
+        starts: where each scene begins.
+        times: moments, s.
+        places: n × 3: how far the car has come, and how far along and across its way the other is, m.
+        extent: n × 2: half of what the other takes along and across, m.
+        front: of the car's footprint, m.
+        rear: of the car's footprint, m.
+        half_width: of the car's footprint, m.
+    """
+    found = np.full(len(starts) - 1, np.nan)
+    for scene in range(len(starts) - 1):
+        first, end = starts[scene], starts[scene + 1]
+        at, along, across = times[first:end], places[first:end, 1], places[first:end, 2]
+        driven = places[first:end, 0]
+        reaches = half_width + extent[first:end, 1]
+        inside = _both(_spans(at, reaches - across), _spans(at, reaches + across))
+        if not len(inside):
+            continue
+        enters, leaves = inside[0, 0], inside[-1, 1]
+        low, high, reach = np.inf, -np.inf, 0.0
+        for row in range(len(at)):
+            reach = max(reach, extent[first + row, 0])
+            if enters <= at[row] <= leaves:
+                low, high = min(low, along[row]), max(high, along[row])
+        for moment in (enters, leaves):
+            place = np.interp(moment, at, along)
+            low, high = min(low, place), max(high, place)
+        covered = _both(_spans(at, driven + front - (low - reach)), _spans(at, high + reach - (driven - rear)))
+        for a, b in covered:
+            for c, d in inside:
+                apart = 0.0 if a < d and c < b else max(c - b, a - d)
+                if not found[scene] <= apart:
+                    found[scene] = apart
     return found
 
 
-def both(some: list[tuple[float, float]], others: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the spans of time that are in one of some and in one of others."""
-    shared = [(max(a, c), min(b, d)) for a, b in some for c, d in others]
-    return [(begin, end) for begin, end in shared if begin < end]
+@kernel
+def _spans(times: FloatArray, depth: FloatArray) -> FloatArray:
+    """Return the spans of time, m × 2, in which a quantity that is straight between moments is above 0."""
+    found = np.empty((len(times), 2))
+    count, begin = 0, times[0] if depth[0] > 0.0 else np.nan
+    for index in range(1, len(times)):
+        before, after = depth[index - 1], depth[index]
+        if (before > 0.0) != (after > 0.0):
+            crossing = times[index - 1] + (times[index] - times[index - 1]) * before / (before - after)
+            if after > 0.0:
+                begin = crossing
+            else:
+                found[count] = begin, crossing
+                count += 1
+    if depth[-1] > 0.0:
+        found[count] = begin, times[-1]
+        count += 1
+    return found[:count]
+
+
+@kernel
+def _both(some: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the spans of time, m × 2, that are in one of some and in one of others."""
+    found = np.empty((len(some) * len(others), 2))
+    count = 0
+    for a, b in some:
+        for c, d in others:
+            if max(a, c) < min(b, d):
+                found[count] = max(a, c), min(b, d)
+                count += 1
+    return found[:count]

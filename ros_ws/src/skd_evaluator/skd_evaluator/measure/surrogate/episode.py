@@ -1,74 +1,126 @@
-"""All surrogate safety measures of one episode: over time, and one number each."""
+"""All surrogate safety measures of episodes: one number each, and over time."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
-from skd_evaluator.measure.surrogate.braking import brake_threat_numbers, headways, required_decelerations
-from skd_evaluator.measure.surrogate.clearance import clearances, least_clearance
+from skd_evaluator.measure.surrogate.braking import MOST, brake_threat_numbers, headways, required_decelerations
+from skd_evaluator.measure.surrogate.clearance import clearances, least_clearances
 from skd_evaluator.measure.surrogate.collision_time import collision_times, path_collision_times
-from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
-from skd_evaluator.measure.surrogate.impact import closing_speed, fatality_risk
-from skd_evaluator.measure.surrogate.scene import Scene, scene_of
+from skd_evaluator.measure.surrogate.encroachment import post_encroachment_times
+from skd_evaluator.measure.surrogate.impact import closing_speeds, fatality_risk, greater_delta_v
+from skd_evaluator.measure.surrogate.scenes import Course, scenes_of
 
 GRID = 0.05
-"""s between the moments of measures over time."""
-ON_FOOT = ("pedestrian", "child")
+"""s between the moments of measures over time, and of their extremes."""
+ON_FOOT = ("pedestrian", "runner", "child")
 """Kinds of whom the risk of a fatality is known."""
 
 
-def episode_measures(
-    scenario: Scenario, times: FloatArray, adversary: FloatArray, car: FloatArray, phi: FloatArray, *, collided: bool
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class SurrogateMeasure:
+    """A surrogate safety measure of an episode.
+
+    Attributes:
+        label: what it is called where people read it.
+        unit: of its values; empty: none.
+        worst: which of several values is the worst, `min` or `max`.
+    """
+
+    label: str
+    unit: str
+    worst: str
+
+
+SURROGATE_MEASURES = {
+    "clearance": SurrogateMeasure("least clearance", "m", "min"),
+    "time_to_collision": SurrogateMeasure("least time to collision", "s", "min"),
+    "post_encroachment_time": SurrogateMeasure("post-encroachment time", "s", "min"),
+    "required_deceleration": SurrogateMeasure("greatest required deceleration", "m/s²", "max"),
+    "brake_threat_number": SurrogateMeasure("greatest brake threat number", "", "max"),
+    "headway": SurrogateMeasure("least time headway", "s", "min"),
+    "closing_speed": SurrogateMeasure("closing speed", "m/s", "max"),
+    "delta_v": SurrogateMeasure("ΔV of whom it changes more", "m/s", "max"),
+    "fatality_risk": SurrogateMeasure("risk of a fatality", "", "max"),
+}
+"""By their names in results."""
+
+
+def surrogate_measures(
+    scenario: Scenario, courses: Sequence[Course], collided: npt.NDArray[np.bool_]
+) -> dict[str, FloatArray]:
+    """Return every surrogate safety measure of episodes, by name, k each; nan: not defined, or it never came about.
+
+    Args:
+        scenario: road, shapes, kind of the adversary, and the deceleration that the car has.
+        courses: how the episodes went, k.
+        collided: whether car and adversary touched at the end of each.
+    """
+    if not courses:
+        return {name: np.empty(0) for name in SURROGATE_MEASURES}
+    whole = scenes_of(scenario, courses)
+    grid = whole.every(GRID)
+    braking = np.minimum(MOST, grid.most(required_decelerations(grid.whole)))
+    closing = np.where(collided, whole.at_end(closing_speeds(whole.whole)), math.nan)
+    kind = scenario.adversary.kind
+    on_foot = kind in ON_FOOT
+
+    def of_contact(value: Any) -> FloatArray:
+        return np.array([value(one) if math.isfinite(one) else math.nan for one in closing.tolist()], np.float64)
+
+    # At a contact rounding would decide whether it is one.
+    found = {
+        "clearance": np.where(collided, 0.0, least_clearances(whole)),
+        "time_to_collision": np.where(collided, 0.0, grid.least(collision_times(grid.whole))),
+        "post_encroachment_time": np.where(collided, 0.0, post_encroachment_times(whole)),
+        "required_deceleration": braking,
+        "brake_threat_number": braking / scenario.car.deceleration,
+        "headway": grid.least(headways(grid.whole)),
+        "closing_speed": closing,
+        "delta_v": of_contact(lambda one: greater_delta_v(one, kind)),
+        "fatality_risk": of_contact(lambda one: fatality_risk(one).value if on_foot else math.nan),
+    }
+    return {name: np.where(np.isfinite(found[name]), found[name], math.nan) for name in SURROGATE_MEASURES}
+
+
+def episode_measures(scenario: Scenario, course: Course, phi: FloatArray, *, collided: bool) -> dict[str, Any]:
     """Return the measures of an episode, as plain data: None for what is not defined, or never came about.
 
     Args:
-        scenario: road, shapes, and the deceleration that the car has.
-        times: ticks, and at the end the contact, if there is one, s.
-        adversary: n × 2 positions then, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
+        scenario: road, shapes, kind of the adversary, and the deceleration that the car has.
+        course: how the episode went.
         phi: φ at ticks, m, along which the adversary is predicted to go on.
-        collided: whether it ended in a contact.
+        collided: whether car and adversary touched at its end.
     """
-    whole = scene_of(scenario, times, adversary, car)
-    scene = whole.every(GRID)
+    found = surrogate_measures(scenario, [course], np.array([collided]))
+    scene = scenes_of(scenario, [course]).every(GRID).whole
     over = {
         "clearance": clearances(scene),
-        "collision_time": collision_times(scene),
-        "path_collision_time": path_collision_times(scene, scenario, phi),
+        "time_to_collision": collision_times(scene),
+        "path_time_to_collision": path_collision_times(scene, scenario, phi),
         "required_deceleration": required_decelerations(scene),
         "brake_threat_number": brake_threat_numbers(scene, scenario.car.deceleration),
         "headway": headways(scene),
     }
-    largest = ("required_deceleration", "brake_threat_number")
-    extremes = {name: float(values.max() if name in largest else values.min()) for name, values in over.items()}
-    extremes["clearance"] = 0.0 if collided else least_clearance(whole)
-    closing = closing_speed(whole) if collided else math.nan
-    on_foot = collided and scenario.adversary.kind in ON_FOOT
-    risk = fatality_risk(closing) if on_foot else None
+    plain = {name: _plain(float(values[0])) for name, values in found.items()}
+    risk = None if plain["fatality_risk"] is None else fatality_risk(float(found["closing_speed"][0]))
     return {
-        **{name: _plain(value) for name, value in extremes.items()},
-        "post_encroachment_time": _plain(_encroachment(whole)),
-        "closing_speed": _plain(closing),
-        "fatality_risk": risk and risk.value,
+        **plain,
+        "path_time_to_collision": _plain(float(over["path_time_to_collision"].min())),
         "fatality_risk_interval": risk and list(risk.interval),
         "over_time": {
             "time": np.round(scene.times, 6).tolist(),
             **{name: [_plain(value) for value in values.tolist()] for name, values in over.items()},
         },
     }
-
-
-def _encroachment(scene: Scene) -> float:
-    try:
-        return post_encroachment_time(scene)
-    except ValueError:  # on a curve
-        return math.nan
 
 
 def _plain(value: float) -> float | None:

@@ -11,8 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import right_and_along, road_pose
-from skd_sim.encounter.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,55 +72,7 @@ class Scene:
         """How fast the gap closes, n, m/s."""
         return np.asarray(self.car[:, 3] - self.moving[:, 0])
 
-    def every(self, step: float) -> Scene:
-        """Return the same on a grid of moments `step` (s) apart, and at its last moment.
-
-        Measures that are greatest or least over time then mean the same for sources of any rate. Velocities are kept
-        from one moment to the next, everything else is joined in straight lines.
-        """
-        whole = np.arange(self.times[0], self.times[-1], step)
-        times = np.append(whole, self.times[-1]) if len(self) > 1 else self.times
-        held = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self) - 1)
-        headings = np.unwrap(self.car[:, 2])
-        car = np.column_stack([self._at(times, column) for column in (*self.car[:, :2].T, headings, self.car[:, 3])])
-        other = np.column_stack([self._at(times, column) for column in self.other.T])
-        return Scene(times, car, other, self.velocity[held], self.turned[held], self.footprint, self.shape)
-
-    def _at(self, times: FloatArray, values: FloatArray) -> FloatArray:
-        return np.interp(times, self.times, values)
-
     def _in_car_frame(self, vectors: FloatArray) -> FloatArray:
         cos, sin = np.cos(self.car[:, 2]), np.sin(self.car[:, 2])
         x, y = vectors.T
         return np.column_stack([cos * x + sin * y, cos * y - sin * x])
-
-
-def scene_of(scenario: Scenario, times: FloatArray, adversary: FloatArray, car: FloatArray) -> Scene:
-    """Return the scene of an episode: the car keeps to its lane, and the adversary moves uniformly in each tick.
-
-    Args:
-        scenario: road and shapes.
-        times: n ticks, and at the end the contact, if there is one, s.
-        adversary: n × 2 positions then, m.
-        car: n × 3: reference point (x, y), m, and speed, m/s.
-    """
-    line, body = scenario.road.line, scenario.adversary
-    along = right_and_along(line, np.ascontiguousarray(car[:, :2]))[:, 1]
-    headings = np.array([road_pose(line, place)[2] for place in along.tolist()])
-    velocity = velocities(times, adversary)
-    turned = np.empty(len(times))
-    heading = body.first_heading
-    for tick, (vx, vy) in enumerate(velocity.tolist()):
-        heading = turned[tick] = body.heading(heading, vx, vy)
-    footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
-    return Scene(
-        times, np.column_stack([car[:, :2], headings, car[:, 2]]), adversary, velocity, turned, footprint, body.shape
-    )
-
-
-def velocities(times: FloatArray, places: FloatArray) -> FloatArray:
-    """Return n × 2 velocities, m/s, of who is at some places (n × 2, m) and moves uniformly from each to the next."""
-    if len(times) < 2:
-        return np.zeros_like(places)
-    steps = np.diff(places, axis=0) / np.diff(times)[:, None]
-    return np.concatenate([steps, steps[-1:]])

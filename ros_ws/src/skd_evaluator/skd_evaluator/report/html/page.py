@@ -19,6 +19,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
@@ -97,6 +98,7 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
         closeness_warning=CLOSENESS_WARNING,
         style=style,
+        no_rating=NO_RATING,
         scripts=[_in_html(one) for one in (library, script)],
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {_hashes(library, script)}",
         block=block,
@@ -129,6 +131,8 @@ def _view(subject: Subject) -> dict[str, Any]:
         if not failures_in(subject.figures) or behaviour_name(subject.figures)
         else _link(subject.figures["risk"]["behaviour"]),
         "per_safe": figures.per_safe_rows(subject),
+        "surrogates": surrogate_rows(subject.figures),
+        "walkers": [name for name, _ in surrogate_groups(subject.figures)],
         "same_safe": figures.same_safe(subject),
         "warnings": figures.warnings_of(subject),
         "timing": figures.timing_row(subject),

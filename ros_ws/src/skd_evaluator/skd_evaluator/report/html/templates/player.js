@@ -2,12 +2,13 @@
 const RATE = 0.5; // of real time
 const HIGHEST = 460; // px of a picture, as in style.css
 const DEVIATIONS = 2; // standard deviations of a belief that are shown to each side: about 95 %
+const MOST = 10; // s, m/s²: longer times to collision and what no tyres have are drawn as this
 const CHART = { width: 620, height: 240, left: 44, right: 10, top: 34, bottom: 34 };
 
 class Player {
   constructor(episodes, step) {
     this.episodes = episodes;
-    for (const id of ["view", "distances", "state", "time", "clock", "play", "playing", "command", "copy", "previous", "next"]) this[id] = document.getElementById(id);
+    for (const id of ["view", "distances", "surrogates", "state", "time", "clock", "play", "playing", "command", "copy", "previous", "next"]) this[id] = document.getElementById(id);
     this.time.addEventListener("input", () => { this.stop(); this.set(Number(this.time.value)); });
     this.play.addEventListener("click", () => (this.timer ? this.stop() : this.start()));
     this.previous.addEventListener("click", () => step(-1));
@@ -31,12 +32,13 @@ class Player {
     if (!there) {
       this.view.replaceChildren(html("p", { className: "note", textContent: "The trajectory of this episode is not in this file; episodes.npz of the result folder has it." }));
       this.distances.replaceChildren();
+      this.surrogates.replaceChildren();
       [this.state.textContent, this.clock.textContent] = ["", ""];
       return;
     }
     this.time.max = this.way.times.at(-1);
     this.drawScene();
-    this.drawDistances();
+    this.drawCharts();
     this.set(this.way.times.at(-1));
   }
 
@@ -63,21 +65,32 @@ class Player {
     this.view.replaceChildren(picture.svg);
   }
 
-  drawDistances() {
-    const { height, left, right, top, bottom } = CHART;
-    const width = Math.max(300, this.distances.clientWidth || CHART.width);
-    const { way } = this;
-    const end = way.times.at(-1) || 1;
+  drawCharts() {
+    const end = this.way.times.at(-1) || 1;
     const fine = Array.from({ length: 121 }, (_, i) => (i * end) / 120);
-    const series = [
-      { name: "gap between car and adversary", className: "car-line", dash: "", values: fine.map((t) => this.at(t).gap), colour: "var(--car)" },
-      { name: "distance from where φ is then", className: "phi-line", dash: "7 3", values: fine.map((t) => this.at(t).away), colour: "var(--kamikaze)" },
-    ];
-    const most = Math.max(1, ...series.flatMap((one) => one.values));
+    const states = fine.map((t) => this.at(t));
+    const lines = (name, dash, colour, values) => ({ name, dash, colour, values });
+    this.cursors = [];
+    this.drawChart(this.distances, "Distances over time", "m", 0, fine, [
+      lines("gap between car and adversary", "", "var(--car)", states.map((one) => one.gap)),
+      lines("distance from where φ is then", "7 3", "var(--kamikaze)", states.map((one) => one.away)),
+    ]);
+    this.drawChart(this.surrogates, "Time to collision and required deceleration over time", `s, m/s²; at most ${MOST}`, MOST, fine, [
+      lines("time to collision (s)", "", "var(--car)", states.map((one) => Math.min(one.collision, MOST))),
+      lines("required deceleration (m/s²)", "7 3", "var(--kamikaze)", states.map((one) => Math.min(one.braking, MOST))),
+    ]);
+  }
+
+  // Series over time; `most` 0: as much as they have.
+  drawChart(place, label, unit, most, fine, series) {
+    const { height, left, right, top, bottom } = CHART;
+    const width = Math.max(300, place.clientWidth || CHART.width);
+    const end = fine.at(-1);
+    most = most || Math.max(1, ...series.flatMap((one) => one.values));
     const step = niceStep(most / 4);
     this.x = (t) => left + (t / end) * (width - left - right);
     const y = (d) => height - bottom - (d / most) * (height - top - bottom);
-    const svg = element("svg", { class: "scene", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": "Distances over time" });
+    const svg = element("svg", { class: "scene", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
     for (let d = 0; d <= most; d += step) {
       svg.append(element("line", { x1: left, x2: width - right, y1: y(d), y2: y(d), class: "tick" }), element("text", { x: left - 6, y: y(d) + 4, "text-anchor": "end" }, fixed(d, step < 1 ? 1 : 0)));
     }
@@ -85,7 +98,7 @@ class Player {
     for (let t = 0; t <= end + 1e-9; t += every) {
       svg.append(element("text", { x: this.x(t), y: height - bottom + 15, "text-anchor": "middle" }, fixed(t, every < 1 ? 1 : 0)));
     }
-    svg.append(element("text", { x: width - right, y: height - 4, "text-anchor": "end" }, "time (s)"), element("text", { x: 4, y: 12 }, "m"));
+    svg.append(element("text", { x: width - right, y: height - 4, "text-anchor": "end" }, "time (s)"), element("text", { x: 4, y: height - 4 }, unit));
     series.forEach((one, i) => {
       const points = fine.map((t, j) => `${this.x(t).toFixed(1)},${y(one.values[j]).toFixed(1)}`).join(" ");
       svg.append(element("polyline", { points, fill: "none", stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }));
@@ -93,9 +106,9 @@ class Player {
       const row = width < 560 ? 9 + 15 * i : 9;
       svg.append(element("line", { x1: at, x2: at + 24, y1: row, y2: row, stroke: one.colour, "stroke-width": 2, "stroke-dasharray": one.dash }), element("text", { x: at + 30, y: row + 4 }, one.name));
     });
-    this.cursor = element("line", { y1: top - 4, y2: height - bottom, stroke: "currentColor", "stroke-width": 1 });
-    svg.append(this.cursor);
-    this.distances.replaceChildren(svg);
+    this.cursors.push(element("line", { y1: top - 4, y2: height - bottom, stroke: "currentColor", "stroke-width": 1 }));
+    svg.append(this.cursors.at(-1));
+    place.replaceChildren(svg);
   }
 
   // All that is known at a time.
@@ -105,7 +118,13 @@ class Player {
     const there = phiAt(this.episodes.phi(this.k), way.step, time);
     const { scene } = this.episodes.subject(this.k);
     const belief = way.belief && way.belief.map((values) => between(way.times, values, time));
-    return { x, y, carX, carY, speed, heading, belief, there, gap: gap(scene, x, y, carX, carY, heading), away: Math.hypot(x - there[0], y - there[1]) };
+    const [ahead, left] = inCar(x, y, carX, carY, heading);
+    const velocity = inCar(...[way.x, way.y].map((values) => rateOf(way.times, values, time)), 0, 0, heading);
+    const rates = [velocity[0] - speed, velocity[1]]; // seen from the car
+    const turned = pointing(way, time) - heading;
+    const collision = timeToCollision(scene, ahead, left, rates, turned);
+    const braking = requiredDeceleration(scene, ahead, rates, turned, collision);
+    return { x, y, carX, carY, speed, heading, belief, there, collision, braking, gap: gap(scene, x, y, carX, carY, heading), away: Math.hypot(x - there[0], y - there[1]) };
   }
 
   set(time) {
@@ -120,12 +139,11 @@ class Player {
     picture.user(...now.there, 0, "there");
     picture.user(now.x, now.y, pointing(this.way, time), "user");
     picture.svg = before;
-    this.cursor.setAttribute("x1", this.x(time));
-    this.cursor.setAttribute("x2", this.x(time));
+    for (const cursor of this.cursors) for (const end of ["x1", "x2"]) cursor.setAttribute(end, this.x(time));
     this.time.value = time;
     this.now = time;
     this.clock.textContent = `${fixed(time, 2)} of ${fixed(this.way.times.at(-1), 2)} s`;
-    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then${believed(now.belief)}`;
+    this.state.textContent = `car ${fixed(now.speed, 1)} m/s · gap ${fixed(now.gap, 2)} m · ${fixed(now.away, 2)} m from where φ is then\n${soon(now)}${believed(now.belief)}`;
   }
 
   // Where the kamikaze believes the car's front to be: a band along the lane, and its middle.
@@ -157,6 +175,11 @@ class Player {
     this.timer = 0;
     this.play.textContent = "▶ play";
   }
+}
+
+function soon({ collision, braking }) {
+  if (collision === Infinity) return "they would pass each other if both went on so";
+  return `time to collision ${fixed(collision, 1)} s · required deceleration ${braking > MOST ? `above ${MOST}` : fixed(braking, 1)} m/s²`;
 }
 
 function believed(belief) {

@@ -108,6 +108,44 @@ function gap(scene, x, y, carX, carY, heading) {
   return Math.max(0, outside - (scene.user.radius || scene.user.halfWidth));
 }
 
+// Time to collision of the adversary at (ahead, left) of the car if both kept their velocities, s; infinite without one.
+const HORIZON = 20; // s
+function timeToCollision(scene, ahead, left, [va, vl], turned) {
+  const { front, rear, half } = scene.car;
+  const { radius, halfLength, halfWidth } = scene.user;
+  const enters = (slabs) => {
+    let [enter, leave] = [0, HORIZON];
+    for (const [start, rate, low, high] of slabs) {
+      if (!rate && (start < low || start > high)) return Infinity;
+      const [first, last] = rate ? [(low - start) / rate, (high - start) / rate].sort((a, b) => a - b) : [0, HORIZON];
+      [enter, leave] = [Math.max(enter, first), Math.min(leave, last)];
+    }
+    return enter <= leave ? enter : Infinity;
+  };
+  if (!radius) {
+    const [c, s, long, middle] = [Math.cos(turned), Math.sin(turned), (front + rear) / 2, ahead - (front - rear) / 2];
+    const slab = (start, rate, reach) => [start, rate, -reach, reach];
+    const [ac, as] = [Math.abs(c), Math.abs(s)];
+    return enters([slab(middle, va, long + ac * halfLength + as * halfWidth), slab(left, vl, half + as * halfLength + ac * halfWidth), slab(c * middle + s * left, c * va + s * vl, ac * long + as * half + halfLength), slab(c * left - s * middle, c * vl - s * va, as * long + ac * half + halfWidth)]);
+  }
+  const found = [[radius, 0], [0, radius]].map(([a, l]) => enters([[ahead, va, -rear - a, front + a], [left, vl, -half - l, half + l]]));
+  for (const [a, l] of [[front, half], [front, -half], [-rear, half], [-rear, -half]]) {
+    const [pa, pl] = [ahead - a, left - l];
+    const [b, c, w] = [pa * va + pl * vl, pa * pa + pl * pl - radius * radius, va * va + vl * vl];
+    const root = b < 0 && b * b >= w * c ? (-b - Math.sqrt(b * b - w * c)) / w : Infinity;
+    found.push(c <= 0 ? 0 : root <= HORIZON ? root : Infinity);
+  }
+  return Math.min(...found);
+}
+
+// Deceleration after which the gap ahead of the car's front no longer closes when it is used up, m/s²; 0 where they pass.
+function requiredDeceleration(scene, ahead, [va], turned, time) {
+  const { radius, halfLength, halfWidth } = scene.user;
+  const reach = radius || Math.abs(Math.cos(turned)) * halfLength + Math.abs(Math.sin(turned)) * halfWidth;
+  const left = ahead - reach - scene.car.front;
+  return time < Infinity && va < 0 && left >= -0.02 ? (va * va) / (2 * Math.max(0, left)) : 0;
+}
+
 // Where things are at a time: values at ticks, straight lines between.
 function between(times, values, time) {
   let k = 0;
@@ -115,6 +153,13 @@ function between(times, values, time) {
   if (times.length < 2) return values[0];
   const share = Math.min(1, Math.max(0, (time - times[k]) / (times[k + 1] - times[k] || 1)));
   return values[k] + share * (values[k + 1] - values[k]);
+}
+
+// Change a second at a time, of values that change evenly from one to the next.
+function rateOf(times, values, time) {
+  let k = 0;
+  while (k < times.length - 2 && times[k + 1] <= time) k++;
+  return times.length < 2 ? 0 : (values[k + 1] - values[k]) / (times[k + 1] - times[k] || 1);
 }
 
 // φ at a time, held at its end.

@@ -1,10 +1,12 @@
-"""Required deceleration: how hard a car that was hit into somebody would have had to brake when that came into its way.
+"""Required deceleration at entry: how hard a car would have had to brake when who is hit came into its way.
 
 The deceleration rate to avoid the crash (Cooper and Ferguson, "Traffic studies at T-junctions. 2. A conflict simulation
 record", Traffic Engineering and Control 17, 1976): Δv²/(2 d), with the speed Δv at which car and adversary come
 together along the road and the gap d between the car's front and the adversary's nearest point along it. It is taken at
 the first tick at which the adversary can reach into the strip that the car sweeps. Above some 8 m/s² on a dry road no
 brake could have helped, so that such a collision says more of the adversary than of the car.
+
+The greatest required deceleration of a whole episode is another figure (`measure.surrogate.braking`).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.measure.distances.measures import Measure, Pair
 
 
-def required_deceleration(log: EpisodeLog) -> float:
+def deceleration_at_entry(log: EpisodeLog) -> float:
     """Return the deceleration (m/s²) that would have kept the car off, braking from when the adversary was in its way.
 
     Returns:
@@ -45,7 +47,7 @@ def required_deceleration(log: EpisodeLog) -> float:
 
 
 def _of_pairs(_phi: Trajectory, pairs: Sequence[Pair]) -> list[float]:
-    return [required_deceleration(one.log) for one in pairs]
+    return [deceleration_at_entry(one.log) for one in pairs]
 
 
-REQUIRED_DECELERATION = Measure("required deceleration", "m/s²", _of_pairs)
+DECELERATION_AT_ENTRY = Measure("required deceleration at entry", "m/s²", _of_pairs)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_evaluator.measure.distances.measures import measure_pairs, pair_of
-from skd_evaluator.measure.required_deceleration import required_deceleration
+from skd_evaluator.measure.entry_deceleration import deceleration_at_entry
 from skd_sim.encounter.road import Part, Road, road_pose
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -39,16 +39,16 @@ def test_a_car_that_brakes_so_hard_just_does_not_touch(drift: float) -> None:
     log = crosses(6.0, 5.0, drift=drift)
     tick = math.ceil((3.5 - EDGE) / 2.0 / STEP)  # the first at which −3.5 + 2t ≥ −EDGE
     gap = (5.0 + drift * tick * STEP - 0.25) - (-20.0 + 6.0 * tick * STEP + 2.25)
-    found = required_deceleration(log)
+    found = deceleration_at_entry(log)
     closing = 6.0 - drift
     time = closing / found
     assert gap - closing * time + 0.5 * found * time**2 == pytest.approx(0.0, abs=1e-9)
 
 
 def test_where_it_is_not_defined_or_nothing_is_needed() -> None:
-    assert math.isnan(required_deceleration(crosses(6.0, -16.0)))  # beside the car when it comes into the way
-    assert math.isnan(required_deceleration(crosses(6.0, 5.0, velocity=0.5)))  # never in the way at a tick
-    assert required_deceleration(crosses(1.0, 5.0, drift=1.5)) == 0.0  # goes ahead faster than the car drives
+    assert math.isnan(deceleration_at_entry(crosses(6.0, -16.0)))  # beside the car when it comes into the way
+    assert math.isnan(deceleration_at_entry(crosses(6.0, 5.0, velocity=0.5)))  # never in the way at a tick
+    assert deceleration_at_entry(crosses(1.0, 5.0, drift=1.5)) == 0.0  # goes ahead faster than the car drives
 
 
 def test_of_a_box_its_rear_counts() -> None:
@@ -57,7 +57,7 @@ def test_of_a_box_its_rear_counts() -> None:
     adversary = np.column_stack([np.zeros(5), 20.0 + 4.0 * times])
     car = np.column_stack([np.zeros(5), 10.0 * times, np.full(5, 10.0)])
     northbound = replace(CUT_IN, adversary=replace(CUT_IN.adversary, start_heading=math.pi / 2))
-    assert required_deceleration(log_of(northbound, adversary, car, 1.0)) == pytest.approx(6.0**2 / (2.0 * 15.5))
+    assert deceleration_at_entry(log_of(northbound, adversary, car, 1.0)) == pytest.approx(6.0**2 / (2.0 * 15.5))
 
 
 def test_along_a_curve_it_is_what_it_is_along_a_straight_road() -> None:
@@ -71,13 +71,15 @@ def test_along_a_curve_it_is_what_it_is_along_a_straight_road() -> None:
     ]
     car = [(*road_pose(road.line, along)[:2], speed) for _, along, speed in straight.car]
     bent = log_of(replace(CROSSING, road=road), np.array(adversary), np.array(car), straight.impact_time)
-    assert required_deceleration(bent) == pytest.approx(required_deceleration(straight), rel=0.02)
+    assert deceleration_at_entry(bent) == pytest.approx(deceleration_at_entry(straight), rel=0.02)
 
 
 def test_every_assessment_has_it() -> None:
     logs = [crosses(6.0, 5.0), crosses(6.0, -16.0), crosses(6.0, 6.0)]
     assert logs[0].episode.safe_trajectory is not None
-    measured = measure_pairs([(logs[0].episode.safe_trajectory, list(map(pair_of, logs)))])["required_deceleration"]
+    measured = measure_pairs([(logs[0].episode.safe_trajectory, list(map(pair_of, logs)))])[
+        "required_deceleration_at_entry"
+    ]
     found = measured.figures([np.arange(3)], 0.95)
     assert (found["unit"], found["pairs"], found["undefined"], found["error"]) == ("m/s²", 2, 1, None)
-    assert found["mean"] == pytest.approx((required_deceleration(logs[0]) + required_deceleration(logs[2])) / 2.0)
+    assert found["mean"] == pytest.approx((deceleration_at_entry(logs[0]) + deceleration_at_entry(logs[2])) / 2.0)
