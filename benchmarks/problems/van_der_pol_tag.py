@@ -2,11 +2,11 @@
 
 As in POMCPOW's experiments (Sunberg and Kochenderfer 2018, with barriers; `zsunberg/VDPTag2.jl` of March 2018,
 `icaps_2018/vdpbarrier_table.jl` of `zsunberg/ContinuousPOMDPTreeSearchExperiments.jl`). The agent starts in the origin,
-the target anywhere in [−4, 4]². An action is a direction, in which the agent goes 0.5, and whether it
-looks, which costs 5; it is drawn. Barriers on the axes, from 0.2 to 3 on either side of the origin, stop the agent. The
-target follows ẋ = μ (x − x³/3 − y), ẏ = x/μ with μ = 2, in Runge–Kutta steps of 0.1, for 0.5, and N(0, 0.05²). A move
-costs 1; where the two are then nearer than 0.1 the episode ends, with +100 instead. Eight beams of 45° are observed: the
-one that holds the target reads its distance with σ = 0.1 after a look and 5 else, the others N(1, 5²). γ = 0.95.
+the target anywhere in [−4, 4]². An action is a direction, in which the agent goes 0.5, and whether it looks, which
+costs 5; it is drawn. Barriers on the axes, from 0.2 to 3 on either side of the origin, stop the agent. The target
+follows ẋ = μ (x − x³/3 − y), ẏ = x/μ with μ = 2, in Runge–Kutta steps of 0.1, for 0.5, and N(0, 0.05²). A move costs 1;
+where the two are then nearer than 0.1 the episode ends, with +100 instead. Eight beams of 45° are observed: the one
+that holds the target reads its distance with σ = 0.1 after a look and 5 else, the others N(1, 5²). γ = 0.95.
 
 As published, rollouts do anything, and the root's first action goes to where the target will be, by a guess of where it
 is. (There by the mean of the belief; here by one of its states, which is the same as soon as the target is found.)

@@ -30,6 +30,11 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
     raise NotImplementedError(_UNBOUND)
 
 
+def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+    """Return a velocity drawn from all those that the road user can have from its state."""
+    raise NotImplementedError(_UNBOUND)
+
+
 def start_road_user(parameters: Any, state: FloatArray) -> None:
     """Write the adversary's own part of a first state."""
     raise NotImplementedError(_UNBOUND)
@@ -218,6 +223,16 @@ def place_car(
 
 
 # --- the objective's
+
+
+def chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Return the velocity under an action: one of the road user's, or *as φ*, if the objective has that."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def sensible(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
+    """Return whether it makes sense to move with a velocity that the road user can have."""
+    raise NotImplementedError(_UNBOUND)
 
 
 def begin(parameters: Any, state: FloatArray) -> None:

@@ -82,6 +82,12 @@ def _begin_nothing(parameters: Any, state: FloatArray) -> None:
     """Write nothing: the objective has no state of its own."""
 
 
+@kernel(inline=True)
+def _always(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
+    """Allow any velocity."""
+    return True
+
+
 @dataclass(frozen=True)
 class ObjectiveModel:
     """What the adversary wants; see `objectives` for those there are.
@@ -96,6 +102,8 @@ class ObjectiveModel:
         legal: which actions are legal; see `Pomdp`.
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
         own_dim: number of points of φ → length of the objective's own part of a state.
+        chosen: interface; by default that of the road user, for an objective without *as φ*.
+        sensible: interface; by default all makes sense.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
             the discrete Fréchet distance.
@@ -110,6 +118,8 @@ class ObjectiveModel:
     legal: Any = None
     begin: Any = _begin_nothing
     own_dim: Callable[[int], int] = field(default=lambda _points: 0)
+    chosen: Any = None
+    sensible: Any = _always
     follows_phi: bool = False
     plans_deformation: bool = False
 
@@ -202,6 +212,7 @@ class RoadUserKernels:
         pointing: interface.
         steer: interface.
         touch: interface.
+        draw_velocity: interface; None for a kind whose actions are listed alone.
     """
 
     name: str
@@ -218,6 +229,7 @@ class RoadUserKernels:
     pointing: Any
     steer: Any
     touch: Any
+    draw_velocity: Any = None
 
 
 @dataclass(frozen=True)

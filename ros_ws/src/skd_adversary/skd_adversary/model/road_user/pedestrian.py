@@ -44,6 +44,19 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
     return compass_velocity(parameters, action)
 
 
+@kernel(inline=True)
+def in_disc(radius: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Return a point of the disc around the origin, drawn uniformly."""
+    distance, direction = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+    return distance * math.cos(direction), distance * math.sin(direction)
+
+
+@kernel(inline=True)
+def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+    """Interface `draw_velocity`: in any direction, up to its speed."""
+    return in_disc(parameters.adversary_speed, rng)
+
+
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
     """Return nothing beyond what every model has."""
     return {}
@@ -129,6 +142,7 @@ KERNELS = RoadUserKernels(
     pointing,
     steer,
     touch,
+    draw_velocity,
 )
 ROAD_USER = RoadUserModel(
     "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,

@@ -1,0 +1,69 @@
+"""Actions of the adversary that are drawn: velocities, from all that its road user can have from its state.
+
+Whatever is wanted goes through the gate that *as φ* goes through (interface `possible`), so no drawn action is beyond
+the kind's limits. A node's first actions are those that are known to be good for something: the default policy's, and
+as φ. The default policy is that of the listed actions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+
+from skd_adversary.model.interfaces import AS_PHI, draw_velocity, possible, sensible
+from skd_adversary.model.parts import template
+
+ACTION_DIM: Final = 2
+"""Of a drawn action: velocity to the East and to the North, m/s."""
+SUFFIX: Final = "_drawn"
+"""Of names of compositions."""
+_TRIES = 8
+"""Velocities that are drawn, at most, until one makes sense; after them as φ, or the default policy's."""
+
+
+def listed_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Stand for the default policy of the listed actions, which the composer binds."""
+    raise NotImplementedError
+
+
+def listed_velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Stand for the velocity under a listed action, which the composer binds."""
+    raise NotImplementedError
+
+
+FOLLOWS_PHI: Final = False
+"""Whether *as φ* is one of the listed actions, which the composer binds."""
+
+
+@template("possible")
+def velocity(parameters: Any, state: FloatArray, action: FloatArray) -> tuple[float, float]:
+    """Interface `velocity`, and `chosen`: what comes nearest to what was drawn."""
+    return possible(parameters, state, action[0], action[1])
+
+
+@template("listed_action", "listed_velocity")
+def rollout_action(parameters: Any, state: FloatArray, action: FloatArray, rng: np.random.Generator) -> None:
+    """Write the velocity of the listed action that the default policy takes; see `Pomdp`."""
+    action[0], action[1] = listed_velocity(parameters, state, listed_action(parameters, state, rng))
+
+
+@template("rollout_action", "listed_velocity", "draw_velocity", "sensible", "AS_PHI", "FOLLOWS_PHI")
+def draw_action(
+    parameters: Any, state: FloatArray, depth: int, tried: int, action: FloatArray, rng: np.random.Generator
+) -> None:
+    """Draw a velocity that makes sense; see `Pomdp`."""
+    if tried == 0:
+        rollout_action(parameters, state, action, rng)
+        return
+    if tried > 1 or not FOLLOWS_PHI:
+        for _ in range(_TRIES):
+            vx, vy = draw_velocity(parameters, state, rng)
+            if sensible(parameters, state, vx, vy):
+                action[0], action[1] = vx, vy
+                return
+    if FOLLOWS_PHI:
+        action[0], action[1] = listed_velocity(parameters, state, AS_PHI)
+    else:
+        rollout_action(parameters, state, action, rng)
