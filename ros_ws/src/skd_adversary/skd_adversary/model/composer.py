@@ -206,7 +206,7 @@ def compose(
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
     are_drawn = actions == Actions.DRAWN
-    if are_drawn and user.draw_velocity is None:
+    if are_drawn and (user.draw_velocity is None or road_user.within is None):
         raise UsageError(f"actions {actions}: of a {road_user.name} actions are listed alone; use {Actions.LISTED}")
     kernels = (_drawn_kernels if are_drawn else _kernels)(objective, car.kernels, user, road)
     seen = _sensor_interfaces(sensor, road)

@@ -246,6 +246,8 @@ class RoadUserModel:
             gone it so far: (n − 1) × 2, m/s.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
+        within: (scenario, φ, way) → its velocities in each tick of a way, having gone it so far, or what it can do that
+            comes nearest to them: (n − 1) × 2, m/s; None for a kind whose actions are listed alone.
         called: what another simulator calls it, by the simulator's name: `{"carla": "walker.pedestrian.0001"}`.
     """
 
@@ -257,6 +259,7 @@ class RoadUserModel:
     fastest: float
     height: float
     called: Mapping[str, str] = field(default_factory=dict)
+    within: Callable[[Scenario, FloatArray, FloatArray], FloatArray] | None = None
 
 
 class CarPrediction(Protocol):

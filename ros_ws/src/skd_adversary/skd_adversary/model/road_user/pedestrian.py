@@ -127,6 +127,13 @@ def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     return path_velocities(path, len(way) - 1, scenario.time_step)
 
 
+def within(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
+    """Return the velocities of a way, none above the pedestrian's speed; see `RoadUserModel`."""
+    wanted = np.diff(way, axis=0) / scenario.time_step
+    speeds = np.maximum(np.hypot(wanted[:, 0], wanted[:, 1]), scenario.adversary.speed)
+    return np.asarray(wanted * (scenario.adversary.speed / speeds)[:, None])
+
+
 KERNELS = RoadUserKernels(
     "pedestrian",
     ACTION_COUNT,
@@ -146,6 +153,6 @@ KERNELS = RoadUserKernels(
 )
 ROAD_USER = RoadUserModel(
     "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,
-    called={"carla": "walker.pedestrian.0001"},
+    called={"carla": "walker.pedestrian.0001"}, within=within,
 )  # fmt: skip
 """Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""
