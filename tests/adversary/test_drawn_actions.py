@@ -28,18 +28,19 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 
-# --- A place on a line, N(2, 1) at first, is moved by the action, then seen to within 0.1; a step costs its square
+# --- A place on a line, N(2, 2²) at first, is moved by the action, then seen to within 0.1; a step costs its square
 
 
 class LineParameters(NamedTuple):
     mean: float = 2.0
+    spread: float = 2.0
     sigma: float = 0.1
     reach: float = 4.0
 
 
 @kernel
 def initial(p: LineParameters, state: np.ndarray, rng: np.random.Generator) -> None:
-    state[0] = p.mean + rng.standard_normal()
+    state[0] = p.mean + p.spread * rng.standard_normal()
 
 
 @kernel
@@ -126,36 +127,51 @@ def test_a_node_has_tried_as_many_actions_as_the_widening_says(
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_one_step_is_worth_what_it_is(name: str) -> None:
-    """The value of an action a is −(2 + a)² − 1, by the variance of the belief; the best one drawn is taken.
+    """The value of an action a is −(2 + a)² − 4, by the variance of the belief; the best one drawn is taken.
 
-    A mean of n squares of N(m, 1) has a standard error of √((4 m² + 2) / n); what is drawn for a node of beliefs of 20
-    is drawn anew for each of its few children.
+    A mean of n squares of N(m, σ²) has a standard error of √((4 m² σ² + 2 σ⁴) / n). Where a look says where it is, as
+    here, POMCPOW goes on drawing about the same reward in each of few children, and PFT-DPW has 20 particles in each.
     """
     planner, belief, taken = _planned(name, 1, depth=1)
     mean, spread = belief.moments(0)
+    checked = 0
     for row in planner.root():
         off = mean + row.action[0]
-        count = row.visits if name != "pft" else 20 * len(row.cells)
+        count = row.visits if name not in ("pft", "pomcpow") else len(row.cells) * (20 if name == "pft" else 1)
         error = math.sqrt((4.0 * off * off * spread**2 + 2.0 * spread**4) / count)
-        assert abs(row.value + off * off + spread**2) <= 5.0 * error + 1e-4
-    assert abs(taken[0] + mean) < 0.9
+        if count >= 8:
+            checked += 1
+            assert abs(row.value + off * off + spread**2) <= 5.0 * error + 1e-4
+    assert checked >= 5
+    assert abs(taken[0] + mean) < 1.0
 
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_two_steps_use_what_is_seen_between_them(name: str) -> None:
-    """To the middle of the belief, which costs its variance, 1, and then to where the place was seen: nearly nothing.
+    """To the middle of the belief, which leaves its variance, and then to where the place was seen: nearly nothing.
 
-    So the optimum is −1 − γ·0.01 (the variance after a look, 1/(1 + 1/0.1²)). Who sees nothing in between gets
-    −1 − γ = −1.9. A mean is below the optimum by what exploring costs, and the action is one of those drawn.
+    The optimum is to go −2 and then wherever the belief's mean is (certainty equivalence); of the squared place the
+    first leaves 4, and the second 0.01, the variance after a look, 1/(1/2² + 1/0.1²). Who sees nothing in between is
+    left with 4 again. An action is the best of about 30 in [−4, 4]: that leaves as much as 0.1.
     """
-    values, taken = [], []
-    for seed in range(4):
-        more = {"simulations": 8000, "exploration": 1.0, "action_exponent": 0.25}
-        planner, _, action = _planned(name, 10 + seed, **more)
-        values.append(float(planner.values.max(where=planner.visits > 0, initial=-math.inf)))
-        taken.append(action[0])
-    assert np.mean(np.abs(np.array(taken) + 2.0)) < 0.5
-    assert -1.9 < np.mean(values) < -0.95
+    first, left = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([8, seed])
+        belief, planner = ParticleBelief(LINE, 1000, rng), MAKERS[name](rng, observation_factor=8.0)
+        state, after, seen = (np.empty(1) for _ in range(3))
+        initial(LINE.parameters, state, rng)
+        for _ in range(2):
+            action = planner.plan(belief)
+            first.append(action[0])
+            step(LINE.parameters, state, action, after, rng)
+            observe(LINE.parameters, after, action, seen, rng)
+            belief.predict(action)
+            belief.correct(action, seen)
+            planner.advance(action, seen)
+            state[:] = after
+        left.append(float(after[0] ** 2))
+    assert np.mean((np.array(first[::2]) + 2.0) ** 2) < 1.0
+    assert np.mean(left) < 0.5
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -210,8 +226,9 @@ def acts_nowhere(p: LineParameters, state: np.ndarray, action: np.ndarray, rng: 
 
 
 @kernel
-def likely_everywhere(p: LineParameters, state: np.ndarray, action: np.ndarray, seen: np.ndarray) -> float:
-    return 1.0
+def too_sure(p: LineParameters, state: np.ndarray, action: np.ndarray, seen: np.ndarray) -> float:
+    error = (seen[0] - state[0]) / (0.2 * p.sigma)
+    return math.exp(-0.5 * error * error)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +236,7 @@ def likely_everywhere(p: LineParameters, state: np.ndarray, action: np.ndarray, 
     [
         ({"draw_action": draws_nothing}, "draw_action leaves entries"),
         ({"rollout_action": acts_nowhere}, "rollout_action leaves entries"),
-        ({"likelihood": likely_everywhere}, "likelihood"),
+        ({"likelihood": too_sure}, "likelihood is not the density"),
     ],
 )
 def test_mistakes_of_models_whose_actions_are_drawn(change: dict[str, Any], what: str) -> None:
