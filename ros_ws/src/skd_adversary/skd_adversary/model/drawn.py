@@ -2,7 +2,7 @@
 
 Whatever is wanted goes through the gate that *as φ* goes through (interface `possible`), so no drawn action is beyond
 the kind's limits. A node's first actions are those that are known to be good for something: the default policy's, and
-as φ. The default policy is that of the listed actions.
+as φ. The default policy is that of the listed actions. Of the others one in two is a listed one.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ ACTION_DIM: Final = 2
 """Of a drawn action: velocity to the East and to the North, m/s."""
 SUFFIX: Final = "_drawn"
 """Of names of compositions."""
+_LISTED = 0.5
+"""Share of the tries that are of listed actions: full efforts, which nothing that is drawn uniformly comes up to."""
 _TRIES = 8
 """Velocities that are drawn, at most, until one makes sense; after them as φ, or the default policy's."""
 
@@ -59,7 +61,10 @@ def draw_action(
         return
     if tried > 1 or not FOLLOWS_PHI:
         for _ in range(_TRIES):
-            vx, vy = draw_velocity(parameters, state, rng)
+            if rng.random() < _LISTED:
+                vx, vy = listed_velocity(parameters, state, int(AS_PHI * rng.random()))
+            else:
+                vx, vy = draw_velocity(parameters, state, rng)
             if sensible(parameters, state, vx, vy):
                 action[0], action[1] = vx, vy
                 return
