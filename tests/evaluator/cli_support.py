@@ -12,7 +12,11 @@ from common import PATIENCE
 from forked_skd import ForkedSkd
 from skd_sim.encounter.scenario import load_scenario
 
-SMALL = ["--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"]
+SMALL = [
+    *("--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"),
+    *("--margin-limit", "8", "--behaviour", "none"),
+]
+"""An assessment of hardly any episodes: those of the search for the margin and of the risk would be most of it."""
 CROSSING = "t,x,y\n0,-3,0\n2,3,0\n"
 CONTROLLERS = """
 import os, sys, time

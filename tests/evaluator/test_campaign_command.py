@@ -31,6 +31,7 @@ from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Mode
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
+SIZES |= {"margin_limit": 8, "behaviour": "none"}
 OPTIONS = [word for key, value in SIZES.items() for word in (f"--{key.replace('_', '-')}", str(value))]
 TWO = """
 cars:

@@ -100,7 +100,10 @@ class Copied(Honest):
     def command(self, car, adversary):
         return -8.0 if self.copied else super().command(car, adversary)
 """
-SMALL = ("--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet")
+SMALL = (
+    "--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet",
+    "--behaviour", "none",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +163,8 @@ def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: 
 
 def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_back(cars: Path) -> None:
     counts = (
-        "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16, knowledge: nothing}"
+        "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16, "
+        "knowledge: nothing, behaviour: none}"
     )
     names = ", ".join(f"{{controller: cheats:{name}}}" for name in ("Honest", "Stack", "Copied", "Counting"))
     (cars / "campaign.yaml").write_text(f"defaults: {counts}\ncars: [{names}]\n")

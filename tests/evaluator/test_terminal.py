@@ -59,7 +59,7 @@ def test_json_goes_through_one_function():
 def test_quiet_prints_nothing_and_verbose_every_stage(skd_here, here):
     done = skd_here("assess", *SMALL, "--safe", "good.csv", "--quiet", "--out", "quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    done = skd_here("assess", *SMALL, "--safe", "good.csv", "-v", "--out", "verbose")
+    done = skd_here("assess", *SMALL, "--safe", "good.csv", "-v", "--out", "verbose", "--behaviour", "walkers")
     said = [line.partition(":")[2].strip() for line in done.stderr.splitlines()]
     stages = ("kamikazes (deformation): 2", "kamikazes (paper): 2", "collision rate: 3", "margins: 2", "risk: 36")
     assert [line for line in said if line.startswith(stages)] == said
