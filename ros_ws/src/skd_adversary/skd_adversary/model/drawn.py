@@ -12,7 +12,15 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 
-from skd_adversary.model.interfaces import AS_PHI, draw_velocity, possible, sensible
+from skd_adversary.model.interfaces import (
+    AS_PHI,
+    FOLLOWS_PHI,
+    draw_velocity,
+    listed_action,
+    listed_velocity,
+    possible,
+    sensible,
+)
 from skd_adversary.model.parts import template
 
 ACTION_DIM: Final = 2
@@ -23,20 +31,6 @@ _LISTED = 0.5
 """Share of the tries that are of listed actions: full efforts, which nothing that is drawn uniformly comes up to."""
 _TRIES = 8
 """Velocities that are drawn, at most, until one makes sense; after them as φ, or the default policy's."""
-
-
-def listed_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    """Stand for the default policy of the listed actions, which the composer binds."""
-    raise NotImplementedError
-
-
-def listed_velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Stand for the velocity under a listed action, which the composer binds."""
-    raise NotImplementedError
-
-
-FOLLOWS_PHI: Final = False
-"""Whether *as φ* is one of the listed actions, which the composer binds."""
 
 
 @template("possible")

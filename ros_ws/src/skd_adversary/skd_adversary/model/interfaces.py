@@ -20,6 +20,8 @@ ROW: Final = _NO_NUMBER
 AS_PHI: Final = _NO_NUMBER
 """The action *as φ*, one beyond the road user's own: φ's displacement in the present tick, none after its end, or what
 of the `possible` comes nearest to that."""
+FOLLOWS_PHI: Final = _NO_NUMBER
+"""Whether the objective has the action *as φ*."""
 
 
 # --- the road user's
@@ -237,6 +239,16 @@ def sensible(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
 
 def begin(parameters: Any, state: FloatArray) -> None:
     """Write the objective's own part of a first state."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def listed_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Return the listed action that the default policy takes."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def listed_velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Return the velocity under a listed action, where those that are tried are drawn; see `chosen`."""
     raise NotImplementedError(_UNBOUND)
 
 
