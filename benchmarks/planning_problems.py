@@ -15,6 +15,7 @@ from problems.rock_sample import rock_sample
 from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
 from problems.tag import tag
 from problems.tiger import tiger
+from problems.van_der_pol_tag import van_der_pol_tag
 from skd_adversary.model.parts import SEARCH
 from skd_adversary.planning.general.pft_dpw import PftDpwOptions
 from skd_adversary.planning.general.pomcpow import PomcpowOptions
@@ -61,6 +62,10 @@ _EXACT_LEAVES: Final[dict[str, Any]] = {**_DISCRETE, "backup": Backup.MOST_VISIT
 
 def _widening(factor: float, exponent: float) -> dict[str, float]:
     return {"observation_factor": factor, "observation_exponent": exponent}
+
+
+def _action_widening(factor: float, exponent: float) -> dict[str, float]:
+    return {"action_factor": factor, "action_exponent": exponent}
 
 
 def converted(options: PlannerOptions, kind: type[PlannerOptions], **changed: Any) -> PlannerOptions:
@@ -237,6 +242,27 @@ PROBLEMS: dict[str, Problem] = {
         lambda _seed: sub_hunt_at_random(),
         _SUB_HUNT,
         moves=100,
+    ),
+    # Actions are drawn. The published experiments had one second of a core in 2018.
+    "van_der_pol_tag": Problem(
+        lambda _seed: van_der_pol_tag(),
+        PlannerOptions(simulations=20_000, depth=10, particles=10_000, **_action_widening(30.0, 1.0 / 30.0)),
+        moves=100,
+        published={
+            "POMCPOW, published": (29.3, 0.8),
+            "PFT-DPW, published": (27.2, 0.8),
+            "a look where uncertain, published": (-2.7, 1.2),
+        },
+        others=_published(
+            10,
+            10_000,
+            pomcpow={"simulations": 50_000, "exploration": 110.0, "ends_are_seen": False}
+            | _widening(5.0, 1.0 / 100.0)
+            | _action_widening(30.0, 1.0 / 30.0),
+            pft_dpw={"simulations": 20_000, "exploration": 70.0}
+            | _widening(8.0, 1.0 / 85.0)
+            | _action_widening(20.0, 1.0 / 25.0),
+        ),
     ),
     "crossing": Problem(
         lambda _seed: crossing(),

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller
@@ -34,7 +35,7 @@ from skd_adversary.model.safe_path import velocities_of, velocity_at
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.planning.pomdp import Action, Pomdp
 
 
 class BelievedCar(NamedTuple):
@@ -94,7 +95,9 @@ class PlanningAdversary:
         self._tick = 0
         self._parameters = model.parameters
         self._phi = velocities_of(model.parameters.path, scenario.time_step)
-        self._action: int | None = None
+        self._drawn = model.action_dim > 0
+        self._rest: Action = np.zeros(model.action_dim) if self._drawn else self._road_user.rest
+        self._action: Action = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
 
@@ -122,10 +125,12 @@ class PlanningAdversary:
         if self._action is not None:
             self._belief.predict(self._action)
             self._planner.advance(self._action, seen)
-        self._belief.correct(self._road_user.rest if self._action is None else self._action, seen)
+        self._belief.correct(self._rest if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
         step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
-        if self._action == self._road_user.action_count:  # as φ
+        if self._drawn:
+            vx, vy = self._possible(self._parameters, own, *self._action)
+        elif self._action == self._road_user.action_count:  # as φ
             vx, vy = self._possible(self._parameters, own, *velocity_at(self._phi, self._tick))
         else:
             vx, vy = self._velocity(self._parameters, own, self._action)
@@ -221,6 +226,7 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
         path=path,
         maximum_distance=episode.maximum_distance,
         road_user=road_user,
+        actions=Actions.LISTED if episode.mode == Mode.SAFE else episode.actions,
     )
     return PlanningAdversary(
         model,
@@ -242,6 +248,8 @@ def _itself(episode: Episode, met: Met | None) -> Adversary:
     """
     from skd_adversary.itself.adversary import ItselfAdversary
 
+    if episode.actions == Actions.DRAWN:
+        raise UsageError("actions drawn: knowledge itself plans with listed actions alone; use learned, or listed")
     if met is None:
         raise UsageError("knowledge itself needs a car that runs in process: leave out --graph, or use learned")
     if met.world is None:

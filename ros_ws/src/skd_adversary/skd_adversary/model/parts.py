@@ -21,7 +21,13 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 SEARCH: Final = PlannerOptions(
-    simulations=1000, depth=25, particles=300, backup=Backup.BEST, cells=Cells.NEAREST, keep_tree=True
+    simulations=1000,
+    depth=25,
+    particles=300,
+    backup=Backup.BEST,
+    cells=Cells.NEAREST,
+    keep_tree=True,
+    action_factor=3.0,  # drawn actions: 17 with 1,000 simulations
 )
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
@@ -82,6 +88,12 @@ def _begin_nothing(parameters: Any, state: FloatArray) -> None:
     """Write nothing: the objective has no state of its own."""
 
 
+@kernel(inline=True)
+def _always(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
+    """Allow any velocity."""
+    return True
+
+
 @dataclass(frozen=True)
 class ObjectiveModel:
     """What the adversary wants; see `objectives` for those there are.
@@ -96,6 +108,8 @@ class ObjectiveModel:
         legal: which actions are legal; see `Pomdp`.
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
         own_dim: number of points of φ → length of the objective's own part of a state.
+        chosen: interface; by default that of the road user, for an objective without *as φ*.
+        sensible: interface; by default all makes sense.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
             the discrete Fréchet distance.
@@ -110,6 +124,8 @@ class ObjectiveModel:
     legal: Any = None
     begin: Any = _begin_nothing
     own_dim: Callable[[int], int] = field(default=lambda _points: 0)
+    chosen: Any = None
+    sensible: Any = _always
     follows_phi: bool = False
     plans_deformation: bool = False
 
@@ -202,6 +218,7 @@ class RoadUserKernels:
         pointing: interface.
         steer: interface.
         touch: interface.
+        draw_velocity: interface; None for a kind whose actions are listed alone.
     """
 
     name: str
@@ -218,6 +235,7 @@ class RoadUserKernels:
     pointing: Any
     steer: Any
     touch: Any
+    draw_velocity: Any = None
 
 
 @dataclass(frozen=True)
@@ -234,6 +252,8 @@ class RoadUserModel:
             gone it so far: (n − 1) × 2, m/s.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
+        within: (scenario, φ, way) → its velocities in each tick of a way, having gone it so far, or what it can do that
+            comes nearest to them: (n − 1) × 2, m/s; None for a kind whose actions are listed alone.
         called: what another simulator calls it, by the simulator's name: `{"carla": "walker.pedestrian.0001"}`.
     """
 
@@ -245,6 +265,7 @@ class RoadUserModel:
     fastest: float
     height: float
     called: Mapping[str, str] = field(default_factory=dict)
+    within: Callable[[Scenario, FloatArray, FloatArray], FloatArray] | None = None
 
 
 class CarPrediction(Protocol):

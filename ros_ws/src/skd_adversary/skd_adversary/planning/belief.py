@@ -15,7 +15,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.planning.pomdp import Action, Pomdp
 
 RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""
@@ -33,7 +33,7 @@ def _propagate_template(
     parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
-    action: int,
+    action: Action,
     moved: FloatArray,
     rng: np.random.Generator,
 ) -> None:
@@ -45,7 +45,7 @@ def _propagate_template(
 
 
 def _reweigh_template(
-    parameters: Any, particles: FloatArray, weights: FloatArray, action: int, observation: FloatArray
+    parameters: Any, particles: FloatArray, weights: FloatArray, action: Action, observation: FloatArray
 ) -> float:
     """Multiply the weights by the likelihoods, normalise them, and return their sum before that."""
     total = 0.0
@@ -157,12 +157,12 @@ class ParticleBelief:
         mean, deviation = moments(self.particles, self.weights, column)
         return mean, deviation
 
-    def predict(self, action: int) -> None:
+    def predict(self, action: Action) -> None:
         """Move the belief through one step of the model."""
         self._propagate(self._model.parameters, self.particles, self.weights, action, self._spare, self._rng)
         self.particles, self._spare = self._spare, self.particles
 
-    def correct(self, action: int, observation: FloatArray) -> None:
+    def correct(self, action: Action, observation: FloatArray) -> None:
         """Condition on what was observed after `action`; resample or reinvigorate as the module describes."""
         parameters = self._model.parameters
         if self._reweigh(parameters, self.particles, self.weights, action, observation) == 0.0:

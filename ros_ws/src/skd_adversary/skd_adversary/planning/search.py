@@ -10,8 +10,8 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.learning_rollouts import Experience, learning_rollout_kernel
-from skd_adversary.planning.legality import forbid_kernel
+from skd_adversary.planning.drawn_actions import action_kernels
+from skd_adversary.planning.learning_rollouts import learning_rollout_kernel
 from skd_adversary.planning.observation_cells import (
     add_reference_kernel,
     most_alike_child,
@@ -36,9 +36,9 @@ from skd_adversary.planning.search_tree import (
 )
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
-_step = _observe = _rollout_action = _leaf_value = _legal = _forbid = unbound
-_profile = _add_reference = _rollout = unbound
-_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
+_step = _observe = _leaf_value = _legal = _forbid = unbound
+_first_try = _widen = _taken = _profile = _add_reference = _rollout = unbound
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = _DRAWN = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
 
@@ -56,7 +56,8 @@ class Scratch(NamedTuple):
     other_observation: FloatArray  # d
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
-    experience: Experience
+    notes: Any  # of rollouts: an `Experience`, or an array for an action that is drawn
+    drawn: FloatArray  # an action that was drawn
     returns: FloatArray  # actions × 3: what is kept of the decision's returns
 
 
@@ -86,6 +87,11 @@ def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator)
         roots[i], roots[j] = roots[j], roots[i]
 
 
+def _first_slot(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Return the slot of a node's first action: the only one that is open then."""
+    return 0
+
+
 def _search_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -94,6 +100,7 @@ def _search_template(
     tree: SearchTree,
     node_count: int,
     tables: Tables,
+    action_widening: Int32Array,
     scratch: Scratch,
     log: RootLog,
     exploration: float,
@@ -126,6 +133,8 @@ def _search_template(
         if choices == 1:  # no search finds another
             statistics[0, only, VISITS] = 1.0
             return steps
+    elif tree.total[0] == 0:
+        _forbid(parameters, tree, 0, state)
     forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
         for k in range(state.shape[0]):
@@ -136,11 +145,13 @@ def _search_template(
         depth = 0
         tail = 0.0
         while depth < depth_limit:
+            _widen(parameters, tree, node, depth, state, scratch.drawn, action_widening, rng)
             if tree.total[node] == 0:
-                action = _rollout_action(parameters, state, rng)
+                action = _first_try(parameters, state, rng)
             else:
                 action = choose(tree, node, constant, tables, rng)
-            reward, terminal = _step(parameters, state, action, moved, rng)
+            taken = _taken(tree, node, action, scratch.drawn)
+            reward, terminal = _step(parameters, state, taken, moved, rng)
             steps += 1
             path_node[depth] = node
             path_action[depth] = action
@@ -150,7 +161,7 @@ def _search_template(
                 break
             for k in range(state.shape[0]):
                 state[k] = moved[k]
-            _observe(parameters, state, action, observation, rng)
+            _observe(parameters, state, taken, observation, rng)
             for k in range(seen.shape[0]):
                 seen[k] = observation[k]
             siblings = links[node, action, CHILDREN]
@@ -159,9 +170,10 @@ def _search_template(
                 if siblings > 0:
                     known = tree.basis[node, action, KNOWN]
                     if known < profile.shape[0]:
-                        _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                        _add_reference(parameters, tree, node, action, taken, state, scratch.other_observation)
                         known += 1
-                    _profile(parameters, tree, node, action, observation, scratch.other_state, likelihood, profile)
+                    other = scratch.other_state
+                    _profile(parameters, tree, node, action, taken, observation, other, likelihood, profile)
                 child, apart = most_alike_child(tree, node, action, known, profile, seen)
                 same = apart <= cell_distance and child >= 0
             else:
@@ -180,8 +192,7 @@ def _search_template(
             child = node_count
             node_count += 1
             clear_node(tree, child)
-            if _HAS_LEGAL:
-                _forbid(parameters, tree, child, state)
+            _forbid(parameters, tree, child, state)
             add_child(tree, node, action, child, observation)
             if depth == 1:
                 log.cell[i] = child
@@ -189,20 +200,20 @@ def _search_template(
                 if siblings == 0:  # the oldest child's row holds the references
                     tree.basis[node, action, BLOCK] = child
                     tree.basis[node, action, KNOWN] = 0
-                    _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                    _add_reference(parameters, tree, node, action, taken, state, scratch.other_observation)
                 else:
                     for k in range(known):
                         tree.likelihood[child, k] = likelihood[k]
                     set_profile(tree, child, known)
-            # --- the default policy from here on; its first action is the new node's first try
+            # --- the default policy from here on; its first action, if it has a number, is the new node's first try
             first = -1
             if _HAS_LEAF_VALUE:
-                if depth < depth_limit:
-                    first = _rollout_action(parameters, state, rng)
+                if depth < depth_limit and not _DRAWN:
+                    first = _first_try(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
             else:
                 tail, first, made, _ = _rollout(
-                    parameters, state, moved, scratch.experience, depth_limit - depth, discount, rng
+                    parameters, state, moved, scratch.notes, depth_limit - depth, discount, rng
                 )
                 steps += made
             if first >= 0:
@@ -244,7 +255,15 @@ def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[.
     """Return the search compiled around a model's functions."""
     likelihood = model.likelihood if by_likelihood else None
     return _search_kernel(
-        model.name, model.step, model.observe, model.rollout_action, model.leaf_value, model.legal, likelihood, learns
+        model.name,
+        model.step,
+        model.observe,
+        model.rollout_action,
+        model.leaf_value,
+        model.legal,
+        model.draw_action,
+        likelihood,
+        learns,
     )
 
 
@@ -256,10 +275,18 @@ def _search_kernel(
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
+    draw_action: Callable[..., Any] | None,
     likelihood: Callable[..., Any] | None,
     learns: bool,
 ) -> Callable[..., Any]:
-    bound: dict[str, Any] = {"_step": step, "_observe": observe, "_rollout_action": rollout_action}
+    drawn = draw_action is not None
+    bound: dict[str, Any] = {
+        "_step": step,
+        "_observe": observe,
+        "_first_try": kernel(inline=True)(_first_slot) if drawn else rollout_action,
+        "_DRAWN": drawn,
+        **action_kernels(name, draw_action, legal),
+    }
     if leaf_value is not None:
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
@@ -267,9 +294,9 @@ def _search_kernel(
         bound |= {"_rollout": learning_rollout_kernel(name, step, rollout_action, legal)}
         name += "_learns"
     else:
-        bound |= {"_rollout": rollout_kernel(name, step, rollout_action)}
+        bound |= {"_rollout": rollout_kernel(name, step, rollout_action, drawn=drawn)}
     if legal is not None:
-        bound |= {"_legal": legal, "_HAS_LEGAL": True, "_forbid": forbid_kernel(name, legal)}
+        bound |= {"_legal": legal, "_HAS_LEGAL": True}
     if likelihood is not None:
         bound |= {
             "_BY_LIKELIHOOD": True,

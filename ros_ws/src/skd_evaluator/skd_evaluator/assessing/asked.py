@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.choices.objective import objectives_named
@@ -89,6 +90,10 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
 def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
     """Refuse an adversary that plans with copies of the car where no car can be copied, and its options without it."""
     if values.get("knowledge") == Knowledge.ITSELF:
+        if values.get("actions") == Actions.DRAWN:
+            raise UsageError(
+                f"--actions {Actions.DRAWN}: with --knowledge {Knowledge.ITSELF} listed actions alone are tried"
+            )
         if graph:
             refuse_copies()
         if not is_own_world(values["simulator"]):

@@ -132,7 +132,7 @@ def _cell(
             recorded[source] = safe_trajectories(plan, InProcessRunner(1))
         safe = recorded[source]
     if values["floor"]:
-        check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+        check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
         if safe is not None:
             check_ends(safe, plan.scenario, objectives)
     if values["curve"] and graph:

@@ -16,6 +16,7 @@ from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.arrays import FloatArray
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
 from skd_sim.choices.simulators import WORLD, is_own_world
@@ -41,7 +42,13 @@ class _Job:
     distance: float  # what it reached, m
 
 
-def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Objective], simulator: str = WORLD) -> None:
+def check_floor(
+    car: CarUnderTest,
+    scenario: Scenario,
+    objectives: Iterable[Objective],
+    simulator: str = WORLD,
+    actions: Actions = Actions.LISTED,
+) -> None:
     """Refuse a car whose answers to other actions are not known, and objectives without a Fréchet distance.
 
     Raises:
@@ -50,6 +57,10 @@ def check_floor(car: CarUnderTest, scenario: Scenario, objectives: Iterable[Obje
     """
     if not is_own_world(simulator):
         raise UsageError(f"--floor needs SKD's own world: what simulator {simulator} would have done is not known")
+    if actions != Actions.LISTED:
+        raise UsageError(
+            f"--floor searches listed actions, and these kamikazes have others: leave out --actions {actions}"
+        )
     if all(objective_named(one).plans_deformation for one in objectives):
         raise UsageError(
             "--floor is the floor of the Fréchet distance: add --objective paper, frechet or both; the floor of the "
@@ -138,7 +149,9 @@ def with_floors(rating: Rating, runner: ExecutorRunner, progress: Progress) -> R
     """
     begin = time.perf_counter()
     plan = rating.plan
-    check_floor(plan.car, plan.scenario, [one.plan.objective for one in rating.assessments], plan.simulator)
+    check_floor(
+        plan.car, plan.scenario, [one.plan.objective for one in rating.assessments], plan.simulator, plan.actions
+    )
     assessments = tuple(
         one if one.plan.limits_deformation else with_floor(one, runner, progress) for one in rating.assessments
     )
@@ -152,7 +165,7 @@ def with_floor(assessment: Assessment, runner: ExecutorRunner, progress: Progres
         UsageError: the car has no floor, or a safe trajectory ends too far beyond the car's path.
     """
     plan = assessment.plan
-    check_floor(plan.car, plan.scenario, [plan.objective], plan.simulator)
+    check_floor(plan.car, plan.scenario, [plan.objective], plan.simulator, plan.actions)
     check_ends((kamikaze.safe_trajectory for kamikaze in assessment.kamikaze), plan.scenario, [plan.objective])
     begin = time.perf_counter()
     pairs = [

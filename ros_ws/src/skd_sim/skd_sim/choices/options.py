@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, implied_knowledge
 from skd_sim.choices.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
@@ -302,6 +303,15 @@ class EpisodeOptions:
         asked=BOTH,
         make=Objective,
         field=True,
+    )
+    actions: Actions = option(
+        Actions.LISTED,
+        "what the planner of kamikazes tries: listed (the few actions of the kind of road user, such as the paper's "
+        "six) or drawn (any acceleration and direction within the kind's limits, drawn one by one)",
+        str,
+        choices=Names(tuple(map(str, Actions))),
+        make=Actions,
+        planning=True,
     )
     particles: int | None = option(
         None,

@@ -31,6 +31,7 @@ from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SP
 from skd_adversary.model.interfaces import (
     AS_PHI,
     ROW,
+    chosen,
     contact,
     foreseen_acceleration,
     last_changes,
@@ -39,6 +40,7 @@ from skd_adversary.model.interfaces import (
     on_road,
     pointing,
     possible,
+    sensible,
     steer,
     towards,
     velocity,
@@ -108,7 +110,16 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
     return float(dx * dx + dy * dy)
 
 
-@template("velocity", "possible", "move", "on_road", "AS_PHI", "ROW")
+@template("velocity", "possible", "AS_PHI", "ROW")
+def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Interface `chosen`."""
+    if action == AS_PHI:
+        phi_x, phi_y = path_velocity(parameters.path, int(state[ROW + 1]), parameters.time_step)
+        return possible(parameters, state, phi_x, phi_y)
+    return velocity(parameters, state, action)
+
+
+@template("chosen", "move", "on_road", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -119,11 +130,7 @@ def step(
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
     tick = int(state[ROW + 1])
-    if action == AS_PHI:
-        phi_x, phi_y = path_velocity(p.path, tick, p.time_step)
-        vx, vy = possible(p, state, phi_x, phi_y)
-    else:
-        vx, vy = velocity(p, state, action)
+    vx, vy = chosen(p, state, action)
     fraction = move(p, state, vx, vy, next_state, rng)
     hit = fraction <= 1.0
     x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
@@ -165,22 +172,28 @@ def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
     return bool(worst > p.maximum_distance * p.maximum_distance or along - nearest > _ATTENTION * stride)
 
 
-@template("velocity", "possible", "on_road", "AS_PHI", "ROW")
+@template("velocity", "sensible", "AS_PHI")
 def legal(parameters: Any, state: FloatArray, action: int) -> bool:
-    """Return whether an action makes sense.
+    """Return whether an action makes sense; as φ always does."""
+    if action == AS_PHI:
+        return True
+    own_x, own_y = velocity(parameters, state, action)
+    return sensible(parameters, state, own_x, own_y)
+
+
+@template("possible", "on_road", "ROW")
+def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) -> bool:
+    """Interface `sensible`.
 
     None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
     met before is seldom worth it, and depends on its model to the decimetre), none into an obstacle, and no
     displacement twice.
     """
-    if action == AS_PHI:
-        return True
     p = parameters
     x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
     _, along = on_road(p, x, y)
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return False
-    own_x, own_y = velocity(p, state, action)
     x_after, y_after = x + p.time_step * own_x, y + p.time_step * own_y
     across, along = on_road(p, x_after, y_after)
     if leads_nowhere(p, across, along, x, y, x_after, y_after):
@@ -350,6 +363,8 @@ OBJECTIVE: Final = ObjectiveModel(
     legal=legal,
     begin=begin,
     own_dim=own_dim,
+    chosen=_chosen,
+    sensible=_sensible,
     follows_phi=True,
     plans_deformation=True,
 )

@@ -22,9 +22,9 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.legality import forbid_kernel
+from skd_adversary.planning.drawn_actions import action_kernels, action_widening, slots_of
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.planning.pomdp import Action, Pomdp
 from skd_adversary.planning.rollouts import tail_kernel
 from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (
@@ -41,7 +41,7 @@ from skd_adversary.planning.search_tree import (
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
-_step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = unbound
+_step = _observe = _likelihood = _move = _tail = _state_tail = _action_value = _forbid = _widen = _taken = unbound
 _HAS_LEAF_VALUE = _HAS_ACTION_VALUE = False
 
 
@@ -79,6 +79,7 @@ class _Scratch(NamedTuple):
     path_action: Int32Array  # h
     path_child: Int32Array  # h
     returns: FloatArray  # actions × 3: what is kept of the decision's returns
+    drawn: FloatArray  # e: an action that was drawn
 
 
 @kernel(inline=True)
@@ -103,7 +104,7 @@ def _move_template(
     beliefs: _Beliefs,
     scratch: _Scratch,
     node: int,
-    action: int,
+    action: Action,
     child: int,
     first: int,
     rng: np.random.Generator,
@@ -198,7 +199,9 @@ def _tail_template(
     for i in range(tails):
         for k in range(width):
             scratch.state[k] = beliefs.particles[node, i, k]
-        value += _state_tail(parameters, leaf_parameters, scratch.state, scratch.moved, steps, discount, rng)
+        value += _state_tail(
+            parameters, leaf_parameters, scratch.state, scratch.moved, scratch.drawn, steps, discount, rng
+        )
     return value / tails
 
 
@@ -211,6 +214,7 @@ def _pft_dpw_template(
     tree: SearchTree,
     beliefs: _Beliefs,
     tables: Tables,
+    action_widening: Int32Array,
     scratch: _Scratch,
     log: RootLog,
     exploration: float,
@@ -231,6 +235,10 @@ def _pft_dpw_template(
         constant = exploration_from(exploration, scratch.returns)
         node, depth, value = 0, 0, 0.0
         while depth < depth_limit:
+            if scratch.drawn.shape[0] > 0:  # of which another action may be drawn
+                for k in range(width):
+                    scratch.state[k] = particles[roots[i], k] if node == 0 else beliefs.particles[node, 0, k]
+            _widen(parameters, tree, node, depth, scratch.state, scratch.drawn, action_widening, rng)
             action = choose(tree, node, constant, tables, rng)
             children = tree.links[node, action, CHILDREN]
             fresh = children <= tables.widening[min(int(tree.statistics[node, action, VISITS]), last)]
@@ -238,7 +246,8 @@ def _pft_dpw_template(
                 child = node_count
                 node_count += 1
                 clear_node(tree, child)
-                _move(parameters, particles, weights, beliefs, scratch, node, action, child, roots[i], rng)
+                taken = _taken(tree, node, action, scratch.drawn)
+                _move(parameters, particles, weights, beliefs, scratch, node, taken, child, roots[i], rng)
                 if beliefs.going_on[child] > 0.0:
                     _forbid(parameters, tree, child, scratch.state)
                 add_child(tree, node, action, child, scratch.observation)
@@ -288,6 +297,7 @@ def _kernel(
     leaf_value: Callable[..., Any] | None,
     action_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
+    draw_action: Callable[..., Any] | None,
 ) -> Callable[..., Any]:
     own = {"_step": step, "_observe": observe, "_likelihood": likelihood}
     move = specialise(_move_template, name, own, allocates=False)
@@ -300,12 +310,12 @@ def _kernel(
         kind += "" if leaf_value is None else "_leaves"
         tail |= {
             "_HAS_LEAF_VALUE": leaf_value is not None,
-            "_state_tail": tail_kernel(name, step, rollout_action, leaf_value),
+            "_state_tail": tail_kernel(name, step, rollout_action, leaf_value, draw_action is not None),
         }
     bound = {
         "_move": move,
         "_tail": specialise(_tail_template, kind, tail, allocates=False),
-        "_forbid": forbid_kernel(name, legal),
+        **action_kernels(name, draw_action, legal),
     }
     return specialise(_pft_dpw_template, kind, bound, allocates=False)
 
@@ -316,7 +326,9 @@ class PftDpw(TreePlanner):
     def __init__(self, model: Pomdp, options: PftDpwOptions, rng: np.random.Generator) -> None:
         """Prepare for `model`; all randomness of the search comes from `rng`."""
         nodes, count = options.simulations + 1, options.node_particles
-        super().__init__(model, options, rng, empty_tree(nodes, model.action_count, model.observation_dim))
+        slots = slots_of(model, options, nodes)
+        tree = empty_tree(nodes, slots, model.observation_dim, action_dim=model.action_dim)
+        super().__init__(model, options, rng, tree)
         self._search = _kernel(
             model.name,
             model.step,
@@ -326,6 +338,7 @@ class PftDpw(TreePlanner):
             model.leaf_value,
             model.action_value,
             model.legal,
+            model.draw_action,
         )
         self._beliefs = _Beliefs(
             particles=np.empty((nodes + 1, count, model.state_dim)),
@@ -333,6 +346,7 @@ class PftDpw(TreePlanner):
             going_on=np.empty(nodes + 1),
         )
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
+        self._action_widening = action_widening(options, nodes)
         self._scratch = _Scratch(
             after=np.empty((count, model.state_dim)),
             weights=np.empty(count),
@@ -343,6 +357,7 @@ class PftDpw(TreePlanner):
             path_action=np.empty(options.depth, np.int32),
             path_child=np.empty(options.depth, np.int32),
             returns=self._returns,
+            drawn=np.empty(model.action_dim),
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -356,6 +371,7 @@ class PftDpw(TreePlanner):
             self._tree,
             self._beliefs,
             self._tables,
+            self._action_widening,
             self._scratch,
             self._log,
             self._options.ucb_constant,

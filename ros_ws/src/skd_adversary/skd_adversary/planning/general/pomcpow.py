@@ -29,7 +29,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.legality import forbid_kernel
+from skd_adversary.planning.drawn_actions import action_kernels, action_widening, slots_of
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.rollouts import tail_kernel
@@ -48,7 +48,7 @@ from skd_adversary.planning.search_tree import (
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
 
-_step = _observe = _likelihood = _tail = _forbid = unbound
+_step = _observe = _likelihood = _tail = _forbid = _widen = _taken = unbound
 _ENDS_ARE_SEEN = True
 
 
@@ -164,15 +164,16 @@ def _pomcpow_template(
     tree: SearchTree,
     states: _States,
     tables: Tables,
+    action_widening: Int32Array,
     paths: tuple[Int32Array, Int32Array, FloatArray],
-    scratch: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    scratch: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
     log: RootLog,
     exploration: float,
     discount: float,
     rng: np.random.Generator,
 ) -> None:
     path_node, path_action, path_reward = paths
-    state, moved, observation, seen, returns = scratch
+    state, moved, observation, seen, returns, drawn = scratch
     depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     node_count, entries = 1, 0
@@ -187,8 +188,10 @@ def _pomcpow_template(
         node, depth, value = 0, 0, 0.0
         log.cell[i] = -1
         while depth < depth_limit:
+            _widen(parameters, tree, node, depth, state, drawn, action_widening, rng)
             action = _chosen(tree, node, constant, tables, rng)
-            reward, terminal = _step(parameters, state, action, moved, rng)
+            taken = _taken(tree, node, action, drawn)
+            reward, terminal = _step(parameters, state, taken, moved, rng)
             path_node[depth], path_action[depth], path_reward[depth] = node, action, reward
             depth += 1
             ended = 1 if terminal else 0
@@ -202,7 +205,7 @@ def _pomcpow_template(
                     for k in range(seen.shape[0]):
                         seen[k] = np.nan  # like no other observation
                 else:
-                    _observe(parameters, moved, action, seen, rng)
+                    _observe(parameters, moved, taken, seen, rng)
                     child = _same_child(tree, node, action, seen)
                 if child >= 0:
                     states.generated[child] += 1
@@ -223,14 +226,15 @@ def _pomcpow_template(
                 if end_seen == 0:
                     for k in range(seen.shape[0]):
                         observation[k] = tree.observation[child, k]
-                    weight = _likelihood(parameters, moved, action, observation)
+                    weight = _likelihood(parameters, moved, taken, observation)
                 _collect(states, child, entries, moved, reward, ended, weight, fresh)
                 entries += 1
             if depth == 1:
                 log.cell[i] = child
             if fresh:
                 if not terminal:
-                    value = _tail(parameters, leaf_parameters, moved, state, depth_limit - depth, discount, rng)
+                    left = depth_limit - depth
+                    value = _tail(parameters, leaf_parameters, moved, state, drawn, left, discount, rng)
                 break
             entry = _drawn(states, child, rng)
             path_reward[depth - 1] = states.reward[entry]
@@ -259,14 +263,15 @@ def _kernel(
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
+    draw_action: Callable[..., Any] | None,
     ends_are_seen: bool,
 ) -> Callable[..., Any]:
     bound = {
         "_step": step,
         "_observe": observe,
         "_likelihood": likelihood,
-        "_tail": tail_kernel(name, step, rollout_action, leaf_value),
-        "_forbid": forbid_kernel(name, legal),
+        "_tail": tail_kernel(name, step, rollout_action, leaf_value, draw_action is not None),
+        **action_kernels(name, draw_action, legal),
         "_ENDS_ARE_SEEN": ends_are_seen,
     }
     name += "" if leaf_value is None else "_leaves"
@@ -280,7 +285,9 @@ class Pomcpow(TreePlanner):
     def __init__(self, model: Pomdp, options: PomcpowOptions, rng: np.random.Generator) -> None:
         """Prepare for `model`; all randomness of the search comes from `rng`."""
         nodes, entries = options.simulations + 1, options.simulations * options.depth
-        super().__init__(model, options, rng, empty_tree(nodes, model.action_count, model.observation_dim))
+        slots = slots_of(model, options, nodes)
+        tree = empty_tree(nodes, slots, model.observation_dim, action_dim=model.action_dim)
+        super().__init__(model, options, rng, tree)
         self._most_visited = options.most_visited
         self._search = _kernel(
             model.name,
@@ -290,6 +297,7 @@ class Pomcpow(TreePlanner):
             model.rollout_action,
             model.leaf_value,
             model.legal,
+            model.draw_action,
             options.ends_are_seen,
         )
         self._states = _States(
@@ -305,6 +313,7 @@ class Pomcpow(TreePlanner):
             end=np.empty(nodes, np.int32),
         )
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
+        self._action_widening = action_widening(options, nodes)
         self._paths = np.empty(options.depth, np.int32), np.empty(options.depth, np.int32), np.empty(options.depth)
         self._scratch = (
             np.empty(model.state_dim),
@@ -312,6 +321,7 @@ class Pomcpow(TreePlanner):
             np.empty(model.observation_dim),
             np.empty(model.observation_dim),
             self._returns,
+            np.empty(model.action_dim),
         )
 
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -324,6 +334,7 @@ class Pomcpow(TreePlanner):
             self._tree,
             self._states,
             self._tables,
+            self._action_widening,
             self._paths,
             self._scratch,
             self._log,

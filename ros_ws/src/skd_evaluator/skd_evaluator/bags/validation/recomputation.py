@@ -16,6 +16,7 @@ from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
@@ -176,8 +177,12 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     if episode.mode != Mode.REPLAY:
         phi = episode.safe_trajectory
         path = walked[:1] if phi is None else phi.positions
-        choices = road_user_named(episode.scenario.adversary.kind).choices(episode.scenario, path, walked)
+        user = road_user_named(episode.scenario.adversary.kind)
+        choices = user.choices(episode.scenario, path, walked)
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
+        if episode.mode == Mode.KAMIKAZE and episode.actions == Actions.DRAWN and user.within is not None:
+            velocities = user.within(episode.scenario, path, walked)
+            differences = np.minimum(differences, _largest(walked[:-1] + step * velocities - walked[1:]))
     if follows_phi(episode):
         velocities = _along_phi(log, ticks)
         differences = np.minimum(differences, _largest(walked[:-1] + step * velocities - walked[1:]))

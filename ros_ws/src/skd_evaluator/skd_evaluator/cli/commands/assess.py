@@ -178,7 +178,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     make_simulator(plan.simulator)
     further = further_of(arguments)
     if arguments.floor:
-        check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+        check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
         if plan.safe != SYNTHETIC:
             check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("curve", "until_width", "scheduler"):

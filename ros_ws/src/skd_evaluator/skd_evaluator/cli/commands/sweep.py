@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
             if arguments.floor:
                 for plan in plans.values():
-                    check_floor(plan.car, plan.scenario, objectives, plan.simulator)
+                    check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
                 warm_up_floor()
