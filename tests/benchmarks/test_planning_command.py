@@ -38,7 +38,7 @@ def test_every_kind_of_option_can_be_set() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--set sells=NEAREST", "ours has no option 'sells' to set; it has backup, cell_distance, cells"),
+        ("--set sells=NEAREST", "ours has no option 'sells' to set; it has action_exponent, action_factor, backup"),
         ("--planner ours pomcpow --set most_visited=true", "ours has no option 'most_visited'"),
         ("--set cells=NEAR", "cells=NEAR: expected LIKELIHOOD or NEAREST"),
         ("--set depth=inf", "depth=inf: expected a whole number"),

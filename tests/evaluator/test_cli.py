@@ -58,8 +58,8 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
     assert first.returncode == 0, first.stderr
     before = {path.name: path.read_bytes() for path in (here / "out").iterdir()}
     assert set(before) == {
-        "assessment.json", "episodes.npz", "manifest.sha256", "trajectories.png", "trajectories_paper.png",
-        "vulnerability.png",
+        "assessment.json", "episodes.npz", "manifest.sha256", "surrogate_measures.csv", "trajectories.png",
+        "trajectories_paper.png", "vulnerability.png",
     }  # fmt: skip
     (here / "out" / "note.txt").write_text("mine")
 
@@ -76,7 +76,7 @@ def test_results_are_kept_unless_overwritten_and_foreign_files_always(here):
 
     bare = skd("assess", *SMALL, "--no-pictures", "--out", "bare", cwd=here)
     assert bare.returncode == 0, bare.stderr
-    assert names(here / "bare") == ["assessment.json", "episodes.npz", "manifest.sha256"]
+    assert names(here / "bare") == ["assessment.json", "episodes.npz", "manifest.sha256", "surrogate_measures.csv"]
     assert (here / "bare" / "episodes.npz").read_bytes() == before["episodes.npz"]
 
     (here / "foreign").mkdir()
