@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from common import PATIENCE, new_domain
@@ -136,7 +137,7 @@ def make_workspace(folder: Path) -> Workspace:
     variables = _base_variables(folder)
     arguments = ["--build-base", "build", "--install-base", "install", "--base-paths", "src"]
     arguments += ["--executor", "sequential", "--event-handlers", "console_direct+"]
-    if (folder / _BUILT).exists():
+    if (folder / _BUILT).exists() and find_spec("colcon_package_selection"):  # else they are built once more
         arguments += ["--packages-skip", "skd_msgs"]
     arguments += ["--cmake-args", "-DBUILD_TESTING=OFF"]  # the last: what follows goes to CMake
     if not is_sourced():
