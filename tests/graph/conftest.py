@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -74,7 +75,7 @@ def domain() -> Iterator[int]:
     """A domain, with this process in it."""
     number = new_domain()
     with in_domain(number, uuid.uuid4().hex):
-        rclpy.init(args=[])
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
             yield number
         finally:

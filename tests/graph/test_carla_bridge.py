@@ -30,6 +30,7 @@ from graph_support import Program, in_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.encounter.scenario import load_scenario
@@ -206,7 +207,7 @@ def run(
     if not carla or (not others_there and episode.scenario.others):
         arguments += ["-p", "startup_timeout:=0.5"]
     with in_domain(new_domain(), uuid.uuid4().hex):
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         executor, ours = SingleThreadedExecutor(), SingleThreadedExecutor()
         done = threading.Event()
         try:

@@ -19,6 +19,7 @@ import rclpy
 from common import PATIENCE, new_domain, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, evaluator, running, start_node, wait_for_end
 from graph_support import HERE, assert_same_log, whole_graph
+from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from skd_adversary.nodes.adversary_node import AdversaryNode
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -155,7 +156,8 @@ def test_an_unknown_parameter_is_warned_of(
     wrong = name[:2] + name[3:]
     Path("other.yaml").write_text(f"/**:\n  ros__parameters:\n    {wrong}: 3\n    colour: red\n")
     rclpy.shutdown()
-    rclpy.init(args=["--ros-args", "-p", "use_sim_time:=true", "--params-file", "other.yaml"])
+    arguments = ["--ros-args", "-p", "use_sim_time:=true", "--params-file", "other.yaml"]
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = kind()
     node.destroy_node()
     del node

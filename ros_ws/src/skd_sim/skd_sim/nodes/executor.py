@@ -9,7 +9,7 @@ and now and then.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -60,15 +60,15 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._stale = True
         super().wake()
 
-    def spin(self) -> None:
-        """Run callbacks until the context is shut down.
+    def spin(self, ended: Callable[[], bool] = lambda: False) -> None:
+        """Run callbacks until it has ended, which is asked between them and at least every 0.05 s.
 
         Raises:
-            ExternalShutdownException: it was, by a signal.
+            ExternalShutdownException: the context is shut down.
         """
         try:
-            while True:
-                self.spin_once()
+            while not ended():
+                self.spin_once(timeout_sec=_LONGEST_WAIT)
         finally:
             self._let_go()
 

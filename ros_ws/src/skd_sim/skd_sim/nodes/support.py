@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,9 +10,9 @@ import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.options import options_of
@@ -60,7 +58,6 @@ LATCHED = QoSProfile(
 
 _OF_OTHERS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 """Parameters that rclpy itself looks after, some of them later."""
-_SIGNAL_PATIENCE = 0.5  # s
 
 
 @dataclass(frozen=True)
@@ -168,33 +165,24 @@ def listen(
     return node.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
 
 
-def answer_messages(node: Node) -> None:
-    """Let a node answer messages until it is told to end."""
-    LockstepExecutor(node).spin()
-
-
-def _told_to_end(interruption: Interruption) -> bool:
-    """Return whether this process is to end; rclpy shuts its context down from another thread, a moment later."""
-    latest = time.monotonic() + _SIGNAL_PATIENCE
-    while rclpy.ok() and not interruption.came and time.monotonic() < latest:
-        time.sleep(0.01)
-    return interruption.came or not rclpy.ok()
-
-
-def _shut_down() -> None:
-    """Shut rclpy's context down; after a signal rclpy's own thread may do so at the same time."""
-    with contextlib.suppress(rclpy_implementation.RCLError):
-        rclpy.try_shutdown()
+def _worked(node: Any, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
+    """Return what the work of a node returns; answering messages ends, too, where code of others lost the signal."""
+    if work is None:
+        return LockstepExecutor(node).spin(lambda: interruption.came)
+    return work(node)
 
 
 def run_node(
     make: Callable[[], Node],
     args: Sequence[str] | None,
-    work: Callable[[Any], int | None] = answer_messages,
+    work: Callable[[Any], int | None] | None = None,
     *,
     interrupted: int = 0,
 ) -> int:
     """Run a node and return the process's exit code.
+
+    Signals are listened to here, not by rclpy, whose own thread would wake executors and shut contexts down while this
+    one takes them apart: it then reads what is freed.
 
     Args:
         make: makes the node; a ValueError from here on is one line and exit code 2.
@@ -207,10 +195,10 @@ def run_node(
     with Interruption() as interruption:
         try:
             try:
-                rclpy.init(args=args)
+                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
                 node = make()
                 if not interruption.came:  # numba, for one, may have lost it
-                    code = work(node) or 0
+                    code = _worked(node, work, interruption) or 0
             except ValueError as error:
                 rclpy.logging.get_logger("skd").fatal(str(error))
                 code = 2
@@ -218,10 +206,9 @@ def run_node(
                 rclpy.logging.get_logger("skd").fatal(str(error))
                 code = 1
             except Exception:
-                # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled; a
-                # publisher that is made after the signal fails because the context is gone. Neither is an error of
-                # its own.
-                if not _told_to_end(interruption):
+                # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled, which
+                # is no error of its own.
+                if not interruption.came:
                     failed = True
                     raise
         except (KeyboardInterrupt, ExternalShutdownException):
@@ -230,10 +217,10 @@ def run_node(
             # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
             interruption.held = True
             if failed:
-                _shut_down()  # the node goes with the process, when the error is said: its end may hang
+                rclpy.try_shutdown()  # the node goes with the process, when the error is said: its end may hang
             else:
                 with end_within(END_LIMIT, code):
                     if node is not None:
                         node.destroy_node()
-                    _shut_down()
+                    rclpy.try_shutdown()
     return code
