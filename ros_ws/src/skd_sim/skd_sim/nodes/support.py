@@ -165,11 +165,12 @@ def listen(
     return node.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
 
 
-def _worked(node: Any, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
+def _worked(node: Node, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
     """Return what the work of a node returns; answering messages ends, too, where code of others lost the signal."""
-    if work is None:
-        return LockstepExecutor(node).spin(lambda: interruption.came)
-    return work(node)
+    if work is not None:
+        return work(node)
+    LockstepExecutor(node).spin(lambda: interruption.came)
+    return None
 
 
 def run_node(
