@@ -30,6 +30,8 @@ BELIEF: Final = PURPLE
 CAR: Final = "#5B6770"
 OBSTACLE: Final = "#B8BDC2"
 """What is parked."""
+BEHIND: Final = "#888888"
+"""What other figures are seen against."""
 ROAD: Final = "#E8E8E8"
 ROAD_EDGE: Final = "#999999"
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import jinja2
-
 from skd_evaluator.ncap.layout import (
     LEGEND,
     headline,
@@ -17,18 +15,14 @@ from skd_evaluator.ncap.layout import (
 )
 from skd_evaluator.ncap.picture import COLOURS, LIGHT
 from skd_evaluator.ncap.result import Cell, Ncap
+from skd_evaluator.report.html.template import filled
 
 
 def render(found: Ncap) -> str:
     """Return the page."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("skd_evaluator.ncap"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("ncap.html.j2").render(
+    return filled(
+        "skd_evaluator.ncap",
+        "ncap.html.j2",
         found=found,
         grids=[(grid, layout_of(grid), headline(grid, found.room), reasons(grid)) for grid in found.grids],
         colours=COLOURS,

@@ -59,9 +59,9 @@ class StoredResult:
         margins = self.groups.get("margin")
         return None if margins is None else vulnerability_curve(margins, float(self.figures["eta_max"]))
 
-    def same_safe(self, other: StoredResult) -> bool:
-        """Return whether both are of the same φ."""
-        return len(self.safe) == len(other.safe) and all(map(np.array_equal, self.safe, other.safe))
+    def same_safe(self, safe: Sequence[FloatArray]) -> bool:
+        """Return whether it is of these φ, positions at ticks each (m)."""
+        return len(self.safe) == len(safe) and all(map(np.array_equal, self.safe, safe))
 
 
 def read_result(folder: Path) -> StoredResult:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.graph_options import LOCKSTEP
@@ -206,9 +207,13 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
     rating = replace(rating, seconds=time.perf_counter() - begin)
-    write = fill if arguments.pictures else write_assessment
-    problem = out.save(lambda folder: write(folder, rating))
+    problem = out.save(lambda folder: _write(folder, rating, arguments))
     return print_result(rating, out, arguments, gate, problem)
+
+
+def _write(folder: Path, rating: Rating, arguments: argparse.Namespace) -> None:
+    """Write an assessment, with its pictures if they are asked for."""
+    (fill if arguments.pictures else write_assessment)(folder, rating)
 
 
 def further_of(arguments: argparse.Namespace) -> Further:
@@ -249,6 +254,5 @@ def _assess_graph(
             rating = assessed(plan, objectives, runners, progress, further)
             evaluator.publish_assessment(rating)
         rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
-        write = fill if arguments.pictures else write_assessment
-        problem = save_with_scratch(out, scratch, lambda folder: write(folder, rating))
+        problem = save_with_scratch(out, scratch, lambda folder: _write(folder, rating, arguments))
     return rating, problem

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 
@@ -102,7 +101,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 
 def _one_scale(first: StoredResult, other: StoredResult) -> bool:
     """Return whether margins and risks of two results may stand in one picture."""
-    return alike(first.figures, other.figures) and first.same_safe(other)
+    return alike(first.figures, other.figures) and first.same_safe(other.safe)
 
 
 def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
@@ -114,10 +113,7 @@ def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
     found = []
     for subject in read_subjects([folder]):
         car = rated_car(subject.figures, subject.label, behind=True)
-        same = len(subject.episodes.safe) == len(first.safe) and all(
-            map(np.array_equal, subject.episodes.safe, first.safe)
-        )
-        same = same and alike(subject.figures, first.figures)
+        same = first.same_safe(subject.episodes.safe) and alike(subject.figures, first.figures)
         if car is not None and same and not encounter_difference(*map(_encounter, (subject.figures, first.figures))):
             found.append(car)
     curve = basic_cars(found)

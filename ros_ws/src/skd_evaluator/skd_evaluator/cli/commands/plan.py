@@ -145,7 +145,7 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _S
         raise UsageError(held.refusals[0])
     if figure in PLANNED and figure not in held.differences:
         raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
-    if not first.same_safe(second):
+    if not first.same_safe(second.safe):
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
     differences = _attempt_differences(first.groups[figure], second.groups[figure])
     text = f"of the difference on the same φ, from {first.folder} and {second.folder}"

@@ -17,7 +17,7 @@ from skd_evaluator.measure.surrogate.clearance import clearances, least_clearanc
 from skd_evaluator.measure.surrogate.collision_time import collision_times, path_collision_times
 from skd_evaluator.measure.surrogate.encroachment import post_encroachment_times
 from skd_evaluator.measure.surrogate.impact import closing_speeds, fatality_risk, greater_delta_v
-from skd_evaluator.measure.surrogate.scenes import Course, scenes_of
+from skd_evaluator.measure.surrogate.scenes import Course, Scenes, scenes_of
 
 GRID = 0.05
 """s between the moments of measures over time, and of their extremes."""
@@ -67,7 +67,13 @@ def surrogate_measures(
     if not courses:
         return {name: np.empty(0) for name in SURROGATE_MEASURES}
     whole = scenes_of(scenario, courses)
-    grid = whole.every(GRID)
+    return _measures(scenario, whole, whole.every(GRID), collided)
+
+
+def _measures(
+    scenario: Scenario, whole: Scenes, grid: Scenes, collided: npt.NDArray[np.bool_]
+) -> dict[str, FloatArray]:
+    """Return the measures of scenes, given as they are and on the grid."""
     braking = np.minimum(MOST, grid.most(required_decelerations(grid.whole)))
     closing = np.where(collided, whole.at_end(closing_speeds(whole.whole)), math.nan)
     kind = scenario.adversary.kind
@@ -100,8 +106,10 @@ def episode_measures(scenario: Scenario, course: Course, phi: FloatArray, *, col
         phi: φ at ticks, m, along which the adversary is predicted to go on.
         collided: whether car and adversary touched at its end.
     """
-    found = surrogate_measures(scenario, [course], np.array([collided]))
-    scene = scenes_of(scenario, [course]).every(GRID).whole
+    whole = scenes_of(scenario, [course])
+    grid = whole.every(GRID)
+    found = _measures(scenario, whole, grid, np.array([collided]))
+    scene = grid.whole
     over = {
         "clearance": clearances(scene),
         "time_to_collision": collision_times(scene),

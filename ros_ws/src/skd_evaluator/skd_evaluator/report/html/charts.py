@@ -18,7 +18,6 @@ _AIR = 1.15
 _BANDS = 4
 """Most curves whose intervals are shaded: more would lie on one another."""
 _RATE = "hit along φ (%)"
-_PLANNED = "#888888"
 """Of what was planned, beside the margin: on paper and in the dark."""
 
 Spec = dict[str, Any]
@@ -144,7 +143,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             1,
             {
                 "data": {"values": planned},
-                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": _PLANNED},
+                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.BEHIND},
                 "encoding": {
                     "x": x,
                     "y": y,
@@ -159,7 +158,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
         layers += [
             {
                 "data": {"values": budgets},
-                "mark": {"type": "rule", "color": _PLANNED},
+                "mark": {"type": "rule", "color": palette.BEHIND},
                 "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}},
             },
             {
@@ -168,7 +167,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
                     "type": "point",
                     "shape": "diamond",
                     "size": 60,
-                    "color": _PLANNED,
+                    "color": palette.BEHIND,
                     "opacity": 1,
                     "strokeWidth": 2,
                 },

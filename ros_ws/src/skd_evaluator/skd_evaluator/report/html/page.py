@@ -10,7 +10,6 @@ from importlib import resources
 from shlex import join
 from typing import Any
 
-import jinja2
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.episode import Mode, Outcome
 
@@ -28,6 +27,7 @@ from skd_evaluator.report.html.rating_charts import rating_charts
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.template import filled
 from skd_evaluator.report.repeat import (
     BEHAVIOUR_FILE,
     CAR_MODEL_FILE,
@@ -77,14 +77,9 @@ def render(subjects: Sequence[Subject]) -> str:
 def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> str:
     block = pack({**_content(subjects), "listed": len(order)}, episode_columns(subjects, order, ways))
     script, library, style = _joined(_SCRIPTS), chart_library(), _template("style.css")
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("skd_evaluator.report.html"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(
+    return filled(
+        "skd_evaluator.report.html",
+        "report.html.j2",
         subjects=[_view(one) for one in subjects],
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],

@@ -13,8 +13,6 @@ from skd_evaluator.report.html.charts import Spec, axis, spec
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
 
-_CURVE = "#888888"
-
 
 def rating_charts(subjects: Sequence[Subject]) -> list[tuple[str, list[Spec]]]:
     """Return for each set of cars that can be compared a heading, empty for one set, and a chart for each scale."""
@@ -46,10 +44,13 @@ def _chart(cars: Sequence[RatedCar], place: int) -> Spec:
     layers: list[Spec] = []
     if curve:
         layers += [
-            {"mark": {"type": "line", "color": _CURVE, "strokeWidth": 1.4}, "encoding": {"order": {"field": "C"}}},
-            *_points({"color": _CURVE, "size": 22}, {"color": _CURVE, "opacity": 0.5}, x, y, {}),
             {
-                "mark": {"type": "text", "dx": 9, "dy": -7, "fontSize": 10, "color": _CURVE},
+                "mark": {"type": "line", "color": palette.BEHIND, "strokeWidth": 1.4},
+                "encoding": {"order": {"field": "C"}},
+            },
+            *_points({"color": palette.BEHIND, "size": 22}, {"color": palette.BEHIND, "opacity": 0.5}, x, y, {}),
+            {
+                "mark": {"type": "text", "dx": 9, "dy": -7, "fontSize": 10, "color": palette.BEHIND},
                 "encoding": {"text": {"field": "label"}},
             },
         ]

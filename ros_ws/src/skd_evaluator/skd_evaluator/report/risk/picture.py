@@ -17,7 +17,6 @@ from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
 
 DPI = 150
-_CURVE = "#888888"
 
 
 def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
@@ -48,9 +47,11 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
     curve = basic_cars(cars)
     if curve:
         x, y = [one.margin for one in curve], [max(floor, one.risks[place][0]) for one in curve]
-        axes.plot(x, y, "-", color=_CURVE, lw=1.3, marker=".", ms=5, zorder=2, label="basic cars, by C")
+        axes.plot(x, y, "-", color=palette.BEHIND, lw=1.3, marker=".", ms=5, zorder=2, label="basic cars, by C")
         for text, across, up in zip(labelled(curve, place, floor), x, y, strict=True):
-            axes.annotate(text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=7, color=_CURVE)
+            axes.annotate(
+                text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=7, color=palette.BEHIND
+            )
     for number, one in enumerate(one for one in cars if not one.behind):
         colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
         value, (low, high) = one.risks[place]
@@ -68,4 +69,11 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
     axes.set_xlabel("margin (m)")
     axes.grid(alpha=0.3)
     if any(one.risks[place][0] < floor for one in cars if not one.behind):
-        axes.text(0.02, 0.02, "hollow, at the edge: nobody was hit", transform=axes.transAxes, fontsize=7, color=_CURVE)
+        axes.text(
+            0.02,
+            0.02,
+            "hollow, at the edge: nobody was hit",
+            transform=axes.transAxes,
+            fontsize=7,
+            color=palette.BEHIND,
+        )
