@@ -278,6 +278,15 @@ def test_a_green_test_with_as_much_room_as_wanted_is_not_narrow():
     assert margin_text(Cell(speed=1.0, margin=5.0, margins=(5.0, 5.0), beyond=2)) == "≥5.00"
 
 
+def test_an_attempt_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():
+    """Four hits and one attempt without any are no margin of 1 m without a word."""
+    (grid,) = small(margin=1.0, margins=(0.0, 0.0, 0.0, 0.0, 5.0), beyond=1).grids
+    assert margin_text(grid.cells[0]) == "≥1.00"
+    assert any("in some attempts nobody could be hit within η_max" in line for line in reasons(grid))
+    (grid,) = small(margin=0.5, margins=(0.5,), beyond=0).grids
+    assert not any("nobody could be hit" in line for line in reasons(grid))
+
+
 def test_what_is_said_of_a_grid():
     unsure = Cell(speed=30.0, place=50.0, colour="green", margin=2.0, margins=(2.0,), converged=False)
     refused = [

@@ -179,7 +179,7 @@ def steers(text: str) -> bool:
     return any(one in text for one in "\x1b\x07\u202e\u2066\x9b\r\x7f")
 
 
-def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, capfd):
+def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, capfd, recwarn):
     change(result, lambda figures: figures.update(controller=STEERING, multiplier=None))
     change(result, lambda figures: [one.update(name=STEERING) for one in figures["per_safe_trajectory"]])
     monkeypatch.chdir(tmp_path)
@@ -198,6 +198,7 @@ def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, c
         assert "\\x1b" in out + err or "\\u001b" in out + err, (words, out, err)
     assert run_skd("compare", other, "result", "--out", "compared", "--overwrite", "--json") == 0
     assert STEERING in json.loads(capfd.readouterr().out)["rows"][1]["car"]  # JSON says the same all the same
+    assert [str(one.message) for one in recwarn if "Glyph" in str(one.message)] == []  # pictures show escapes, too
 
 
 # --- what takes more time or memory than it says, and names that nothing can have

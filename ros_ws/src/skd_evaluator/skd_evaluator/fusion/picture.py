@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 
 from skd_evaluator import palette
 from skd_evaluator.fusion.fusion import FusedFigure
-
-_DPI = 150
+from skd_evaluator.report.saved_picture import save_picture
 
 
 def save_fusion(path: Path, figures: Sequence[FusedFigure]) -> None:
@@ -26,7 +25,7 @@ def save_fusion(path: Path, figures: Sequence[FusedFigure]) -> None:
     for column, one in enumerate(figures):
         _draw_pairs(panels[0, column], one)
         _draw_order(panels[1, column], one)
-    picture.savefig(path, dpi=_DPI)
+    save_picture(picture, path)
 
 
 def _draw_pairs(axes: Axes, one: FusedFigure) -> None:

@@ -69,10 +69,10 @@ def impact_text(cell: Cell) -> str:
 
 
 def margin_text(cell: Cell) -> str:
-    """Return a cell's margin: at least so much where nobody could be hit within η_max in any attempt."""
+    """Return a cell's margin: at least so much where nobody could be hit within η_max in an attempt."""
     if cell.margin is None:
         return NOTHING
-    return f"{'≥' if cell.beyond == len(cell.margins) else ''}{cell.margin:.2f}"
+    return f"{'≥' if cell.beyond else ''}{cell.margin:.2f}"
 
 
 def row_name(cell: Cell) -> str:
@@ -88,6 +88,8 @@ def reasons(grid: Grid) -> list[str]:
         found["the search for the margin has not converged, which is an upper bound: try a greater --margin-limit"] = (
             loose
         )
+    if part := [cell for cell in grid.cells if 0 < cell.beyond < len(cell.margins)]:
+        found["in some attempts nobody could be hit within η_max, with which they count in the margin"] = part
     for cell in grid.cells:
         for why in dict.fromkeys(filter(None, (cell.why, cell.margin_why and f"no margin: {cell.margin_why}"))):
             if why != f"no margin: {cell.why}":

@@ -16,6 +16,7 @@ from matplotlib.patches import Rectangle
 from skd_evaluator import palette
 from skd_evaluator.ncap.layout import impact_text, layout_of, letter_of, margin_text
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.report.saved_picture import save_picture
 
 COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""
@@ -49,7 +50,7 @@ def save_ncap(path: Path, found: Ncap) -> None:
         f"Framed: green with less than {found.room:g} m of room. Not an official rating.",
         fontsize=8,
     )
-    figure.savefig(path, dpi=_DPI)
+    save_picture(figure, path, _DPI)
 
 
 def _draw(axes: Axes, grid: Grid, room: float) -> None:

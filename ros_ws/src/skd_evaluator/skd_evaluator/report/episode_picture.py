@@ -32,6 +32,7 @@ from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
 from skd_evaluator.report.believed_car import DEVIATIONS
+from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
 
 FORMATS = ("png", "gif", "mp4")
@@ -232,7 +233,7 @@ def save_episode(path: Path, shown: ShownEpisode) -> None:
     """
     picture = EpisodePicture(shown)
     if path.suffix == ".png":
-        picture.figure.savefig(path, dpi=DPI)
+        save_picture(picture.figure, path, DPI)
         return
     frames = picture.frames(_times(float(shown.times[-1])))
     if path.suffix == ".gif":

@@ -19,10 +19,11 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from skd_evaluator.report.saved_picture import save_picture
+
 _GAPS = np.arange(-6.0, 26.0, 2.0)  # m
 _ASIDE = np.arange(-5.0, 5.5, 1.0)  # m
 _FEW = 5  # ticks: a mean over fewer is not shown
-_DPI = 150
 _COLOURS = ("#1b6ca8", "#d1662b", "#3a3a3a")
 
 
@@ -51,7 +52,7 @@ def save_prediction(path: Path, ticks: SeenAndPredicted) -> None:
     panels[0].set_ylabel("adversary ahead of the front bumper (m)")
     figure.colorbar(drawn, ax=panels, label="mean acceleration of the car (m/s²)")
     figure.suptitle(f"{ticks.seen.size} ticks that the model has not seen; white: fewer than {_FEW}", fontsize=9)
-    figure.savefig(path, dpi=_DPI)
+    save_picture(figure, path)
 
 
 def save_behaviour(
@@ -86,7 +87,7 @@ def save_behaviour(
     right.set_ylabel("residual of constant velocity (m)")
     right.set_title("held out (dots), predicted (lines)", fontsize=9)
     right.legend(fontsize=8, frameon=False)
-    figure.savefig(path, dpi=_DPI)
+    save_picture(figure, path)
 
 
 def _speeds(axes: Axes, ways: Sequence[FloatArray], title: str, time_step: float = 0.3) -> None:

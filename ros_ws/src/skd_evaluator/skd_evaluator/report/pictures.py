@@ -24,10 +24,10 @@ from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet
 from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
 
-DPI = 150
 _APPROACH, _LANE_SHOWN = 8.0, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
 _LABELLED = 3
 """Ticks between those whose time stands beside φ."""
@@ -101,7 +101,7 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         if handles:  # in one of them there may be no figure
             figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
             break
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path)
 
 
 def _kamikaze_label(groups: Sequence[KamikazeSet], shown: int) -> str:
@@ -323,4 +323,4 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     figure.suptitle(
         f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color=palette.ALERT if lost else "black"
     )
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path)

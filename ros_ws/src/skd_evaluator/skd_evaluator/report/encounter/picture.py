@@ -19,6 +19,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator import palette
+from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 
 _DPI = 110
@@ -58,7 +59,7 @@ def save_encounter(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -
     axes.set_ylabel("y, North (m)")
     axes.set_title(f"{scenario.name}, {3.6 * car.start_speed:.0f} km/h", fontsize=10, parse_math=False)
     figure.legend(loc="outside lower center", ncols=1, frameon=False, fontsize=8)
-    figure.savefig(path, dpi=_DPI)
+    save_picture(figure, path, _DPI)
 
 
 def _first(scenario: Scenario, ways: Sequence[Trajectory]) -> FloatArray:

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from skd_evaluator import palette
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
-
-DPI = 150
+from skd_evaluator.report.saved_picture import save_picture
 
 
 def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
@@ -39,7 +38,7 @@ def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
     legend = figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
     for text in legend.get_texts():
         text.set_parse_math(False)  # a name may be anything
-    figure.savefig(path, dpi=DPI)
+    save_picture(figure, path)
 
 
 def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
