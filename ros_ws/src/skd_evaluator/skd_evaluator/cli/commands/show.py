@@ -162,12 +162,12 @@ def _measures(subject: Subject, number: int) -> dict[str, Any]:
 def _said(measures: dict[str, Any]) -> str:
     """Return the surrogate safety measures of an episode in one line."""
     texts = {
-        "clearance": "least clearance {:.2f} m",
-        "time_to_collision": "time to collision {:.2f} s",
-        "post_encroachment_time": "post-encroachment time {:.2f} s",
-        "required_deceleration": "required deceleration {:.1f} m/s²",
-        "closing_speed": "closing speed {:.1f} m/s",
-        "delta_v": "ΔV {:.1f} m/s",
+        "clearance": "least clearance {:z.2f} m",
+        "time_to_collision": "time to collision {:z.2f} s",
+        "post_encroachment_time": "post-encroachment time {:z.2f} s",
+        "required_deceleration": "required deceleration {:z.1f} m/s²",
+        "closing_speed": "closing speed {:z.1f} m/s",
+        "delta_v": "ΔV {:z.1f} m/s",
         "fatality_risk": "risk of a fatality {:.1%}",
     }
     return ", ".join(text.format(measures[name]) for name, text in texts.items() if measures.get(name) is not None)
