@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from skd_evaluator import palette
 from skd_evaluator.ncap.layout import impact_text, layout_of, letter_of, margin_text
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
-from skd_evaluator.report.saved_picture import save_picture
+from skd_evaluator.saved_picture import save_picture
 
 COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""

@@ -32,8 +32,8 @@ from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
 from skd_evaluator.report.believed_car import DEVIATIONS
-from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
+from skd_evaluator.saved_picture import save_picture
 
 FORMATS = ("png", "gif", "mp4")
 DPI, _FILM_DPI = 110, 80

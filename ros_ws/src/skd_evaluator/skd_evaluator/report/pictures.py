@@ -24,9 +24,9 @@ from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
 from skd_evaluator.report.terminal import car_name
+from skd_evaluator.saved_picture import save_picture
 
 _APPROACH, _LANE_SHOWN = 8.0, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
 _LABELLED = 3

@@ -19,8 +19,8 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.report.saved_picture import save_picture
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
+from skd_evaluator.saved_picture import save_picture
 
 _DPI = 110
 _BESIDE = 2.0  # m that are shown beside everything

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from skd_evaluator import palette
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
-from skd_evaluator.report.saved_picture import save_picture
+from skd_evaluator.saved_picture import save_picture
 
 
 def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
