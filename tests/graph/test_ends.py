@@ -41,9 +41,9 @@ from skd_sim.nodes import executor
 from skd_sim.start import start
 spin = executor.LockstepExecutor.spin
 
-def spin_and_say_so(self):
+def spin_and_say_so(self, *arguments):
     pathlib.Path(sys.argv[1] + "-ready").touch()
-    spin(self)
+    spin(self, *arguments)
 
 executor.LockstepExecutor.spin = spin_and_say_so
 sys.exit(start(sys.argv[2]))
@@ -77,7 +77,8 @@ def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
             stderr=output,
         )
     try:
-        wait_until((tmp_path / "hangs-ready").exists, "the node")
+        wait_until(lambda: (tmp_path / "hangs-ready").exists() or process.poll() is not None, "the node")
+        assert process.poll() is None, log.read_text()
         process.send_signal(signal.SIGINT)
         wait_until((tmp_path / "hangs").exists, "its end")
         begin = time.monotonic()
