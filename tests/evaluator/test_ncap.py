@@ -283,6 +283,7 @@ def test_an_attempt_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():
     (grid,) = small(margin=1.0, margins=(0.0, 0.0, 0.0, 0.0, 5.0), beyond=1).grids
     assert margin_text(grid.cells[0]) == "≥1.00"
     assert any("in some attempts nobody could be hit within η_max" in line for line in reasons(grid))
+    assert margin_text(Cell(speed=1.0, margin=1.0, margins=(0.0, 2.0), beyond=1, converged=False)) == "1.00"
     (grid,) = small(margin=0.5, margins=(0.5,), beyond=0).grids
     assert not any("nobody could be hit" in line for line in reasons(grid))
 

@@ -69,10 +69,13 @@ def impact_text(cell: Cell) -> str:
 
 
 def margin_text(cell: Cell) -> str:
-    """Return a cell's margin: at least so much where nobody could be hit within η_max in an attempt."""
+    """Return a cell's margin: at least so much where nobody could be hit within η_max in an attempt.
+
+    A search that has not converged may have missed a hit, so that it gives no least value.
+    """
     if cell.margin is None:
         return NOTHING
-    return f"{'≥' if cell.beyond else ''}{cell.margin:.2f}"
+    return f"{'≥' if cell.beyond and cell.converged else ''}{cell.margin:.2f}"
 
 
 def row_name(cell: Cell) -> str:
