@@ -388,6 +388,23 @@ def test_a_class_of_a_program_is_found_without_beginning_the_program(tmp_path: P
     assert (done.stdout, done.stderr) == ("0.1 -2.5\n", "")
 
 
+def test_numba_is_imported_for_those_that_need_it(cars: Path) -> None:
+    (cars / "lean.py").write_text(
+        "import sys\nfrom skd_sim.controllers import BasicController\nclass Own:\n"
+        "    def reset(self, scenario, rng): pass\n"
+        "    def command(self, car, adversary): return float('numba' in sys.modules)\n"
+        "class Derived(BasicController):\n    def __init__(self): super().__init__(1.0)\n"
+    )
+    states = CarState(0.0, 0.0, 1.5707963267948966, 8.0), AdversaryState(1.0, 6.0, 0.0, 1.0)
+    answers = []
+    for controller in (*(apart(CarUnderTest(f"lean:{name}")) for name in ("Own", "Derived")), make_controller("basic")):
+        controller.reset(CROSSING, controller_generator(bytes(32)))
+        answers.append(controller.command(*states))
+    own, derived, basic = answers
+    assert own == 0.0
+    assert derived == basic < 0.0
+
+
 def test_who_ends_its_process_is_named(cars: Path) -> None:
     (cars / "ends.py").write_text(
         "import os\nclass Car:\n    def reset(self, scenario, rng): os._exit(9)\n"

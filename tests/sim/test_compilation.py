@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from common import PATIENCE
 from skd_sim.kernels import kernel_cache
-from skd_sim.kernels.compilation import kernel, specialise
+from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.fingerprint import UnfathomableError, fingerprint
+from skd_sim.kernels.specialisation import specialise
 
 NUMBERS = """
 GRAVITY = 9.81
@@ -38,7 +39,8 @@ def doubled(value):
 """
 MODEL = """
 from typing import NamedTuple
-from skd_sim.kernels.compilation import kernel, specialise
+from skd_sim.kernels.compilation import kernel
+from skd_sim.kernels.specialisation import specialise
 import helpers_of_mine
 from helpers_of_mine import doubled
 

@@ -34,6 +34,7 @@ from skd_sim.choices.registry import reason_of
 from skd_sim.controllers import SensingController, make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
+from skd_sim.kernels.waiting import compile_for
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, RoadUserState, Scene
 
@@ -138,7 +139,9 @@ class _Car:
             if self._main:
                 main, self._main = self._main, ""
                 be_main(main)
-            controller = self._controllers[number] = guard(make_controller(self._name, self._multiplier), self._name)
+            made = make_controller(self._name, self._multiplier)
+            compile_for(made)
+            controller = self._controllers[number] = guard(made, self._name)
             sensing = isinstance(controller, SensingController)
             told = {"sensing": sensing, "control_period": controller.control_period, "scene": controller.takes_scene}
             return Kind.TEXT, told

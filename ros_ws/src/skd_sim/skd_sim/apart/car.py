@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 
 from skd_sim.apart.seclusion import seclude
+from skd_sim.kernels.waiting import put_off
 from skd_sim.program.lasting import import_lasting
 
 
@@ -16,5 +17,6 @@ def main() -> None:
     seclude()
     questions, answers = (int(argument) for argument in sys.argv[1:])
     del sys.argv[1:]
+    put_off()
     answering = import_lasting("skd_sim.apart.answering")  # imports start threads, which are to be secluded as well
     answering.answer_all(questions, answers)
