@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from common import PATIENCE
-from skd_sim.kernels import kernel_cache
 from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.fingerprint import UnfathomableError, fingerprint
+from skd_sim.kernels.compiler import kernel_cache
+from skd_sim.kernels.compiler.fingerprint import UnfathomableError, fingerprint
 from skd_sim.kernels.specialisation import specialise
 
 NUMBERS = """
@@ -248,7 +248,7 @@ def test_digest_tells_every_two_values_apart_and_repeats():
 def test_digest_does_not_depend_on_the_process(mine):
     (mine / "print_digest.py").write_text(
         "import sys; sys.path.insert(0, sys.argv[0] and '.')\nfrom helpers_of_mine import fall\n"
-        "from skd_sim.kernels.fingerprint import fingerprint\nprint(fingerprint(fall))\n"
+        "from skd_sim.kernels.compiler.fingerprint import fingerprint\nprint(fingerprint(fall))\n"
     )
     found = {run(mine, "print_digest.py", PYTHONHASHSEED=seed).stdout for seed in ("1", "2", "3")}
     assert len(found) == 1

@@ -43,4 +43,4 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     options = {"inline": inline, "allocates": counts, "nogil": nogil}
     if waiting.is_put_off():
         return waiting.Waiting(function, options)
-    return import_lasting("skd_sim.kernels.machine_code").compiled(function, **options)
+    return import_lasting("skd_sim.kernels.compiler.machine_code").compiled(function, **options)

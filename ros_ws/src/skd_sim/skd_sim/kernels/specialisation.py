@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.fingerprint import UnfathomableError, fingerprint
+from skd_sim.kernels.compiler.fingerprint import UnfathomableError, fingerprint
 
 _specialised: dict[tuple[str, str, str], str] = {}
 """(module and name of the template, name of the specialisation) → fingerprint."""

@@ -36,7 +36,7 @@ class Waiting:
     def compile(self) -> Any:
         """Return the kernel that this is from now on."""
         if self._kernel is None:
-            compiled = import_lasting("skd_sim.kernels.machine_code").compiled
+            compiled = import_lasting("skd_sim.kernels.compiler.machine_code").compiled
             self._kernel = compiled(self._function, **self._options)
         return self._kernel
 

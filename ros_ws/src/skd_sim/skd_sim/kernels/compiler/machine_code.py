@@ -13,7 +13,7 @@ from numba.core.errors import NumbaError
 from numba.np import linalg
 
 from skd_sim.errors import UsageError
-from skd_sim.kernels.kernel_cache import KernelCache
+from skd_sim.kernels.compiler.kernel_cache import KernelCache
 from skd_sim.program.requirements import environment
 
 CompilationError = NumbaError

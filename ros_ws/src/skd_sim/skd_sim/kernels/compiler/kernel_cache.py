@@ -25,7 +25,7 @@ from numba.core import serialize
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 
-from skd_sim.kernels.fingerprint import UnfathomableError, argument_shapes, fingerprint
+from skd_sim.kernels.compiler.fingerprint import UnfathomableError, argument_shapes, fingerprint
 
 VARIABLE = "SKD_CACHE_DIR"
 _FOLDER = "kernels"
