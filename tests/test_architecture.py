@@ -8,6 +8,7 @@ import graphlib
 import shutil
 import subprocess
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -51,9 +52,14 @@ def package_modules(package: str) -> list[Path]:
     return sorted((ROOT / "ros_ws" / "src" / package / package).rglob("*.py"))
 
 
+@cache
+def nodes_of(module: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(ast.parse(module.read_text(encoding="utf-8"))))
+
+
 def imported(module: Path) -> Iterator[str]:
     """Yield the top-level packages that a module imports, wherever in it."""
-    for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+    for node in nodes_of(module):
         if isinstance(node, ast.Import):
             yield from (name.name.split(".")[0] for name in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -78,7 +84,7 @@ def test_rooms_of_the_evaluator_stand_in_order(room):
     for module in modules:
         found = {
             parts[1]
-            for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+            for node in nodes_of(module)
             if isinstance(node, ast.ImportFrom) and (parts := (node.module or "").split("."))[0] == "skd_evaluator"
             if len(parts) > 1
         }
@@ -97,7 +103,7 @@ def arrows() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for name, module in files.items():
         named: set[str] = set()
-        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))):
+        for node in nodes_of(module):
             if isinstance(node, ast.Import):
                 named |= {one.name for one in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,9 +50,14 @@ def named(node: ast.AST, variables: set[str]) -> bool:
     return False
 
 
+@cache
+def parsed(text: str) -> ast.Module:
+    return ast.parse(text)
+
+
 def comparisons(text: str, variables: set[str]) -> Iterator[int]:
     """Yield the line of each comparison with a registered name: ==, !=, in, not in, is, and cases of a match."""
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(parsed(text)):
         if isinstance(node, ast.Compare) and any(named(part, variables) for part in (node.left, *node.comparators)):
             key = isinstance(node.ops[0], (ast.In, ast.NotIn)) and isinstance(node.left, ast.Constant)
             if not key:  # whether a mapping has a key of that name is another question
@@ -64,7 +70,7 @@ def test_names_are_compared_nowhere_else():
     assert MODULES
     texts = {str(path.relative_to(SOURCE).as_posix()).split("/", 1)[1]: path.read_text("utf-8") for path in MODULES}
     assert set(texts) >= REGISTRIES
-    variables = set().union(*(constants(ast.parse(text)) for text in texts.values()))
+    variables = set().union(*(constants(parsed(text)) for text in texts.values()))
     assert {"DEFAULT", "EXTERNAL", "BOTH", "BASIC"} <= variables
     found = {name: list(comparisons(text, variables)) for name, text in texts.items() if name not in REGISTRIES}
     assert {name: lines for name, lines in found.items() if lines} == {}
@@ -115,7 +121,7 @@ def test_the_adversary_bears_the_name_of_no_kind():
     found = {
         path.relative_to(SOURCE).as_posix()
         for path in MODULES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8")))
         if KIND in names_of(node)
     }
     assert found == {"skd_sim/skd_sim/former_names.py"}  # imports of the kind's module set no name of theirs

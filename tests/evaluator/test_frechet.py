@@ -52,12 +52,13 @@ def brute_force(p: np.ndarray, q: np.ndarray) -> float:
 def row_by_row(p: np.ndarray, q: np.ndarray) -> float:
     """The textbook recurrence over a full table."""
     squared = sum((p[:, None, c] - q[None, :, c]) ** 2 for c in range(p.shape[1]))
-    table = np.full((len(p) + 1, len(q) + 1), np.inf)
-    table[0, 0] = 0.0
-    for i in range(len(p)):
-        for j in range(len(q)):
-            table[i + 1, j + 1] = max(squared[i, j], min(table[i, j + 1], table[i + 1, j], table[i, j]))
-    return float(np.sqrt(table[-1, -1]))
+    above = [0.0, *[math.inf] * len(q)]
+    for row in squared.tolist():
+        below = [math.inf]
+        for j, cell in enumerate(row):
+            below.append(max(cell, min(above[j + 1], below[j], above[j])))
+        above = below
+    return float(np.sqrt(above[-1]))
 
 
 def walk(rng: np.random.Generator, n: int, dimension: int = 2) -> np.ndarray:

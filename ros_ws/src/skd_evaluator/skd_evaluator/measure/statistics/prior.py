@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import optimize, special
@@ -68,7 +69,7 @@ class Prior:
         """
         if not _LEAST < inside < math.inf:
             return None
-        half = self._half_width(means, counts, inside, confidence)
+        half = _half_width(self, tuple(means.tolist()), tuple(counts.tolist()), inside, confidence)
         normal = float(special.ndtri(0.5 + confidence / 2.0))
         skewness = self.skewness + sample_skewness(means)
         if skewness * self.skewness <= 0.0:  # not to the other side
@@ -76,7 +77,8 @@ class Prior:
         moved = skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(len(means))) * half / normal
         return half - min(0.0, moved), half + max(0.0, moved)
 
-    def _half_width(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> float:
+    def half_width(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> float:
+        """Return half the width of the interval before it is moved for skewness; arguments as of `interval`."""
         spreads = RATIOS[:, None] + 1.0 / counts  # variance of each mean, in units of σ²
         precisions = 1.0 / spreads
         together = precisions.sum(axis=1)
@@ -105,6 +107,14 @@ MARGINS = Prior(ratio=0.02, spread=3.0, skewness=0.6)
 """Of margins, likewise: their φ means are less skewed."""
 PREFIXES = Prior(ratio=0.04, spread=1.5, skewness=1.25)
 """Of distances to φ cut at the duration of ψ, likewise."""
+
+
+@lru_cache(maxsize=4096)
+def _half_width(
+    prior: Prior, means: tuple[float, ...], counts: tuple[float, ...], inside: float, confidence: float
+) -> float:
+    """Return half the width before skewness; kept, for a result that is written is checked, shown and reported."""
+    return prior.half_width(np.array(means), np.array(counts), inside, confidence)
 
 
 def sample_skewness(values: FloatArray) -> float:
