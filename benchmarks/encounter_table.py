@@ -1,12 +1,20 @@
 """Every encounter that has a name × cars: what kamikazes reach, how often φ itself is hit, and whether all is in order.
 
-The basic car at C = 0.75, 1 and 1.25, the same as a multi-body car, and CAL beside people on foot, each on φ of the
-encounter's protocol, or, where it has none, on synthetic ones. Each kamikaze is held against the limits of its kind by
-an oracle of its own (road_user_limits.py). With --graph the first two kamikazes and runs along φ of each row also run
-through the node graph, are recorded, and are compared with those in process to the last bit:
+Cars: the basic one at C = 0.75, 1 and 1.25; the same as a multi-body car; CAL beside people on foot; and beside whoever
+comes as a box three brakes of known order that look at the car's own strip (cars/triggers.py). Each on the φ of the
+encounter's protocol, or, where it has none, on synthetic ones; with fewer φ there are more attempts on each, so that
+all rows have as many. An attempt without a hit counts as η_max. Intervals are normal ones over attempts, φ given. Each
+episode is held against the limits of its road user by an oracle of its own (road_user_limits.py).
+
+Of the first attempts on each φ also the margin, exact where it can be, else found by search: closeness is the planned
+deformation of these attempts over it. With --graph two kamikazes and two runs along φ of the first row of each
+encounter also run through the node graph, are recorded, and are compared with those in process to the last bit.
 
     .venv/bin/python benchmarks/encounter_table.py --graph --out encounter_table.json
-    .venv/bin/python benchmarks/encounter_table.py --encounters cpna cpfa --cars C=1 --kamikazes 5
+    .venv/bin/python benchmarks/encounter_table.py --encounters cpna cpfa --cars C=1 --attempts 20
+
+FILE keeps the rows; the same command goes on from there, and prints all of them. `--most-minutes` begins no further row
+after so much processor time.
 """
 
 from __future__ import annotations
@@ -15,6 +23,7 @@ import argparse
 import dataclasses
 import json
 import math
+import resource
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -22,21 +31,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from road_user_limits import BODIES, beyond
+from cars.triggers import TRIGGERS
+from encounter_rows import closeness_lines, line, order_lines, table_head
+from road_user_limits import beyond
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.pipeline import planners_of
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.plan.plan import Plan, collision_runs, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.cli.arguments import whole_number
+from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
 from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.measure.margins import Margins
+from skd_evaluator.measure.statistics.statistics import normal_interval
 from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
+from skd_sim.controllers import control_period_of, make_controller, with_control_period
 from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
 
 CARS: Mapping[str, Mapping[str, Any]] = {
     "C=0.75": {"multiplier": 0.75},
@@ -44,15 +61,17 @@ CARS: Mapping[str, Mapping[str, Any]] = {
     "C=1.25": {"multiplier": 1.25},
     "multi-body C=1": {"multiplier": 1.0},
     "cal": {"controller": "cal", "knowledge": Knowledge.NOTHING},
+    **{name: {"controller": where, "knowledge": Knowledge.NOTHING} for name, where in TRIGGERS.items()},
 }
 ON_FOOT = ("pedestrian", "runner", "child")
+OF_THE_PAPER = ("crossing", "citr_crossing", "crossing_multi_body")
 _ROUNDING = 1e-6
-_COLUMNS = ("deformation", "success", "hits along φ", "impact speed", "within limits", "seconds")
 
 
 def plan_for(name: str, car: str, arguments: argparse.Namespace) -> Plan | str:
     """Return the plan of a row, or why there is none."""
     scenario = load_scenario(name)
+    on_foot = scenario.adversary.kind in ON_FOOT
     if car.startswith("multi-body"):
         if not scenario.road.straight:
             return "the multi-body car does not steer"
@@ -60,67 +79,133 @@ def plan_for(name: str, car: str, arguments: argparse.Namespace) -> Plan | str:
         kept = ("start_speed", "start_gap", "start_gap_range", "meet_safe_trajectory")
         held = {key: getattr(scenario.car, key) for key in kept}
         scenario = dataclasses.replace(scenario, car=dataclasses.replace(body, **held))
-    if car == "cal" and (scenario.adversary.kind not in ON_FOOT or not scenario.road.straight):
+    if car == "cal" and not (on_foot and scenario.road.straight):
         return "CAL knows people on foot, on straight roads"
-    if car == "cal" and scenario.sensor is None:
-        return "CAL needs a laser"
+    if car in TRIGGERS and (on_foot or not scenario.road.straight):
+        return "for boxes, on straight roads"
+    chosen = CARS[car]
+    if "controller" in chosen:
+        named = chosen["controller"]
+        scenario = with_control_period(scenario, control_period_of(make_controller(named, 1.0), named), named)
     protocol = scenario.protocol
     count = arguments.safe if protocol is None else min(arguments.safe, len(protocol.impact_places))
     return Plan(
         scenario,
         safe="synthetic" if protocol is None else REGULATORY,
         safe_count=count,
-        kamikaze_count=arguments.kamikazes,
+        kamikaze_count=math.ceil(arguments.attempts / count),
         collision_runs=arguments.runs,
         objective=Objective.DEFORMATION,
-        simulations=arguments.simulations,
-        **CARS[car],
+        simulations=arguments.paper_simulations if name in OF_THE_PAPER else arguments.simulations,
+        **chosen,
     )
 
 
-def within_limits(scenario: Scenario, logs: Sequence[EpisodeLog]) -> str:
-    """Return how many kamikazes keep to the limits of their kind, of how many; nothing for the paper's pedestrian."""
-    kind = scenario.adversary.kind
-    if kind not in BODIES:
-        return "–"
-    kept = 0
-    for log in logs:
-        assert log.episode.safe_trajectory is not None
-        phi, heading = log.episode.safe_trajectory.positions, scenario.adversary.first_heading
-        kept += beyond(kind, phi, log.adversary, scenario.time_step, heading) <= _ROUNDING
-    return f"{kept}/{len(logs)}"
+def excess(scenario: Scenario, phi: Trajectory, way: np.ndarray) -> float:
+    """Return by how much the worst step of a way is beyond what its road user can do, m/s² or rad.
+
+    The paper's pedestrian changes its velocity as it likes: of it no step is faster than its speed, or than φ (m/s).
+    """
+    adversary, step = scenario.adversary, scenario.time_step
+    if adversary.kind == "pedestrian":
+        most = max(adversary.speed, float(np.hypot(*np.diff(phi.positions, axis=0).T).max(initial=0.0)) / step)
+        return float(np.hypot(*np.diff(way, axis=0).T).max(initial=0.0)) / step - most
+    return beyond(adversary.kind, phi.positions, way, step, adversary.first_heading)
 
 
 def row_of(plan: Plan, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[EpisodeLog]]:
     """Run one row; return it, and the episodes that are compared with the graph."""
     begin = time.perf_counter()
-    with InProcessRunner(arguments.workers) as runner:
+    with InProcessRunner(arguments.workers, isolated=plan.controller in TRIGGERS.values()) as runner:
+        runner.start(planners_of(plan, [Objective.DEFORMATION]))
         safe = safe_trajectories(plan, runner)
-        sets = kamikaze_sets(plan, safe, runner)
+        tried = range(plan.kamikaze_count)
+        episodes = [plan.episode(Mode.KAMIKAZE, index, n, phi) for index, phi in enumerate(safe) for n in tried]
+        logs = list(runner.run(episodes))
         along = collision_runs(plan, safe, runner)
-    logs = [log for one in sets for log in one.in_order]
-    eta_max, least = plan.scenario.eta_max, []
-    for log in logs:
-        if not log.hit:
-            least.append(eta_max)
-            continue
-        phi, psi = log.episode.safe_trajectory, log.trajectory
-        assert phi is not None
-        least.append(min(eta_max, deformation(phi.positions, psi.positions, log.impact_time / plan.scenario.time_step)))
-    hits = [log.impact_speed for log in logs if log.hit]
-    found = {
-        "deformation": float(np.mean(least)),
-        "deformation_deviation": float(np.std(least)),
-        "attempts": len(logs),
-        "success": float(np.mean([log.hit for log in logs])),
-        "hits along φ": float(np.mean([log.hit for log in along])),
-        "impact speed": float(np.mean(hits)) if hits else math.nan,
-        "within limits": within_limits(plan.scenario, logs),
-        "aborted": sum(log.outcome == Outcome.ABORTED for log in (*logs, *along)),
-        "φ": len(safe),
-        "seconds": time.perf_counter() - begin,
-    }
+        strayed = np.array([_strayed(log) for log in logs])
+        seconds = time.perf_counter() - begin
+        found: dict[str, Any] = {
+            "φ": len(safe),
+            "attempts": len(logs),
+            "simulations": plan.simulations,
+            "deformation": float(strayed.mean()),
+            "ci95": normal_interval(strayed),
+            "success": float(np.mean([log.hit for log in logs])),
+            "hits along φ": float(np.mean([log.hit for log in along])),
+            "runs along φ": len(along),
+            "impact speeds": _impact_speeds(logs),
+            "episodes": len(logs) + len(along),
+            **_limits(plan.scenario, logs, along),
+            "aborted": sum(log.outcome == Outcome.ABORTED for log in (*logs, *along)),
+            "seconds": seconds,
+        }
+        found |= _closeness(plan, logs, strayed, runner, arguments)
     return found, [*logs[:2], *along[:2]]
+
+
+def _strayed(log: EpisodeLog) -> float:
+    """Return the deformation of an attempt, m; η_max where it did not hit."""
+    eta_max, phi = log.episode.scenario.eta_max, log.episode.safe_trajectory
+    if not log.hit or phi is None:
+        return eta_max
+    ticks = log.impact_time / log.episode.scenario.time_step
+    return min(eta_max, deformation(phi.positions, log.trajectory.positions, ticks))
+
+
+def _impact_speeds(logs: Sequence[EpisodeLog]) -> dict[str, float] | None:
+    """Return mean, 10 and 90 % quantile of the car's speed where it hit a kamikaze, m/s."""
+    speeds = [log.impact_speed for log in logs if log.hit]
+    if not speeds:
+        return None
+    low, high = np.quantile(speeds, (0.1, 0.9))
+    return {"mean": float(np.mean(speeds)), "low": float(low), "high": float(high)}
+
+
+def _limits(scenario: Scenario, *groups: Sequence[EpisodeLog]) -> dict[str, Any]:
+    """Return in how many kamikazes the road user goes beyond its limits, and by how much the worst step does.
+
+    Runs along φ have φ's own steps, whatever those are; they have to be φ, to the last bit.
+    """
+    kamikazes, along = groups
+    found = []
+    for log in kamikazes:
+        assert log.episode.safe_trajectory is not None
+        if len(log.adversary) > 1:
+            found.append(excess(scenario, log.episode.safe_trajectory, log.adversary))
+    astray = 0
+    for log in along:
+        assert log.episode.safe_trajectory is not None
+        path = log.episode.safe_trajectory.positions
+        number = min(len(path), len(log.adversary)) - 1  # the last place may lie within a tick, at the contact
+        astray += not np.array_equal(log.adversary[:number], path[:number])
+    worst = max(found, default=-math.inf)
+    return {"beyond limits": sum(one > _ROUNDING for one in found), "worst": worst, "astray along φ": astray}
+
+
+def _closeness(
+    plan: Plan, logs: Sequence[EpisodeLog], strayed: np.ndarray, runner: InProcessRunner, arguments: argparse.Namespace
+) -> dict[str, Any]:
+    """Return margin and closeness of the first attempts on each φ."""
+    if not arguments.margins or (why_not := why_no_margin(plan, arguments.margin_limit)):
+        return {"no margin": "not asked for" if not arguments.margins else why_not}
+    each = plan.kamikaze_count
+    kept = min(each, math.ceil(arguments.margins / (len(logs) // each)))
+    chosen = [place for place in range(len(logs)) if place % each < kept]
+    some = [logs[place] for place in chosen]
+    episodes = [log.episode for log in some]
+    starts = [[log.trajectory.positions] if log.hit else [] for log in some]
+    found = least_ways(episodes, lambda: starts, runner, lambda *_told: None, arguments.margin_limit)
+    by_id = {log.episode.episode_id: [log] for log in some}
+    ways, _ = with_planned_hits(episodes, found.ways, by_id)
+    margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
+    return {
+        "margin": margins.mean,
+        "margin attempts": len(some),
+        "margin exact": found.budget is None,
+        "margin converged": found.converged,
+        "planned in them": float(strayed[chosen].mean()),
+    }
 
 
 def same_in_graph_and_recording(controller: str, logs: Sequence[EpisodeLog]) -> str:
@@ -150,15 +235,17 @@ def same(one: EpisodeLog, other: EpisodeLog) -> bool:
     )
 
 
-def line(name: str, car: str, row: Mapping[str, Any]) -> str:
-    """Return a row of the table in Markdown."""
-    if "refused" in row:
-        return f"| {name} | {car} | {row['refused']} |" + " |" * (len(_COLUMNS) - 1)
-    speed = "–" if math.isnan(row["impact speed"]) else f"{row['impact speed']:.1f}"
-    return (
-        f"| {name} | {car} | {row['deformation']:.2f} | {row['success']:.0%} | {row['hits along φ']:.0%} | {speed} | "
-        f"{row['within limits']} | {row['seconds']:.0f} |"
-    )
+def processor_minutes() -> float:
+    """Return the processor time of this process and of those that have ended, minutes."""
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in both) / 60.0
+
+
+def store(rows: Mapping[str, Any], path: Path) -> None:
+    """Write all rows by one rename."""
+    partial = path.with_name(f"{path.name}.partial")
+    partial.write_text(json.dumps(rows, indent=1, ensure_ascii=False), encoding="utf-8")
+    partial.replace(path)
 
 
 def main() -> None:
@@ -166,39 +253,49 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--encounters", nargs="+", default=list(SCENARIOS.own), metavar="NAME")
     parser.add_argument("--cars", nargs="+", default=list(CARS), choices=list(CARS), metavar="CAR")
-    parser.add_argument("--safe", type=whole_number(1), default=5, metavar="N", help="φ of each encounter")
-    parser.add_argument("--kamikazes", type=whole_number(1), default=20, metavar="N", help="for each φ")
-    parser.add_argument("--runs", type=whole_number(1), default=100, metavar="N", help="runs along φ")
-    parser.add_argument("--simulations", type=whole_number(1), default=1000, metavar="N")
-    parser.add_argument("--workers", type=whole_number(1), default=1, metavar="N")
+    number: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
+    parser.add_argument("--safe", **number, default=5, help="φ of each encounter, at most")
+    parser.add_argument("--attempts", **number, default=100, help="of each row, on all φ together")
+    parser.add_argument("--runs", **number, default=100, help="runs along φ")
+    parser.add_argument("--simulations", **number, default=300, help="for each decision")
+    parser.add_argument("--paper-simulations", **number, default=1000, help="in the encounters of the paper")
+    parser.add_argument("--margins", type=whole_number(0), default=20, metavar="N", help="attempts with a margin")
+    parser.add_argument("--margin-limit", **number, default=512, help="ticks of the car, for each of these attempts")
+    parser.add_argument("--workers", **number, default=1)
     parser.add_argument("--graph", action="store_true", help="compare with the node graph and its recordings")
+    parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
     parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
     arguments = parser.parse_args()
     if arguments.graph:
         prepare_ros(GraphOptions())
-    print(f"| encounter | car | {' | '.join(_COLUMNS)} |\n|{'---|' * (len(_COLUMNS) + 2)}", flush=True)
-    rows: dict[str, dict[str, Any]] = {}
-    alike = every = 0
+    there = arguments.out is not None and arguments.out.is_file()
+    rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
+    print(table_head(), flush=True)
     for name in arguments.encounters:
         for car in arguments.cars:
-            try:
-                plan = plan_for(name, car, arguments)
-                if isinstance(plan, str):
-                    row: dict[str, Any] = {"refused": plan}
-                else:
-                    row, some = row_of(plan, arguments)
-                    if arguments.graph:
-                        row["graph"] = same_in_graph_and_recording(plan.controller, some)
-                        found = row["graph"].split("/")
-                        alike, every = alike + int(found[0]), every + int(found[1])
-            except UsageError as error:
-                row = {"refused": str(error)}
-            rows.setdefault(name, {})[car] = row
-            print(line(name, car, row), flush=True)
-            if arguments.out:
-                arguments.out.write_text(json.dumps(rows, indent=1, ensure_ascii=False), encoding="utf-8")
-    if arguments.graph:
-        print(f"alike in process, graph and recording: {alike} of {every} episodes")
+            if car not in rows.get(name, {}):
+                if processor_minutes() > arguments.most_minutes:
+                    continue
+                rows.setdefault(name, {})[car] = computed(name, car, rows.get(name, {}), arguments)
+                if arguments.out:
+                    store(rows, arguments.out)
+            print(line(name, car, rows[name][car]), flush=True)
+    shown = {name: rows[name] for name in arguments.encounters if name in rows}
+    print("", *order_lines(shown), "", *closeness_lines(shown), sep="\n")
+
+
+def computed(name: str, car: str, others: Mapping[str, Any], arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return one row, computed; the first of its encounter is the one that is compared with the graph."""
+    try:
+        plan = plan_for(name, car, arguments)
+        if isinstance(plan, str):
+            return {"refused": plan}
+        row, some = row_of(plan, arguments)
+        if arguments.graph and not any("graph" in one for one in others.values()):
+            row["graph"] = same_in_graph_and_recording(plan.controller, some)
+    except UsageError as error:
+        return {"refused": str(error)}
+    return row
 
 
 if __name__ == "__main__":
