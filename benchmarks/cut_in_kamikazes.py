@@ -2,7 +2,8 @@
 
 In the scenario cut_in another car comes over from the next lane on a straight line, at a steady speed that is above
 that of the car under test, and drives on ahead of it (φ; in five durations of the change). Against each of three brakes
-of known order (cars/triggers.py), so often: first φ itself, then a kamikaze of objective deformation. Of each: the
+of known order (cars/triggers.py), so often: first φ itself, then a kamikaze that takes the car for a basic one, of
+each objective: `paper` hits as soon as it can, and to `deformation` a hit 5 m and more from φ is worth nothing. The
 share of hits with its 95 % interval (Wilson's), and by how much the worst step of any of them was beyond the documented
 limits of a car, by an oracle that shares nothing with its model (road_user_limits.py).
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from cars.triggers import TRIGGERS
@@ -45,38 +47,43 @@ def straight(duration: float) -> Trajectory:
     return Trajectory(np.column_stack([x, y]), step, f"{duration:g} s")
 
 
+def row(name: str, objective: Objective, safe: Sequence[Trajectory], episodes: int, simulations: int) -> str:
+    """Run one car; return its line."""
+    controller = TRIGGERS[name]
+    period = control_period_of(make_controller(controller, 1.0), controller)
+    scenario = with_control_period(load_scenario("cut_in"), period, controller)
+    plan = Plan(
+        scenario, controller=controller, objective=objective, knowledge=Knowledge.NOTHING, simulations=simulations
+    )
+    along = hits = outside = 0
+    worst = -math.inf
+    for number in range(episodes):
+        index, attempt = number % len(safe), number // len(safe)
+        phi = safe[index]
+        along += run_episode(plan.episode(Mode.REPLAY, index, attempt, phi)).hit
+        log = run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi))
+        hits += log.hit
+        excess = beyond("car", phi.positions, log.adversary, scenario.time_step, scenario.adversary.first_heading)
+        outside += excess > _ROUNDING
+        worst = max(worst, excess)
+    interval = wilson_interval(hits, episodes)
+    low, high = (math.nan, math.nan) if interval is None else interval
+    told = f"[{100 * low:.1f}, {100 * high:.1f}] %"
+    return f"{name:8}{objective:13}{along:>8}{hits / episodes:>16.1%}{told:>18}{outside:>16}{worst:>12.1e}"
+
+
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=whole_number(1), default=1000, metavar="N", help="of each car")
     parser.add_argument("--simulations", type=whole_number(1), default=300, metavar="N", help="for each decision")
+    parser.add_argument("--objectives", nargs="+", default=["paper", "deformation"], choices=["paper", "deformation"])
     arguments = parser.parse_args()
     safe = [straight(duration) for duration in DURATIONS]
-    print(f"{'car':8}{'φ hit':>8}{'kamikazes hit':>16}{'95 %':>18}{'beyond limits':>16}{'worst':>12}")
-    for name, controller in TRIGGERS.items():
-        period = control_period_of(make_controller(controller, 1.0), controller)
-        scenario = with_control_period(load_scenario("cut_in"), period, controller)
-        plan = Plan(
-            scenario,
-            controller=controller,
-            objective=Objective.DEFORMATION,
-            knowledge=Knowledge.NOTHING,
-            simulations=arguments.simulations,
-        )
-        along = hits = outside = 0
-        worst = -math.inf
-        for number in range(arguments.episodes):
-            index, attempt = number % len(safe), number // len(safe)
-            phi = safe[index]
-            along += run_episode(plan.episode(Mode.REPLAY, index, attempt, phi)).hit
-            log = run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi))
-            hits += log.hit
-            excess = beyond("car", phi.positions, log.adversary, scenario.time_step, scenario.adversary.first_heading)
-            outside += excess > _ROUNDING
-            worst = max(worst, excess)
-        low, high = wilson_interval(hits, arguments.episodes)
-        share, interval = f"{hits / arguments.episodes:.1%}", f"[{100 * low:.1f}, {100 * high:.1f}] %"
-        print(f"{name:8}{along:>8}{share:>16}{interval:>18}{outside:>16}{worst:>12.1e}", flush=True)
+    print(f"{'car':8}{'objective':13}{'φ hit':>8}{'kamikazes hit':>16}{'95 %':>18}{'beyond limits':>16}{'worst':>12}")
+    for objective in arguments.objectives:
+        for name in TRIGGERS:
+            print(row(name, Objective(objective), safe, arguments.episodes, arguments.simulations), flush=True)
 
 
 if __name__ == "__main__":

@@ -21,14 +21,13 @@ MARGIN = 0.2  # m to either side of the car, within which somebody counts as on 
 
 
 class MiddleTrigger:
-    """Brakes with 6 m/s² from a time to collision of 1.2 s on."""
+    """Brakes with all that the scenario's car has from a time to collision of 1.2 s on."""
 
     control_period = 0.05
     THRESHOLD = 1.2  # s
-    DECELERATION = 6.0  # m/s²
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        """Take shapes and speed from the scenario; the law draws nothing.
+        """Take shapes, speed and brake from the scenario; the law draws nothing.
 
         Raises:
             UsageError: its road has curves.
@@ -37,13 +36,14 @@ class MiddleTrigger:
             raise UsageError(f"this controller knows straight roads only; that of scenario {scenario.name} has curves")
         self._front, self._length = scenario.car.front, scenario.car.front + scenario.car.rear
         self._beside = 0.5 * scenario.car.width + MARGIN
-        self._shape, self._desired, self._braking = scenario.adversary.shape, scenario.car.start_speed, False
+        self._shape, self._braking = scenario.adversary.shape, False
+        self._desired, self._deceleration = scenario.car.start_speed, scenario.car.deceleration
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²)."""
         after, free = self._time_to_collision(car, adversary)
         self._braking = after < self.THRESHOLD or (self._braking and not free)
-        return -self.DECELERATION if self._braking else towards(car.speed, self._desired)
+        return -self._deceleration if self._braking else towards(car.speed, self._desired)
 
     def _time_to_collision(self, car: CarState, adversary: AdversaryState) -> tuple[float, bool]:
         """Return the time to collision (s; infinity: none), velocities kept, and whether the strip ahead is free."""
