@@ -322,7 +322,7 @@ def test_columns_are_places_or_the_speeds_of_targets():
 def test_every_test_of_the_matrices_can_be_had():
     """Each place and target speed that the calculator asks for stands in the encounter's own file, or is put there.
 
-    An unbraked car runs into the target, or to be green would say nothing; of all 746 tests the command itself says so,
+    An unbraked car runs into the target, or to be green would say nothing; of all 778 tests the command itself says so,
     with --multiplier 0.
     """
     assert set(known_encounters()) == {name for name in SCENARIOS.own if load_scenario(name).protocol is not None}

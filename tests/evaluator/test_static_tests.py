@@ -113,6 +113,64 @@ def test_unbraked_a_target_in_the_lane_is_met_at_its_impact_place(name: str) -> 
             assert one.log.impact_time == pytest.approx(4.65, abs=0.01)  # s: 4.5, and half of a tick
 
 
+# Curvature (1/m) and length (m) of the parts of the target's path at 50 and at 70 km/h: Vector's OSC-NCAP-scenarios,
+# TrajectoryCatalog.xosc, GVT_CCFhol_50 and GVT_CCFhol_70.
+PUBLISHED = {
+    50: ((0.008, 15), (0.006, 1), (0.001, 1), (0, 10), (-0.006, 1), (-0.008, 15)),
+    70: ((0.004, 24), (0.001, 1), (0, 10), (-0.001, 1), (-0.004, 24)),
+}
+
+
+def published_path(kmh: int) -> np.ndarray:
+    """Places along and across the lane, m, every centimetre of a published path."""
+    curvature = np.concatenate([np.full(100 * length, bent) for bent, length in PUBLISHED[kmh]])
+    heading = 0.01 * np.cumsum(curvature)
+    return 0.01 * np.column_stack([np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading))])
+
+
+@pytest.mark.parametrize("kmh", PUBLISHED)
+def test_who_changes_lanes_goes_as_the_published_path_does(kmh: int) -> None:
+    """Within 0.15 m: at 70 km/h a sixth of that path is straight, of ours a fifth, and ours is 1.6 m longer."""
+    changes = {"car.start_speed": kmh * KMH, "protocol.speed": kmh * KMH, "time_step": 0.01}
+    scenario = changed_scenario("ccfhol-50", changes)
+    (way,) = regulatory_trajectories(scenario)
+    ends = 5.15 - 1.5  # s, of the change: 5 s, and half of a tick's range, less the time to collision
+    last = round(ends / 0.01)
+    middle = way.positions[: last + 1] - way.positions[last]
+    theirs = published_path(kmh)
+    theirs = theirs - theirs[-1]
+    for along, across in theirs[::100]:
+        ours = float(np.interp(along, -middle[:, 1], middle[:, 0]))
+        assert ours == pytest.approx(across, abs=0.15)
+    steps = np.hypot(*np.diff(way.positions, axis=0).T) / 0.01
+    assert steps == pytest.approx(kmh * KMH, rel=1e-4)
+    assert way.positions[last:, 0] == pytest.approx(0.0, abs=1e-9)
+    begins = max(0, round((ends - 3.168) / 0.01))
+    assert way.positions[begins, 0] == pytest.approx(-3.5, abs=1e-4)
+
+
+def test_unbraked_who_changes_lanes_is_met_at_its_impact_place() -> None:
+    for kmh in (30, 50, 100):
+        for one in static_tests_of("ccfhol", kmh):
+            assert one.touched
+            assert one.impact_place == pytest.approx(one.place, abs=1.0)
+            assert one.log.impact_time == pytest.approx(5.15, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"protocol.aside": 0.0}, "give all three, or none"),
+        ({"protocol.change_time": 0.3}, "change_time is too short"),
+        ({"protocol.headway": 1.0}, "comes along the lane at a steady speed"),
+        ({"adversary.start_heading": 0.0}, "moves along the lane"),
+    ],
+)
+def test_a_change_of_lanes_that_cannot_be_is_refused(changes: dict[str, float | None], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        regulatory_trajectories(changed_scenario("ccfhol", changes))
+
+
 @pytest.mark.parametrize("name", CROSSING)
 def test_impact_speeds_of_textbook_braking_where_the_target_crosses(name: str) -> None:
     """v² − 2·a·d, where the target is still in the way when the front is there; else it is missed."""

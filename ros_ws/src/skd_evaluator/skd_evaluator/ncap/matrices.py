@@ -105,7 +105,7 @@ def _matrices() -> dict[str, Matrix]:
         "ccrb": ("CCRb", _braking(_REAR)),
         "cmrs": ("CMRs", _grid(_steps(10, 80), 0.0, _FIVE, _FIVE[1:-1], relative)),
         "cmrb": ("CMRb", _braking(_FIVE)),
-        "ccfhos": ("CCFhos", _head_on()),
+        **{name: (f"CCF{name[3:]}", _head_on()) for name in ("ccfhos", "ccfhol")},
         **{name: (f"{name[:2].upper()}Ftap", _across(impact)) for name in ("ccftap", "cmftap")},
         **{name: (f"{name[:2].upper()}Cscp", _straight_across(impact)) for name in ("cccscp", "cmcscp")},
     }

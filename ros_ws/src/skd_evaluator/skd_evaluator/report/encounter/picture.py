@@ -14,7 +14,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from skd_sim.encounter.protocol.target import meeting_time
+from skd_sim.encounter.protocol.target import time_of_meeting
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -24,9 +24,10 @@ from skd_evaluator.saved_picture import save_picture
 
 _DPI = 110
 _BESIDE = 2.0  # m that are shown beside everything
-_AFTER = 1.0  # s of a way that are shown after the unbraked car is at the crossing line
+_AFTER = 1.0  # s of a way that are shown after the unbraked car is there
 _LANE = 150.0  # m of the lane that are drawn to each side of the crossing
 _LONGEST, _WIDEST = 9.0, 6.0  # inches of the view
+_LEGEND = 5.6  # inches that the longest line of the legend takes
 
 
 def save_encounter(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
@@ -39,15 +40,20 @@ def save_encounter(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -
     """
     car, adversary = scenario.car, scenario.adversary
     start = -car.start_gap - 0.5 * car.start_gap_range - car.front
+    meets = start + car.start_speed * time_of_meeting(scenario) if ways else -car.front  # by its front
     body = adversary.outline_at(_first(scenario, ways), adversary.first_heading)
-    box = _extent(scenario, [car_outline(scenario, start), car_outline(scenario, 0.0), body, *_near(scenario, ways)])
+    cars = [car_outline(scenario, along) for along in (start, meets, -car.front)]
+    box = _extent(scenario, [*cars, body, *_near(scenario, ways)])
     size = np.array([box[1] - box[0], box[3] - box[2]])
     width, height = size * min(_WIDEST / size[0], _LONGEST / size[1])
-    figure = Figure(figsize=(max(3.8, width + 1.2), max(3.0, height + 2.2)), layout="constrained")
+    figure = Figure(figsize=(max(_LEGEND, width + 1.2), max(3.0, height + 2.5)), layout="constrained")
     axes = figure.subplots()
     draw_road(axes, scenario, -_LANE, _LANE)
     draw_car(axes, scenario, start, "car under test at the start")
-    draw_ghosts(axes, scenario, np.array([-car.front]), "car under test at the crossing line, unbraked")
+    told = (
+        "car under test when it reaches the target's way, unbraked" if ways else "car under test at the crossing line"
+    )
+    draw_ghosts(axes, scenario, np.array([meets]), told)
     _draw_ways(axes, scenario, ways)
     axes.add_patch(
         Polygon(body, fc=palette.KAMIKAZE, ec="black", zorder=7, label=f"adversary ({adversary.kind}) at the start")
@@ -70,8 +76,8 @@ def _first(scenario: Scenario, ways: Sequence[Trajectory]) -> FloatArray:
 
 
 def _near(scenario: Scenario, ways: Sequence[Trajectory]) -> list[FloatArray]:
-    """Return the parts of ways until just after the unbraked car is at the crossing line."""
-    return [way.positions[: 2 + int((meeting_time(scenario) + _AFTER) / scenario.time_step)] for way in ways]
+    """Return the parts of ways until just after the unbraked car is there."""
+    return [way.positions[: 2 + int((time_of_meeting(scenario) + _AFTER) / scenario.time_step)] for way in ways]
 
 
 def _draw_ways(axes: Axes, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
@@ -81,7 +87,7 @@ def _draw_ways(axes: Axes, scenario: Scenario, ways: Sequence[Trajectory]) -> No
     for way, colour in zip(ways, palette.ordered(max(1, len(ways))), strict=False):
         axes.plot(*way.positions.T, color=colour, lw=1.0, marker=".", ms=4, zorder=5, label=label)
         ticks = scenario.time_step * np.arange(len(way))
-        place = [float(np.interp(meeting_time(scenario), ticks, way.positions[:, axis])) for axis in (0, 1)]
+        place = [float(np.interp(time_of_meeting(scenario), ticks, way.positions[:, axis])) for axis in (0, 1)]
         axes.plot(*place, color=colour, marker="D", ms=5, mec="black", mew=0.6, ls="none", zorder=8, label=reached)
         label = reached = None
 

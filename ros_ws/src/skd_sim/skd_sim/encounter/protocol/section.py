@@ -24,6 +24,10 @@ class Protocol(Unchanging):
             the two meet at the crossing line.
         brake_after: how long after the start the target begins to brake until it stands, s; without it never.
         deceleration: with which it brakes, m/s².
+        aside: how far beside the line that leads to its impact place it comes, m to the right of the car; it changes
+            over to that line. Without it, or with 0, it is on that line all the time.
+        change_time: how long the change takes, s.
+        change_ends: how long before the two meet the change has ended, s.
     """
 
     source: str
@@ -33,6 +37,9 @@ class Protocol(Unchanging):
     headway: Annotated[float, Range(0.0, 20.0, "s")] | None = None
     brake_after: Annotated[float, Range(0.0, 60.0, "s")] | None = None
     deceleration: Annotated[float, Range(0.1, 15.0, "m/s²")] = 4.0
+    aside: Annotated[float, Range(-10.0, 10.0, "m")] = 0.0
+    change_time: Annotated[float, Range(0.1, 20.0, "s")] | None = None
+    change_ends: Annotated[float, Range(0.0, 20.0, "s")] | None = None
 
     def check(self, where: str) -> None:
         """Refuse one without an impact place, or that asks for two things at a time.
@@ -46,4 +53,20 @@ class Protocol(Unchanging):
             raise UsageError(
                 f"{where}: protocol.acceleration_distance is for a target that starts from standing, headway and "
                 "brake_after are for one that drives ahead; leave one out"
+            )
+        changes = (self.change_time, self.change_ends)
+        if (self.aside != 0.0) != (None not in changes) or (self.aside == 0.0 and changes != (None, None)):
+            raise UsageError(
+                f"{where}: protocol.aside, change_time and change_ends say together how the target changes lanes: give "
+                "all three, or none of them"
+            )
+        if self.aside != 0.0 and (self.acceleration_distance or self.headway is not None):
+            raise UsageError(
+                f"{where}: protocol.aside is for a target that comes along the lane at a steady speed; leave out "
+                "acceleration_distance, headway and brake_after"
+            )
+        if self.change_time is not None and self.change_time * self.speed < 2.0 * abs(self.aside):
+            raise UsageError(
+                f"{where}: protocol.change_time is too short: at {self.speed:.3g} m/s the target would have to turn "
+                f"across the lane to get {abs(self.aside):g} m aside in {self.change_time:g} s"
             )

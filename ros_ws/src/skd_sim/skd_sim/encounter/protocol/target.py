@@ -1,8 +1,8 @@
 """The way of a regulator's target: from the section `protocol` of a scenario to a safe trajectory per impact place.
 
 The car comes unbraked at its start speed, from the middle of the range of places in which it starts. The target's
-centre moves along a straight line. When the car's front reaches the target's nearest surface, the target is at its
-impact place.
+centre moves along a straight line, or changes over to one. When the car's front reaches the target's nearest surface,
+the target is at its impact place.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.definition import Scenario
+from skd_sim.encounter.protocol.lane_change import changed_over
 from skd_sim.encounter.protocol.section import Protocol
 from skd_sim.encounter.road import road_pose
 from skd_sim.errors import UsageError
@@ -52,6 +53,18 @@ def meeting_time(scenario: Scenario) -> float:
     return (car.start_gap + 0.5 * car.start_gap_range) / car.start_speed
 
 
+def time_of_meeting(scenario: Scenario) -> float:
+    """Return when the front of the unbraked car reaches the way of its protocol's target, s since the start.
+
+    Where the target goes along the lane, or there is no protocol, that is at the crossing line.
+    """
+    heading = target_heading(scenario)
+    if scenario.protocol is None or abs(math.sin(heading)) >= _ALONG:
+        return meeting_time(scenario)
+    start = np.array([scenario.adversary.start_x, scenario.adversary.start_y])
+    return _front_reaches(scenario, start, _direction(heading))[0]
+
+
 def target_heading(scenario: Scenario) -> float:
     """Return the direction in which the target moves, rad: the adversary's start heading, or across the lane."""
     heading = scenario.adversary.start_heading
@@ -69,10 +82,14 @@ def impact_offset(scenario: Scenario, place: float) -> float:
 
 def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Trajectory:
     heading, offset = target_heading(scenario), impact_offset(scenario, place)
-    direction = np.array([round(math.cos(heading), 12), round(math.sin(heading), 12)])  # whatever π's last digit is
+    direction = _direction(heading)
     along = abs(direction[1]) >= _ALONG
     start = np.array([offset if along else scenario.adversary.start_x, scenario.adversary.start_y])
     times = scenario.time_step * np.arange(scenario.ticks + 1, dtype=np.float64)
+    if protocol.aside:
+        if not along:
+            raise UsageError(f"scenario {scenario.name}: protocol.aside is for a target that moves along the lane")
+        return _ended(scenario, _changing_lanes(scenario, protocol, offset, float(direction[1]), times), place)
     if along:
         start[1] = _first_place_along(scenario, protocol, float(direction[1]))
         covered = _from_moving(protocol)(times)
@@ -80,8 +97,19 @@ def _trajectory(scenario: Scenario, protocol: Protocol, place: float) -> Traject
         meeting, front = _front_reaches(scenario, start, direction)
         way = float(direction @ (front - start)) + offset * math.copysign(1.0, direction[0])
         covered = _crossing(scenario, protocol, place, way, meeting, times)
-    positions = start + covered[:, None] * direction
-    last = next((tick for tick, (x, y) in enumerate(positions.tolist()) if scenario.end.arrived(x, y)), len(times) - 1)
+    return _ended(scenario, start + covered[:, None] * direction, place)
+
+
+def _direction(heading: float) -> FloatArray:
+    """Return the direction (x, y) of a heading (rad), whatever π's last digit is."""
+    return np.array([round(math.cos(heading), 12), round(math.sin(heading), 12)])
+
+
+def _ended(scenario: Scenario, positions: FloatArray, place: float) -> Trajectory:
+    """Return the way up to where the adversary has arrived, or to the horizon."""
+    last = next(
+        (tick for tick, (x, y) in enumerate(positions.tolist()) if scenario.end.arrived(x, y)), len(positions) - 1
+    )
     return Trajectory(positions[: max(1, last) + 1], scenario.time_step, f"regulatory/{place:g}")
 
 
@@ -99,6 +127,28 @@ def _first_place_along(scenario: Scenario, protocol: Protocol, north: float) -> 
     if protocol.brake_after is not None:
         raise UsageError(f"scenario {scenario.name}: protocol.brake_after goes with protocol.headway: give it, too")
     return depth - north * protocol.speed * meeting_time(scenario)
+
+
+def _changing_lanes(
+    scenario: Scenario, protocol: Protocol, offset: float, north: float, times: FloatArray
+) -> FloatArray:
+    """Return places (x, y), m, at some times (s) of a target that comes over to the line of its impact place.
+
+    Args:
+        scenario: fixed description of the test.
+        protocol: its section.
+        offset: where the impact place is, m to the right of the car's axis.
+        north: 1 of a target that drives the car's way, -1 of one that comes towards it.
+        times: s since the start.
+    """
+    assert protocol.change_time is not None
+    assert protocol.change_ends is not None
+    meeting, length = meeting_time(scenario), protocol.speed * protocol.change_time
+    begins = meeting - protocol.change_ends - protocol.change_time
+    along, across = changed_over(protocol.speed * (np.append(times, meeting) - begins), length, abs(protocol.aside))
+    y = _depth(scenario, along=True) - north * (along[-1] - along[:-1])
+    x = offset + protocol.aside - math.copysign(1.0, protocol.aside) * across[:-1]
+    return np.column_stack([x, y])
 
 
 def _from_moving(protocol: Protocol) -> Covered:
