@@ -133,6 +133,27 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     assert cell.deformation == rating.as_dict()["deformation"]
 
 
+def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):
+    """It is one of those that it is compared with, in the same attempts: their difference is 0 there."""
+    words = ("--encounters", "cpna-50", "--speeds", "30:30:1", "--equivalent", *FEW, "--kamikaze-count", "4")
+    done = skd_here("ncap", *words, "--multiplier", "1.25", "--out", here / "same")
+    assert done.returncode == 0, done.stderr
+    (cell,) = cells_of(here / "same")
+    assert (cell.equivalent, cell.equivalent_text) == (1.25, "1.250")
+    assert "C 1.25" in done.stdout
+    assert "C of the basic car with the same margin" in done.stdout
+    page = (here / "same" / "ncap.html").read_text(encoding="utf-8")
+    assert "equivalent multiplier 1.250" in page
+    skd_here("ncap", *words, "--multiplier", "0", "--out", here / "none")
+    (cell,) = cells_of(here / "none")
+    assert cell.equivalent is None or cell.equivalent <= 0.75
+    stored = json.loads((here / "same" / RESULT).read_text(encoding="utf-8"))
+    stored["grids"][0]["cells"][0]["equivalent"] = 1.4
+    (here / "same" / RESULT).write_text(json.dumps(stored), encoding="utf-8")
+    with pytest.raises(UsageError, match=r"equivalent multiplier is 1\.400, and not 1\.250"):
+        read_ncap(here / "same")
+
+
 @pytest.mark.usefixtures("pictures_drawn")
 def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
     for workers in ("1", "2"):

@@ -57,6 +57,12 @@ def add_regulator_command(commands: Any) -> None:
         "takes longer",
     )
     margins.add_argument(
+        "--equivalent",
+        action="store_true",
+        help="also search for the margins of basic cars in each cell, and print the C of the one that has the car's "
+        "margin, the equivalent multiplier, behind it; this takes six times as long",
+    )
+    margins.add_argument(
         "--room",
         type=real_number(0.0, 100.0),
         default=ROOM,

@@ -13,6 +13,7 @@ from skd_sim.encounter.known_scenarios import lineage
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.struck import ADVERSARY, speed_ahead, struck
@@ -21,6 +22,9 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.static_test import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
+from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
+from skd_evaluator.margin.reference import Asked as ReferenceAsked
+from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.ncap.colours import colour_of
 from skd_evaluator.ncap.matrices import Criterion, Matrix, MatrixPoint, matrix_of
@@ -61,6 +65,7 @@ class Asked:
         speeds: test speeds, km/h; None: those of the matrix.
         margin_limit: ticks that the search for the margin may simulate in each attempt; 0: no margin.
         planned: whether kamikazes are planned, too.
+        equivalent: whether basic cars are compared in the same attempts, too.
     """
 
     plan: Plan
@@ -68,6 +73,7 @@ class Asked:
     speeds: Sequence[float] | None
     margin_limit: int
     planned: bool
+    equivalent: bool = False
 
 
 def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | None, list[Wanted]]:
@@ -233,6 +239,8 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
     margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
+    if asked.equivalent:
+        cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
     return replace(
         cell,
         margin=margins.mean,
@@ -240,3 +248,13 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
         beyond=margins.beyond,
         converged=margins.converged,
     )
+
+
+def _with_equivalent(
+    cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: ExecutorRunner
+) -> Cell:
+    """Return a cell with the C of the basic car that has its margin, in the same attempts and by the same search."""
+    where = ReferenceAsked("", plan, [phi])
+    swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)
+    found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
+    return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)

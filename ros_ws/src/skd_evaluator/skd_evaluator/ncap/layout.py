@@ -78,6 +78,13 @@ def margin_text(cell: Cell) -> str:
     return f"{'≥' if cell.beyond and cell.converged else ''}{cell.margin:.2f}"
 
 
+def equivalent_text(cell: Cell) -> str:
+    """Return a cell's equivalent multiplier, short; empty where nobody asked for it."""
+    if cell.equivalent is not None:
+        return f"C {cell.equivalent:.2f}"
+    return f"C {cell.equivalent_text}".replace("below ", "<").replace("above ", ">") if cell.equivalent_text else ""
+
+
 def row_name(cell: Cell) -> str:
     """Return which cell it is."""
     beside = f"{cell.place:g} %" if cell.place is not None else f"target {cell.target or 0.0:g} km/h"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from skd_evaluator.ncap.layout import (
     LEGEND,
+    equivalent_text,
     headline,
     impact_text,
     layout_of,
@@ -32,6 +33,7 @@ def render(found: Ncap) -> str:
         letter=letter_of,
         impact=impact_text,
         margin=margin_text,
+        same=equivalent_text,
         details=_details,
     )
 
@@ -51,5 +53,7 @@ def _details(cell: Cell) -> str:
         said.append("they are upper bounds")
     if cell.deformation is not None:
         said.append(f"planned deformation {cell.deformation:.2f} m")
+    if cell.equivalent_text:
+        said.append(f"equivalent multiplier {cell.equivalent_text}")
     said += [why for why in dict.fromkeys((cell.why, cell.margin_why)) if why]
     return "; ".join(said)

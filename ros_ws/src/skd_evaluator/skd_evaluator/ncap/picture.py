@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from skd_evaluator import palette
-from skd_evaluator.ncap.layout import impact_text, layout_of, letter_of, margin_text
+from skd_evaluator.ncap.layout import equivalent_text, impact_text, layout_of, letter_of, margin_text
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
 from skd_evaluator.saved_picture import save_picture
 
@@ -45,8 +45,10 @@ def save_ncap(path: Path, found: Ncap) -> None:
     figure.suptitle(
         f"{found.car}: what a regulator's tests see, and the room around them", fontsize=11, parse_math=False
     )
+    compared = any(cell.equivalent_text for grid in found.grids for cell in grid.cells)
+    same = ", and C of the basic car with the same margin" if compared else ""
     figure.supxlabel(
-        "Letter: colour of 2026. Beside it the impact speed (km/h), below it the margin (m).\n"
+        f"Letter: colour of 2026. Beside it the impact speed (km/h), below it the margin (m){same}.\n"
         f"Framed: green with less than {found.room:g} m of room. Not an official rating.",
         fontsize=8,
     )
@@ -80,4 +82,7 @@ def _draw_cell(axes: Axes, x: int, y: int, cell: Cell, *, narrow: bool) -> None:
     axes.text(x, y - 0.2, f"{letter_of(cell)} {impact_text(cell)}", ha="center", va="center", color=ink, fontsize=7)
     weight = "bold" if narrow else "normal"
     size = 9 if narrow else 8
-    axes.text(x, y + 0.18, margin_text(cell), ha="center", va="center", color=ink, fontsize=size, weight=weight)
+    same = equivalent_text(cell)
+    low = 0.08 if same else 0.18
+    axes.text(x, y + low, margin_text(cell), ha="center", va="center", color=ink, fontsize=size, weight=weight)
+    axes.text(x, y + 0.33, same, ha="center", va="center", color=ink, fontsize=5.5)

@@ -48,6 +48,8 @@ class Cell:
         converged: whether the search for the margin has converged.
         margin_why: why there is no margin.
         deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
+        equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.
+        equivalent_text: the same as people read it, `below 0.5` or `above 1.5` where it is beyond.
     """
 
     speed: KmH
@@ -66,6 +68,8 @@ class Cell:
     converged: bool = True
     margin_why: str = ""
     deformation: Metres | None = None
+    equivalent: Annotated[float, Range(0.0, 100.0, "times the braking distance")] | None = None
+    equivalent_text: str = ""
 
     def is_narrow(self, room: float) -> bool:
         """Return whether it is passed with less room (m) than wanted; not of one that is green though it hits."""
@@ -195,6 +199,8 @@ def _check(cell: Cell, where: str) -> None:
         not cell.margins or not min(cell.margins) - 1e-9 <= cell.margin <= max(cell.margins) + 1e-9
     ):
         raise UsageError(f"{where}: its margin of {cell.margin:g} m is no mean of those of its attempts")
+    if cell.equivalent is not None and cell.equivalent_text != f"{cell.equivalent:.3f}":
+        raise UsageError(f"{where}: its equivalent multiplier is {cell.equivalent:.3f}, and not {cell.equivalent_text}")
 
 
 def write_table(path: Path, found: Ncap) -> None:

@@ -6,6 +6,7 @@ from rich.table import Table
 
 from skd_evaluator.ncap.layout import (
     LEGEND,
+    equivalent_text,
     headline,
     impact_text,
     layout_of,
@@ -22,7 +23,9 @@ _STYLES = {"green": "green", "yellow": "yellow", "orange": "dark_orange", "brown
 
 def print_ncap(found: Ncap) -> None:
     """Print all grids, each with what is to be said of it."""
-    print(f"{found.car}. Each cell: {LEGEND}; ! green with less than {found.room:g} m of room")
+    compared = any(cell.equivalent_text for grid in found.grids for cell in grid.cells)
+    same = ", C of the basic car with the same margin" if compared else ""
+    print(f"{found.car}. Each cell: {LEGEND}{same}; ! green with less than {found.room:g} m of room")
     for grid in found.grids:
         beside = f" ({grid.test})" if grid.test else ""
         print(f"\n{grid.encounter}{beside}: test speed (km/h) × {layout_of(grid).over}")
@@ -51,6 +54,8 @@ def cell_text(cell: Cell, room: float) -> str:
     mark = letter_of(cell)
     planned = "" if cell.deformation is None else f"/{cell.deformation:.2f}"
     text = f"{impact_text(cell):>3} {margin_text(cell):>5}{planned}"
+    if same := equivalent_text(cell):
+        text = f"{text} {same}"
     style = _STYLES.get(cell.colour)
     mark = f"[{style}]{mark}[/]" if style else mark
     return f"{mark}{text}[bold]![/]" if cell.is_narrow(room) else f"{mark}{text} "

@@ -108,7 +108,7 @@ def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
     checked = check_car(values, scenario, graph=False)
     period = None if checked.control_period == scenario.control_period else checked.control_period
     plan = Plan(scenario, **values_of(CampaignOptions, values))
-    return Asked(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned)
+    return Asked(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned, arguments.equivalent)
 
 
 def _is_judged(grid: Grid) -> bool:
