@@ -1,10 +1,11 @@
 """Every encounter that has a name × cars: what kamikazes reach, how often φ itself is hit, and whether all is in order.
 
-Cars: the basic one at C = 0.75, 1 and 1.25; the same as a multi-body car; CAL beside people on foot; and beside whoever
-comes as a box three brakes of known order that look at the car's own strip (cars/triggers.py). Each on the φ of the
-encounter's protocol, or, where it has none, on synthetic ones; with fewer φ there are more attempts on each, so that
-all rows have as many. An attempt without a hit counts as η_max. Intervals are normal ones over attempts, φ given. Each
-episode is held against the limits of its road user by an oracle of its own (road_user_limits.py).
+Cars: the basic one at C = 0.75, 1 and 1.25; the same as a multi-body car; beside people on foot CAL, the agent of CARLA
+0.8 and highway-env's driver (examples/idm, where that library is installed); beside whoever comes as a box three brakes
+of known order that look at the car's own strip (cars/triggers.py). Each on the φ of the encounter's protocol, or, where
+it has none, on synthetic ones; with fewer φ there are more attempts on each, so that all rows have as many. An attempt
+without a hit counts as η_max. Intervals are normal ones over attempts, φ given. Each episode is held against the limits
+of its road user by an oracle of its own (road_user_limits.py).
 
 Of the first attempts on each φ also the margin, exact where it can be, else found by search: closeness is the planned
 deformation of these attempts over it. With --graph two kamikazes and two runs along φ of the first row of each
@@ -12,6 +13,7 @@ encounter also run through the node graph, are recorded, and are compared with t
 
     .venv/bin/python benchmarks/encounter_table.py --graph --out encounter_table.json
     .venv/bin/python benchmarks/encounter_table.py --encounters cpna cpfa --cars C=1 --attempts 20
+    .venv/bin/python benchmarks/encounter_table.py --encounters benchmarks/encounters/*.yaml
 
 FILE keeps the rows; the same command goes on from there, and prints all of them. `--most-minutes` begins no further row
 after so much processor time.
@@ -24,6 +26,7 @@ import dataclasses
 import json
 import math
 import resource
+import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -62,7 +65,11 @@ CARS: Mapping[str, Mapping[str, Any]] = {
     "multi-body C=1": {"multiplier": 1.0},
     "cal": {"controller": "cal", "knowledge": Knowledge.NOTHING},
     **{name: {"controller": where, "knowledge": Knowledge.NOTHING} for name, where in TRIGGERS.items()},
+    "carla": {"controller": "carla", "knowledge": Knowledge.NOTHING},
+    "highway-env": {"controller": "highway_idm:HighwayIdm", "knowledge": Knowledge.NOTHING},
 }
+FOR_PEOPLE = {"cal": "CAL knows", "carla": "CARLA's agent looks for", "highway-env": "highway-env's driver follows"}
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ON_FOOT = ("pedestrian", "runner", "child")
 OF_THE_PAPER = ("crossing", "citr_crossing", "crossing_multi_body")
 _ROUNDING = 1e-6
@@ -79,8 +86,8 @@ def plan_for(name: str, car: str, arguments: argparse.Namespace) -> Plan | str:
         kept = ("start_speed", "start_gap", "start_gap_range", "meet_safe_trajectory")
         held = {key: getattr(scenario.car, key) for key in kept}
         scenario = dataclasses.replace(scenario, car=dataclasses.replace(body, **held))
-    if car == "cal" and not (on_foot and scenario.road.straight):
-        return "CAL knows people on foot, on straight roads"
+    if car in FOR_PEOPLE and not (on_foot and scenario.road.straight):
+        return f"{FOR_PEOPLE[car]} people on foot, on straight roads"
     if car in TRIGGERS and (on_foot or not scenario.road.straight):
         return "for boxes, on straight roads"
     chosen = CARS[car]
@@ -116,7 +123,7 @@ def excess(scenario: Scenario, phi: Trajectory, way: np.ndarray) -> float:
 def row_of(plan: Plan, arguments: argparse.Namespace) -> tuple[dict[str, Any], list[EpisodeLog]]:
     """Run one row; return it, and the episodes that are compared with the graph."""
     begin = time.perf_counter()
-    with InProcessRunner(arguments.workers, isolated=plan.controller in TRIGGERS.values()) as runner:
+    with InProcessRunner(arguments.workers, isolated=not plan.car.is_own) as runner:
         runner.start(planners_of(plan, [Objective.DEFORMATION]))
         safe = safe_trajectories(plan, runner)
         tried = range(plan.kamikaze_count)
@@ -266,28 +273,35 @@ def main() -> None:
     parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
     parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
     arguments = parser.parse_args()
+    sys.path.append(str(EXAMPLES / "idm"))
     if arguments.graph:
         prepare_ros(GraphOptions())
     there = arguments.out is not None and arguments.out.is_file()
     rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
     print(table_head(), flush=True)
-    for name in arguments.encounters:
+    for source in arguments.encounters:
+        name = shown_name(source)
         for car in arguments.cars:
             if car not in rows.get(name, {}):
                 if processor_minutes() > arguments.most_minutes:
                     continue
-                rows.setdefault(name, {})[car] = computed(name, car, rows.get(name, {}), arguments)
+                rows.setdefault(name, {})[car] = computed(source, car, rows.get(name, {}), arguments)
                 if arguments.out:
                     store(rows, arguments.out)
             print(line(name, car, rows[name][car]), flush=True)
-    shown = {name: rows[name] for name in arguments.encounters if name in rows}
+    shown = {name: rows[name] for name in map(shown_name, arguments.encounters) if name in rows}
     print("", *order_lines(shown), "", *closeness_lines(shown), sep="\n")
 
 
-def computed(name: str, car: str, others: Mapping[str, Any], arguments: argparse.Namespace) -> dict[str, Any]:
+def shown_name(source: str) -> str:
+    """Return the name of an encounter that is given by its name or its file."""
+    return Path(source).stem
+
+
+def computed(source: str, car: str, others: Mapping[str, Any], arguments: argparse.Namespace) -> dict[str, Any]:
     """Return one row, computed; the first of its encounter is the one that is compared with the graph."""
     try:
-        plan = plan_for(name, car, arguments)
+        plan = plan_for(source, car, arguments)
         if isinstance(plan, str):
             return {"refused": plan}
         row, some = row_of(plan, arguments)
