@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from statistics import fmean
 from typing import Any
 
 _COLUMNS = (
@@ -48,9 +49,12 @@ def line(name: str, car: str, row: Mapping[str, Any]) -> str:
 
 
 def _ratio(row: Mapping[str, Any]) -> float | None:
-    """Return the planned deformation over the margin; None where there is no margin, or it is next to nothing."""
+    """Return the planned deformation over the margin; None where there is no margin, or it is next to nothing or η_max.
+
+    Where nobody can be hit both are η_max, and their ratio of 1 says nothing of a kamikaze.
+    """
     margin = row.get("margin")
-    return row["planned in them"] / margin if margin and margin >= 0.01 else None
+    return row["planned in them"] / margin if margin and 0.01 <= margin < row.get("eta_max", 5.0) - 1e-6 else None
 
 
 def _closeness(row: Mapping[str, Any]) -> str:
@@ -84,11 +88,19 @@ def order_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def closeness_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the table of mean closeness in each encounter."""
-    told = [f"| encounter | mean closeness | cars | at most {MOST} |", "|---|---|---|---|"]
+    """Return the table of mean closeness in each encounter: of basic cars, whose C kamikazes know, and of all cars."""
+    told = [f"| encounter | basic cars | all cars | at most {MOST} |", "|---|---|---|---|"]
     for name, cars in rows.items():
-        ratios = [ratio for row in cars.values() if "refused" not in row and (ratio := _ratio(row)) is not None]
-        if ratios:
-            mean = sum(ratios) / len(ratios)
-            told.append(f"| {name} | {mean:.2f} | {len(ratios)} | {'yes' if mean <= MOST else 'no'} |")
+        ratios = {car: _ratio(row) for car, row in cars.items() if "refused" not in row}
+        known = [ratio for ratio in ratios.values() if ratio is not None]
+        basic = [ratio for car, ratio in ratios.items() if ratio is not None and car in ORDERS["C"]]
+        if known:
+            of_basic = f"{fmean(basic):.2f}" if basic else "–"
+            told.append(f"| {name} | {of_basic} | {fmean(known):.2f} | {_at_most(basic, known)} |")
     return told
+
+
+def _at_most(basic: Sequence[float], known: Sequence[float]) -> str:
+    if fmean(known) <= MOST:
+        return "yes"
+    return "basic cars" if basic and fmean(basic) <= MOST else "no"

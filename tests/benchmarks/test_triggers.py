@@ -85,5 +85,11 @@ def test_closeness_is_the_mean_over_cars_that_have_a_margin() -> None:
     found = {
         "near": {"late": row(1.2, 0.1, 1.0), "early": row(3.0, 0.1, 2.0), "middle": {"refused": "why"}},
         "far": {"late": row(3.0, 0.1, 1.0), "early": row(1.0, 0.1, 0.0), "middle": row(1.0, 0.1)},
+        "known": {"C=1": row(1.3, 0.1, 1.0), "cal": row(3.0, 0.1, 1.0)},
+        "nobody": {"C=1": row(5.0, 0.0, 5.0)},  # who cannot be hit says nothing of kamikazes
     }
-    assert closeness_lines(found)[2:] == ["| near | 1.35 | 2 | yes |", "| far | 3.00 | 1 | no |"]
+    assert closeness_lines(found)[2:] == [
+        "| near | – | 1.35 | yes |",
+        "| far | – | 3.00 | no |",
+        "| known | 1.30 | 2.15 | basic cars |",
+    ]
