@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy import special
 from skd_sim.arrays import BoolArray, FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.families import Law, aside, nearness
 from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, distributions, moving
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 
 def braking_probability(law: Law, data: Observations) -> FloatArray:

@@ -9,15 +9,21 @@ where it will be when the car passes. The law is followed at once or some ticks 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import optimize, special
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.intervals import Estimate, step_estimate
 from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, densities
+
+if TYPE_CHECKING:
+    from scipy import optimize, special
+else:
+    optimize = on_demand("scipy.optimize")
+    special = on_demand("scipy.special")
 
 MEASURES = ("distance", "time")
 GATES = ("none", "position", "predicted")

@@ -9,13 +9,18 @@ a = min(k·(ν_c − ν), a_max).
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import optimize
 from skd_sim.arrays import BoolArray, FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.observations import Observations
+
+if TYPE_CHECKING:
+    from scipy import optimize
+else:
+    optimize = on_demand("scipy.optimize")
 
 BACKGROUND = (-15.0, 10.0)
 """Accelerations (m/s²) over which a tick that no mode explains is thought to be uniform."""

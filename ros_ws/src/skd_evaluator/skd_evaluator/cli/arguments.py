@@ -250,6 +250,11 @@ def add_details_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
+def add_pictures_argument(parser: argparse._ActionsContainer, text: str) -> None:
+    """Add --no-pictures."""
+    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help=text)
+
+
 def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     """Add --skip-damaged."""
     parser.add_argument(

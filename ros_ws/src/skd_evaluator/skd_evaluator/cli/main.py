@@ -10,6 +10,7 @@ from contextlib import ExitStack, redirect_stdout
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import guarded, one_line, own
+from skd_sim.kernels.waiting import put_off
 from skd_sim.program.lasting import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json
@@ -18,6 +19,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.verbosity import be_verbose, is_verbose
 
 EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+_SELDOM_WITH_KERNELS = frozenset({"completion", "plan"})
+"""Commands that mostly call no kernel, and then start without numba, which takes longer than all else."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,6 +47,8 @@ def _run(words: list[str]) -> int:
         as_json = getattr(arguments, "json", False)
         if as_json:
             keep_for_json()
+        if arguments.command in _SELDOM_WITH_KERNELS:
+            put_off()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
         command = import_lasting(f"skd_evaluator.cli.commands.{getattr(arguments, 'module', arguments.command)}")
         with ExitStack() as stack:

@@ -21,6 +21,7 @@ from skd_evaluator.cli.arguments import (
     add_max_aborted_argument,
     add_options,
     add_output_arguments,
+    add_pictures_argument,
     add_runner_arguments,
     add_verification_arguments,
     positive_number,
@@ -52,11 +53,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_campaign_arguments(assess, "assess")
     add_gate_arguments(assess)
     add_details_argument(assess)
-    assess.add_argument(
-        "--no-pictures",
-        dest="pictures",
-        action="store_false",
-        help="draw no pictures beside the figures, which saves about a second; skd show and skd report still draw them",
+    add_pictures_argument(
+        assess,
+        "draw no pictures beside the figures, which saves about a second; skd show and skd report still draw them",
     )
     assess.add_argument(
         "--curve",
@@ -212,6 +211,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="folder of skd sweep, or of a campaign, whose basic cars are drawn as a curve behind margin and risk. "
         "They have to be over the same safe trajectories, in the same encounter and with the same behaviour model",
     )
+    add_pictures_argument(compare, "draw no pictures beside comparison.json, which saves about half a second")
     add_output_arguments(compare)
 
     verify = commands.add_parser(

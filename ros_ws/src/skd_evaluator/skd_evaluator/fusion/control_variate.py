@@ -24,13 +24,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, plain_numbers
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 LEAST_PAIRS = 5
 """φ with physical trials below which nothing is said: Student's quantile of two degrees of freedom is 4.3."""

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 
 @dataclass(frozen=True)

@@ -69,11 +69,20 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         "warnings": warnings,
     }
 
+    if arguments.json:
+        print_json(content)
+    else:  # before the pictures, which take longer than the figures
+        print_table(comparison_table(rows, ranked_by))
+        print_table(verdict_table(entries, names[0], confidence))
+        sys.stdout.flush()
+
     def write(folder: Path) -> None:
+        write_json(folder / "comparison.json", content)
+        if not arguments.pictures:
+            return
         from skd_evaluator.report.risk.picture import save_rating
         from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
 
-        write_json(folder / "comparison.json", content)
         shown = [
             shown_curve(result.figures, _curves(result, margins=ranked_by == MARGIN), name)
             for result, name in zip(results, names, strict=True)
@@ -85,13 +94,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             save_rating(folder / "rating.png", [*cars, *behind])
 
     problem = out.save(write)
-    if arguments.json:
-        print_json(content)
-    else:
-        print_table(comparison_table(rows, ranked_by))
-        print_table(verdict_table(entries, names[0], confidence))
-        if not problem:
-            print(f"results in {out.path}")
+    if not arguments.json and not problem:
+        print(f"results in {out.path}")
     for warning in warnings:
         print(f"skd compare: warning: {warning}", file=sys.stderr)
     if problem:

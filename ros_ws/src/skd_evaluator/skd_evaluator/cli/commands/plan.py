@@ -7,22 +7,20 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.compare.comparison import compare
-from skd_evaluator.campaign.judge.planned_figures import PLANNED
-from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.physical_plan import run_physical
 from skd_evaluator.measure.statistics.clustered import VarianceComponents, variance_components
 from skd_evaluator.measure.statistics.prior import DISTANCES
 from skd_evaluator.measure.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.store.stored_result import StoredResult
 
 _STATED = {
     "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
@@ -48,16 +46,23 @@ class _Source:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.physical:
+        from skd_evaluator.cli.physical_plan import run_physical
+
         return run_physical(arguments)
     if arguments.correlation is not None or arguments.figure not in _SIMULATED:
         what = "--correlation" if arguments.correlation is not None else f"--figure {arguments.figure}"
         raise UsageError(f"{what} is for --physical")
+    if not arguments.paths:  # what reads results takes longer to import than all of this
+        return _run(arguments, [])
+    from skd_evaluator.campaign.store.result_file import understood
+    from skd_evaluator.campaign.store.stored_result import read_result
+
     with understood(Path("one of the results")):
-        return _run(arguments)
+        return _run(arguments, [read_result(path) for path in arguments.paths])
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    source = _source(arguments)
+def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
+    source = _source(arguments, results)
     between, within = source.components.between, source.components.within
     if between is None or within is None:
         raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 attempts each")
@@ -101,13 +106,12 @@ def _sizes(arguments: argparse.Namespace, source: _Source, between: float, withi
     return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
 
 
-def _source(arguments: argparse.Namespace) -> _Source:
+def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _Source:
     """Return the variances to plan with.
 
     Raises:
         UsageError: results that do not suffice for what is asked.
     """
-    results = [read_result(path) for path in arguments.paths]
     for line in (line for one in results for line in one.remarks):
         print(f"skd plan: warning: {line}", file=sys.stderr)
     if len(results) > 2:
@@ -140,6 +144,9 @@ def _source(arguments: argparse.Namespace) -> _Source:
 
 
 def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Source:
+    from skd_evaluator.campaign.compare.comparison import compare
+    from skd_evaluator.campaign.judge.planned_figures import PLANNED
+
     held = compare(first, second)
     if held.refusals:
         raise UsageError(held.refusals[0])

@@ -14,15 +14,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.prior import Prior
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""

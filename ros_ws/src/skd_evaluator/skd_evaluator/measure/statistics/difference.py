@@ -10,14 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean, group_notes, student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 Groups = Sequence[npt.ArrayLike]
 

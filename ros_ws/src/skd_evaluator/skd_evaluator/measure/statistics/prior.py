@@ -22,18 +22,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize, special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.statistics import Interval
+
+if TYPE_CHECKING:
+    from scipy import optimize, special
+else:
+    optimize = on_demand("scipy.optimize")
+    special = on_demand("scipy.special")
 
 FREEDOM = 3.0
 RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 401))
 """ρ over which the posterior is added up."""
 _LEAST = 1e-280  # m²: below it squares become 0
 _NEGLIGIBLE = 1e-10  # of the largest share of the posterior
+EXACT = 0.0
+"""Precision of an interval that is a figure: as near as rounding allows."""
+_LEAST_RTOL = 4.0 * np.finfo(np.float64).eps  # that brentq takes
 
 
 @dataclass(frozen=True)
@@ -55,7 +65,14 @@ class Prior:
         """The same for a figure that falls where a distance rises."""
         return replace(self, skewness=-self.skewness)
 
-    def interval(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> Interval | None:
+    def interval(
+        self,
+        means: FloatArray,
+        counts: FloatArray,
+        inside: float,
+        confidence: float,
+        precision: float = EXACT,
+    ) -> Interval | None:
         """Return how far the interval reaches below and above the mean over all values.
 
         Args:
@@ -63,13 +80,14 @@ class Prior:
             counts: number of values on each φ.
             inside: sum of squares within all φ.
             confidence: two-sided, in (0, 1).
+            precision: relative error that half the width may have.
 
         Returns:
             None where no φ has two values that differ: then there is nothing to measure the φ's differences by.
         """
         if not _LEAST < inside < math.inf:
             return None
-        half = _half_width(self, tuple(means.tolist()), tuple(counts.tolist()), inside, confidence)
+        half = _half_width(self, tuple(means.tolist()), tuple(counts.tolist()), inside, confidence, precision)
         normal = float(special.ndtri(0.5 + confidence / 2.0))
         skewness = self.skewness + sample_skewness(means)
         if skewness * self.skewness <= 0.0:  # not to the other side
@@ -77,7 +95,9 @@ class Prior:
         moved = skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(len(means))) * half / normal
         return half - min(0.0, moved), half + max(0.0, moved)
 
-    def half_width(self, means: FloatArray, counts: FloatArray, inside: float, confidence: float) -> float:
+    def half_width(
+        self, means: FloatArray, counts: FloatArray, inside: float, confidence: float, precision: float = EXACT
+    ) -> float:
         """Return half the width of the interval before it is moved for skewness; arguments as of `interval`."""
         spreads = RATIOS[:, None] + 1.0 / counts  # variance of each mean, in units of σ²
         precisions = 1.0 / spreads
@@ -93,12 +113,19 @@ class Prior:
             + (FREEDOM + 1.0) * np.log1p(steps**2 / FREEDOM)
         )
         shares = np.exp(logarithms - logarithms.max())
-        kept = shares > _NEGLIGIBLE
+        kept = shares > max(_NEGLIGIBLE, precision)
         weights = counts / counts.sum()
         errors = np.sqrt(squares / freedom * (spreads @ weights**2))[kept]
         wanted, parts = 0.5 + confidence / 2.0, shares[kept] / shares[kept].sum()
-        ends = special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
-        return float(optimize.brentq(lambda reach: parts @ special.stdtr(freedom, reach / errors) - wanted, *ends))
+        low, high = special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
+
+        def beyond(reach: float) -> float:
+            return float(parts @ special.stdtr(freedom, reach / errors) - wanted)
+
+        # brentq's own least tolerance, 2e-12 m, is the one of figures.
+        return float(
+            optimize.brentq(beyond, low, high, xtol=max(2e-12, precision * low), rtol=max(_LEAST_RTOL, precision))
+        )
 
 
 DISTANCES = Prior(ratio=0.02, spread=3.0, skewness=1.25)
@@ -111,10 +138,15 @@ PREFIXES = Prior(ratio=0.04, spread=1.5, skewness=1.25)
 
 @lru_cache(maxsize=4096)
 def _half_width(
-    prior: Prior, means: tuple[float, ...], counts: tuple[float, ...], inside: float, confidence: float
+    prior: Prior,
+    means: tuple[float, ...],
+    counts: tuple[float, ...],
+    inside: float,
+    confidence: float,
+    precision: float,
 ) -> float:
     """Return half the width before skewness; kept, for a result that is written is checked, shown and reported."""
-    return prior.half_width(np.array(means), np.array(counts), inside, confidence)
+    return prior.half_width(np.array(means), np.array(counts), inside, confidence, precision)
 
 
 def sample_skewness(values: FloatArray) -> float:

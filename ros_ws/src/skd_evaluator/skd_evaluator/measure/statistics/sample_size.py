@@ -10,12 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.prior import Prior
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 MOST = 10_000
 """φ beyond which nobody is advised."""
@@ -23,6 +29,8 @@ _MANY = 60
 """φ beyond which an interval with what was known beforehand is Student's, but for a percent."""
 _FEW_NODES, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(16)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
+_PRECISION = 1e-4
+"""Relative error of a width that is planned with: a hundredth of what is shown of it."""
 COUNTS = (10, 20, 25, 50, 100, 200, 400)
 """Attempts on each φ that are offered."""
 
@@ -71,7 +79,8 @@ def expected_width(
     means /= means.std(ddof=1)
     freedom = safe - 1.0
     scales = np.sqrt(safe * special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
-    reaches = [prior.interval(scale * means, counts, within * safe * (attempts - 1.0), confidence) for scale in scales]
+    inside = within * safe * (attempts - 1.0)
+    reaches = [prior.interval(scale * means, counts, inside, confidence, _PRECISION) for scale in scales]
     widths = np.array([sum(reach) for reach in reaches if reach is not None])
     return float(0.5 * _FEW_WEIGHTS @ widths)
 

@@ -13,14 +13,19 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.statistics import checked_confidence
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 _NODES = 100
 _STEPS = 48  # of the bisection: to 1e-13

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special  # scipy.stats would be half a second at every start
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 Interval = tuple[float, float]
 

@@ -11,15 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import special
 from skd_sim.arrays import FloatArray
+from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
 from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
 from skd_evaluator.risk.behaviour.residuals import padded, summary
+
+if TYPE_CHECKING:
+    from scipy import special
+else:
+    special = on_demand("scipy.special")
 
 LEAST_TRACKS: Final = 8
 FITTED: Final = tuple(name for name, one in MEANINGS.items() if one.fitted)

@@ -1,0 +1,36 @@
+"""What a start does without: libraries that take long to import and that it does not need."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from scipy import special
+from skd_sim.program.on_demand import on_demand
+
+
+@pytest.mark.parametrize(
+    ("program", "without"),
+    [
+        ("import skd_evaluator.cli.commands.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "numba matplotlib"),
+        ("from skd_evaluator.cli.main import main; main(['completion', 'bash'])", "numpy numba rich"),
+    ],
+    ids=["assess", "plan", "completion"],
+)
+def test_a_start_imports_no_library_that_it_does_not_need(program: str, without: str) -> None:
+    said = f"import sys\n{program}\nprint([name for name in {without.split()} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_library_on_demand_is_the_library() -> None:
+    held = on_demand("scipy.special")
+    assert "ndtr" not in vars(held)
+    assert held.ndtr is special.ndtr
+    assert vars(held)["ndtr"] is special.ndtr  # found at once from now on
+    with pytest.raises(AttributeError, match="no_such_function"):
+        _ = held.no_such_function
+    with pytest.raises(ModuleNotFoundError, match="no_such_library"):
+        _ = on_demand("no_such_library").anything
