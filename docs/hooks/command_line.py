@@ -22,7 +22,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def _command_line() -> Iterator[str]:
     yield "# Command line\n"
     yield "`scripts/skd` in a checkout, `skd` where the package is installed. Made from the parsers, this page says"
-    yield "what `--help` says. For what to use when, see [the commands](../README.md#the-commands).\n"
+    yield "what `--help` says. For what to use when, see [the commands](commands.md).\n"
     for name, parser in commands_of(make_parser()).items():
         yield f"\n## skd {name}\n\n{_prose(parser.description or '')}\n"
         for group in parser._action_groups:

@@ -39,6 +39,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
 }
+_POLICY = ROOT / "docs" / "start" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
     "assess": f"{COUNTS} --workers 1 --margin-limit 128",
@@ -89,7 +90,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text = document.read_text(encoding="utf-8")
         for name, code in re.findall(r"<!-- file: (\S+) -->\n+```python\n(.*?)```", text, re.DOTALL):
             (folder / name).write_text(code, encoding="utf-8")
-    (controller,) = re.findall(r"```python\n(class MyController.*?)```", (ROOT / "README.md").read_text("utf-8"), re.S)
+    (controller,) = re.findall(r"```python\n(class MyController.*?)```", _POLICY.read_text("utf-8"), re.S)
     (folder / "my_module.py").write_text(controller, encoding="utf-8")
     first = folder / EARLIER[-1]
     assert run_skd("assess", *shlex.split(SMALLER["assess"]), "--out", first) == 0

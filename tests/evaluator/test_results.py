@@ -12,8 +12,10 @@ from unittest.mock import ANY
 
 import numpy as np
 import pytest
+from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.campaign.store.results import ElsewhereError, ResultFolder, write_json
+from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 
 
@@ -156,6 +158,55 @@ def test_what_was_taken_and_not_written_is_given_back(tmp_path):
     del out
     assert names(tmp_path) == ["empty"]  # it was there before
     ResultFolder(tmp_path / "empty").write(fill)
+
+
+def logs_of_failed_work(path: Path, *, overwrite: bool = False) -> Path:
+    """Fail in work that prints, and return by which name its log was found meanwhile."""
+    work = ResultFolder(path, overwrite=overwrite).scratch()
+    scratch = work.__enter__()
+    (scratch.logs / "node.log").write_text("all that it said")
+    assert (scratch.folder / "logs" / "node.log").exists()
+    error = AssessmentError("a node is gone")
+    assert not work.__exit__(AssessmentError, error, error.__traceback__)
+    return scratch.logs / "node.log"
+
+
+def test_logs_of_work_that_failed_stay_where_they_were(tmp_path):
+    for _ in range(2):  # and are in nobody's way
+        log = logs_of_failed_work(tmp_path / "out")
+        assert log == tmp_path / "out" / "logs" / "node.log"
+        assert log.read_text() == "all that it said"
+        assert names(tmp_path) == ["out"]
+    out = ResultFolder(tmp_path / "out")
+    with out.scratch() as scratch:
+        (scratch.logs / "node.log").write_text("new")
+        write_with_scratch(out, scratch.folder, fill)
+    assert log.read_text() == "new"
+    assert not (tmp_path / "out" / "logs").is_symlink()
+    old = content(tmp_path / "out")
+    assert logs_of_failed_work(tmp_path / "out", overwrite=True) == tmp_path / "out.logs" / "node.log"
+    assert logs_of_failed_work(tmp_path / "out", overwrite=True) == tmp_path / "out.logs-2" / "node.log"
+    assert content(tmp_path / "out") == old
+
+
+def test_what_left_nothing_or_was_killed_leaves_the_folder_free(tmp_path):
+    work = ResultFolder(tmp_path / "out").scratch()
+    (work.__enter__().logs / "node.log").touch()
+    assert not work.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    del work
+    assert names(tmp_path) == []
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "logs").symlink_to(tmp_path / ".skd-of-one-that-was-killed" / "logs")
+    ResultFolder(tmp_path / "out").write(fill)
+    assert not (tmp_path / "out" / "logs").is_symlink()
+
+
+def test_logs_of_others_are_not_taken_for_ours(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "diary.txt").touch()
+    with pytest.raises(UsageError, match="is not empty and holds no SKD results"):
+        ResultFolder(tmp_path)
+    assert content(tmp_path) == {"logs/diary.txt": ""}
 
 
 @pytest.mark.parametrize("there", ["nothing", "empty", "results"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 
 import numpy as np
@@ -11,9 +12,15 @@ from cli_support import names, one_line
 from matplotlib.image import imread
 from PIL import Image
 from shapely import Point, Polygon
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.commands.compare import reference_hint
 from skd_evaluator.cli.commands.show import shown_episode
+from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.repeat import files_of, repeat_command
+from skd_sim.encounter.scenario import load_scenario, scenario_from_dict
+from skd_sim.episode.episode import Mode
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
@@ -42,6 +49,27 @@ def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, 
     assert all(
         f"deformation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True)
     )
+
+
+def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, subject):
+    own = {**subject.figures, "scenario": {**subject.figures["scenario"], "name": "mine", "eta_max": 4.5}}
+    words = repeat_command(own, Mode.REPLAY, "", int(subject.episodes.episode_id[0]))
+    assert files_of(subject.figures, repeat_command(subject.figures, Mode.REPLAY, "", 0)) == {}
+    ((name, content),) = files_of(own, words).items()
+    assert words[words.index("--scenario") + 1] == name
+    write_json(tmp_path / name, content)
+    assert load_scenario(str(tmp_path / name)).as_dict() == scenario_from_dict(own["scenario"], "it").as_dict()
+
+
+def test_what_makes_cars_to_compare_with_is_a_command_that_is_understood(subject, monkeypatch):
+    monkeypatch.delenv("SKD_PROGRAM", raising=False)
+    said = reference_hint({**subject.figures, "seed": 7})
+    program, *words = shlex.split(said.partition("This makes them: ")[2])
+    asked = parse(make_parser(), words)
+    assert program == "skd"
+    assert (asked.command, asked.seed, asked.safe_count) == ("sweep", 7, len(subject.episodes.safe))
+    other = {**subject.figures, "scenario": json.loads(json.dumps(load_scenario("cpna-50").as_dict()))}
+    assert "encounters: [{scenario: cpna-50}]" in reference_hint(other)
 
 
 def test_films(skd_here, here, result, monkeypatch):

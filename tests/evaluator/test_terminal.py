@@ -14,10 +14,12 @@ from common import wait_until
 from rich.table import Table
 from skd_evaluator.report import progress
 from skd_evaluator.report.progress import ProgressLines, progress_line
+from skd_evaluator.report.side_by_side import equal_remarks
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_sim.choices.registry import Registry
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.kernels import anew
 
 CLI = Path(__file__).parents[2] / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator" / "cli"
 NOISY = """
@@ -153,6 +155,15 @@ def test_a_terminal_without_colour_gets_none(capsys, monkeypatch, colour):
     assert ("\x1b[31m" in capsys.readouterr().out) == colour
 
 
+def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
+    one = {"margin": 0.5, "deformation": 1.0, "skd": 2.0, "hit_rate": 0.1}
+    rows = [{"name": "a", **one}, {"name": "b", **one, "skd": 2.0000001}, {"name": "c", **one}]
+    (line,) = equal_remarks(rows, "name")
+    assert line.startswith("a and c have the same figures to the last digit")
+    unknown = dict.fromkeys(one)
+    assert equal_remarks([{"name": "a", **unknown}, {"name": "b", **unknown}], "name") == []
+
+
 # --- how far it is
 
 
@@ -162,11 +173,15 @@ def test_a_line_says_rate_and_time_left():
     assert progress_line("kamikazes", 3, 500, 0, 3.0) == "kamikazes: 3 of 500"
 
 
-def test_lines_tell_of_stages_that_go_on_and_count_from_their_own_beginning():
+def test_lines_tell_of_stages_that_go_on_and_count_from_their_own_beginning(monkeypatch):
     lines, now = [], 0.0
     told = ProgressLines(lines.append, lambda: now)
+    monkeypatch.setattr(anew, "_compiled", [])
     told.say()
     assert lines == []
+    anew.note("first_contact")  # a first run compiles for a minute before anything is under way
+    told.say()
+    assert lines.pop() == progress.PREPARING
     for second in range(1, 11):
         now = float(second)
         told.update("first", second, 10)

@@ -49,8 +49,12 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
     assert last.rpartition("; log: ")[0].endswith(
         "nobody publishes on /ego/acceleration_command; aborted were 3 not started"
     )
-    assert Path(last.rpartition("log: ")[2]).exists()
-    assert not (tmp_path / "out").exists()
+    logs = tmp_path / "out" / "logs"
+    assert {Path(line.rpartition("log: ")[2]) for line in (first, last)} == {logs / "vehicle_simulator.log"}
+    assert (logs / "vehicle_simulator.log").is_file()
+    assert [path.name for path in tmp_path.iterdir() if path.name != "out"] == []
+    again = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=0.5)
+    assert again.code == 1  # not 2: logs of a run that failed are in nobody's way
 
 
 def test_one_that_never_begins(tmp_path: Path, safe: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 import signal
 import sys
@@ -19,6 +20,7 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.readiness import waiting
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
 
@@ -140,6 +142,59 @@ def test_another_stamp(graph: Any, stamp: int, told: str) -> None:
     publisher = graph[1].create_publisher(AccelStamped, COMMANDS, 10)
     line = said(graph, publisher, stamped(stamp))
     assert f"(0.6 s): commands come, but their stamps are of no use: {told}" in line
+
+
+def waited(graph: tuple[Node, Node, SingleThreadedExecutor], publisher: Any, message: Any) -> None:
+    """A wait of a second, with a patience of a third of one with what waiting does not mend."""
+    watcher, _, executor = graph
+    commands = FirstCommands(watcher, [Awaited(COMMANDS, ACCELERATIONS)], lambda _line: None, patience=0.3)
+    commands.begin(START)
+    latest = time.monotonic() + 1.0
+    while time.monotonic() < latest:
+        publisher.publish(message)
+        executor.spin_once(timeout_sec=0.02)
+        commands.look(state_came=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "stamp", "why"),
+    [
+        (AccelStamped, "/brake", START, "but messages of /stack arrive on /brake"),
+        (Twist, COMMANDS, None, f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}"),
+        (AccelStamped, COMMANDS, 0, "they are not set"),
+        (AccelStamped, COMMANDS, 1_700_000_000 * 10**9, "they are of the wall clock"),
+    ],
+)
+def test_what_waiting_does_not_mend_ends_the_wait(graph: Any, kind: type, topic: str, stamp: int, why: str) -> None:
+    publisher = graph[1].create_publisher(kind, topic, 10)
+    message = kind() if stamp is None else stamped(stamp)
+    with pytest.raises(AssessmentError, match=f"the car controller is not heard: .*{why}.*that is so since 0.3 s"):
+        waited(graph, publisher, message)
+
+
+def test_what_waiting_may_mend_does_not(graph: Any) -> None:
+    """A stamp of the episode before, a topic to which somebody listens, a node that has not published."""
+    _, stack, _ = graph
+    stack.create_subscription(AccelStamped, "/internal", lambda _: None, 10)
+    stack.create_publisher(Twist, "/cmd_vel", 10)
+    internal = stack.create_publisher(AccelStamped, "/internal", 10)
+    waited(graph, internal, stamped(START))
+    waited(graph, stack.create_publisher(AccelStamped, COMMANDS, 10), stamped(START - 10**9))
+
+
+def test_a_line_that_says_nothing_new_is_said_seldom(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(waiting, "_SAY_EVERY", 0.2)
+    watcher, _, executor = graph
+    lines: list[str] = []
+    commands = FirstCommands(watcher, [Awaited(COMMANDS, ACCELERATIONS)], lines.append)
+    commands.begin(START)
+    latest = time.monotonic() + 1.5
+    while time.monotonic() < latest:
+        executor.spin_once(timeout_sec=0.02)
+        commands.look(state_came=True)
+    reasons = [line.partition(" s): ")[2] for line in lines]
+    changes = 1 + sum(one != other for one, other in itertools.pairwise(reasons))
+    assert len(lines) <= changes + 2  # of seven times at which one is due, the third and the sixth
 
 
 def test_a_stack_that_hears_nothing(graph: Any) -> None:

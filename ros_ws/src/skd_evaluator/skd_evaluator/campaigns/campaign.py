@@ -227,12 +227,12 @@ class Campaign:
     ) -> None:
         assert cell.graph is not None
         begin, graph = time.perf_counter(), cell.graph
-        with self._folder.scratch() as scratch:
+        with self._folder.logs(cell.name) as logs:
             session = graphs_session(
                 replace(graph, graphs=graphs),
                 controller=cell.plan.controller,
                 campaign=campaign_name(cell.plan.car),
-                log_folder=scratch,
+                log_folder=logs,
                 record_to=None,
             )
             with session as evaluator:
@@ -243,7 +243,7 @@ class Campaign:
                 rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
                 evaluator.publish_assessment(rating)
             origin = self._provenance(cell)
-            finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), scratch)
+            finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
     def _informed(self, cell: Cell, runner: EpisodeRunner) -> Cell:
         """Return the cell after its adversary has learned the car, if it has to; the cell's identity stays the same."""

@@ -148,6 +148,7 @@ class CampaignFolder:
         cells = [str(cell["name"]) for cell in _read_json(self.path / CELLS)["cells"]]
         for cell in cells:
             self._remove_cell(self.path / cell)
+            shutil.rmtree(self.path / f"{cell}.logs", ignore_errors=True)
         for name in (CAMPAIGN, TABLE, *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")), CELLS):
             (self.path / name).unlink(missing_ok=True)
 
@@ -173,14 +174,18 @@ class CampaignFolder:
         return {str(row.get("name")): row for row in rows if isinstance(row, dict)}
 
     @contextmanager
-    def scratch(self) -> Iterator[Path]:
-        """Yield a temporary folder for what grows during the work; what is still in it afterwards is gone."""
-        temporary = make_temporary(self.path) / "logs"
+    def logs(self, cell: str) -> Iterator[Path]:
+        """Yield a folder for what the processes of a cell print: beside the cell's, and it stays if the work fails."""
+        folder = self.path / f"{cell}.logs"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         try:
-            temporary.mkdir()
-            yield temporary
-        finally:
-            shutil.rmtree(temporary.parent, ignore_errors=True)
+            yield folder
+        except Exception:
+            if not any(folder.iterdir()):
+                folder.rmdir()
+            raise
+        shutil.rmtree(folder, ignore_errors=True)
 
     def write_cell(self, name: str, fill: Callable[[Path], None]) -> dict[str, str]:
         """Let `fill` write into a temporary folder, and put it in its place when it is whole and on the disk.

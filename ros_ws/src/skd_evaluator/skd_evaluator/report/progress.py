@@ -23,12 +23,16 @@ from rich.progress import (
 )
 from rich.text import Text
 from skd_sim.inputs.printable import guarded, own
+from skd_sim.kernels.anew import any_compiled
 
 from skd_evaluator.campaign.plan.plan import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
 
 LINE_EVERY = 30.0
 """s between two lines where there is no terminal."""
+FIRST_LINE = 5.0
+"""s until the first of them."""
+PREPARING = "compiling what a first run needs; it takes a minute or two, and is kept"
 
 
 @contextmanager
@@ -54,8 +58,10 @@ def progress_bar(*, quiet: bool = False) -> Iterator[CampaignProgress]:
         over = threading.Event()
 
         def speak() -> None:
-            while not over.wait(LINE_EVERY):
+            wait = min(FIRST_LINE, LINE_EVERY)
+            while not over.wait(wait):
                 lines.say()
+                wait = LINE_EVERY
 
         threading.Thread(target=speak, name="skd-progress", daemon=True).start()
         try:
@@ -82,9 +88,11 @@ def _bar() -> Iterator[CampaignProgress]:
     with Progress(*columns, console=Console(file=own(sys.stderr)), transient=True) as progress, guarded():
         tasks: dict[str, Any] = {}
         lock = threading.Lock()
+        preparing = progress.add_task("preparing", total=None)
 
         def update(label: str, done: int, total: int) -> None:
             with lock:
+                progress.update(preparing, visible=False)
                 if label not in tasks:
                     tasks[label] = progress.add_task(label, total=total)
                 progress.update(tasks[label], completed=done, total=total)
@@ -112,21 +120,26 @@ class ProgressLines:
         self._write, self._clock = write, clock
         self._stages: dict[str, _Stage] = {}
         self._lock = threading.Lock()
+        self._begun = False
         self._last = clock()  # when something was done, before which no stage has begun
 
     def update(self, label: str, done: int, total: int) -> None:
         """Learn how far a stage is."""
         with self._lock:
             now = self._clock()
+            self._begun = True
             known = self._stages.get(label) or _Stage(self._last, max(0, done - 1), done, total)
             self._stages[label] = known._replace(done=done, total=total)
             self._last = now
 
     def say(self) -> None:
-        """Write a line for each stage that has not come to its end."""
+        """Write a line for each stage that has not come to its end; before the first, that it is compiled."""
         with self._lock:
             now = self._clock()
             going = {label: stage for label, stage in self._stages.items() if stage.done < stage.total}
+            begun = self._begun
+        if not begun and any_compiled():
+            self._write(PREPARING)
         for label, stage in going.items():
             self._write(progress_line(label, stage.done, stage.total, stage.done - stage.before, now - stage.begin))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -63,6 +63,16 @@ def behaviour_name(figures: Mapping[str, Any]) -> str:
     stored = figures["risk"]["behaviour"]
     shipped = json.loads(json.dumps(load_behaviour(WALKERS).as_dict()))
     return WALKERS if stored == shipped else ""
+
+
+def files_of(figures: Mapping[str, Any], words: Sequence[str]) -> dict[str, Any]:
+    """Return the content of the files that only the result has and that a command names, by their names."""
+    contents = {
+        SCENARIO_FILE: figures["scenario"],
+        CAR_MODEL_FILE: figures["car_model"],
+        BEHAVIOUR_FILE: (figures.get("risk") or {}).get("behaviour"),
+    }
+    return {name: content for name, content in contents.items() if name in words}
 
 
 def repeat_prefix(figures: Mapping[str, Any], mode: Mode, objective: str) -> list[str]:

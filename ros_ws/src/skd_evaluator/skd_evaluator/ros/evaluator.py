@@ -124,6 +124,7 @@ class Evaluator(Node):
         settle: float = SETTLE,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
+        patience: float = math.inf,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -143,13 +144,15 @@ class Evaluator(Node):
                 there is certainly one of each tick, short where a node sends them when it likes.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
+            patience: s after which a stack that sends its commands elsewhere, or so that they are not taken, ends the
+                campaign; by default as long as somebody may mend it.
         """
         self._say = self._warn if say is None else say
         self.failures = Failures(self._say, log_folder)
         driven = car_commands(commands)
         drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
         awaited = (Awaited(drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))
-        self._first_commands = FirstCommands(self, awaited, self._say)
+        self._first_commands = FirstCommands(self, awaited, self._say, patience)
         self._campaign = campaign
         self._silence_limit = silence_limit
         self._check_processes = check_processes

@@ -97,13 +97,17 @@ class EvaluatorProcess(Evaluator):
             ):
                 self.begin_campaign(
                     campaign_name(plan.car),
-                    record_to=scratch / "bags" if values["record"] else None,
+                    record_to=scratch.folder / "bags" if values["record"] else None,
                     silence_limit=values["silence_limit"],
                     before_episode=reset,
                     commands=CommandOptions(**values_of(CommandOptions, values)),
                 )
                 try:
-                    return self._assess(scratch) if values["task"] == "assessment" else self._run_one(scratch)
+                    return (
+                        self._assess(scratch.folder)
+                        if values["task"] == "assessment"
+                        else self._run_one(scratch.folder)
+                    )
                 except (KeyboardInterrupt, ExternalShutdownException):
                     for number in SIGNALS:
                         signal.signal(number, signal.SIG_IGN)  # a second one must not disturb the cleaning up

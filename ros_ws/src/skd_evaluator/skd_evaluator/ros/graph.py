@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,6 +21,8 @@ from skd_evaluator.ros.programs.processes import Supervisor
 from skd_evaluator.ros.programs.programs import graph_programs
 from skd_evaluator.ros.readiness.lifecycle import resetting
 
+_CERTAIN = 1.0 / 3.0
+"""Share of the time that a stack has to start after which commands that come elsewhere will not come here."""
 _LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 
 
@@ -109,5 +112,7 @@ def running_graph(
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             say=setting.say,
             log_folder=log_folder,
+            # Who has not started the stack here may be mending it in another terminal.
+            patience=_CERTAIN * options.startup_timeout if options.controller_command else math.inf,
         )
         yield evaluator

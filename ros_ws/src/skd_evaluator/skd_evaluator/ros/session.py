@@ -20,7 +20,7 @@ from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_s
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.programs.domain import choose_domain, free_domain
-from skd_evaluator.ros.programs.node_logs import keep_logs, log_of
+from skd_evaluator.ros.programs.node_logs import log_of
 from skd_evaluator.ros.readiness.failures import Failures
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def graph_session(
 
     Raises:
         UsageError: a process cannot be started.
-        AssessmentError: the graph cannot go on; says where the logs are kept.
+        AssessmentError: the graph cannot go on; says where the logs are.
     """
     from skd_evaluator.ros.graph import GraphSetting, running_graph  # only here: ROS may be added by `prepare_ros`
 
@@ -138,11 +138,11 @@ def _say(line: str) -> None:
 
 @contextmanager
 def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
-    """Say of an error that ends a campaign what was aborted before, and where the logs are kept."""
+    """Say of an error that ends a campaign what was aborted before, and where the logs are."""
     try:
         yield
     except AssessmentError as error:
-        log = log_of(keep_logs(log_folder), str(error))
+        log = log_of(log_folder, str(error))
         counts = f"; aborted were {counts_in_words(failures.reasons)}" if failures.reasons else ""
         raise AssessmentError(f"{error}{counts}; log: {log}") from error
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 NANOSECONDS = 1_000_000_000
-_WALL_CLOCK = 1_000_000_000 * NANOSECONDS
+WALL_CLOCK = 1_000_000_000 * NANOSECONDS
 """Stamps after this one, in September 2001, are not of a simulation that begins at 0."""
 
 
@@ -36,7 +36,7 @@ def stamp_fault(stamp: int, wanted: int) -> str:
     behind = (wanted - stamp) / NANOSECONDS
     if stamp == 0:
         return "they are not set: copy the odometry's stamp"
-    if stamp > _WALL_CLOCK:
+    if stamp > WALL_CLOCK:
         return "they are of the wall clock: set use_sim_time:=true, or copy the odometry's stamp"
     how = f"lag by {behind:.3g} s" if behind > 0.0 else f"are {-behind:.3g} s ahead"
     return f"they {how}: copy the odometry's stamp (and use_sim_time:=true where the node has a clock)"

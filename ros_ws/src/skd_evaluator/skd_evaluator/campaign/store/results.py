@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
@@ -22,7 +22,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.temporary_folders import make_temporary
+from skd_evaluator.temporary_folders import PREFIX, make_temporary
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:
@@ -35,8 +35,25 @@ MARKERS = (
 """A folder with one of these holds results of ours."""
 
 
+LOGS = "logs"
+_FAILED = ".failed"
+"""A file in logs of work that has failed: they may be replaced."""
+
+
 class ElsewhereError(OSError):
     """The results are whole, but not where they were asked for; the message says where they are."""
+
+
+class Scratch(NamedTuple):
+    """A temporary folder for what grows during work.
+
+    Attributes:
+        folder: the folder, with a folder `logs` in it.
+        logs: by which name these logs are found now and later.
+    """
+
+    folder: Path
+    logs: Path
 
 
 class ResultFolder:
@@ -44,7 +61,8 @@ class ResultFolder:
 
     While it is taken it exists, locked, and empty unless it holds results that are to be replaced. It is given back,
     and removed where it was made, when this object is let go without having been written; the lock ends with the
-    process, however that ends.
+    process, however that ends. What the processes of a graph print is there from the beginning, under `logs`, and stays
+    after work that has failed: a folder with nothing else is taken like an empty one.
 
     Attributes:
         path: where the results are.
@@ -70,17 +88,34 @@ class ResultFolder:
                 raise
         except OSError as error:
             raise UsageError(f"--out {path}: cannot be written ({error.strerror}); give another") from error
-        self._replaces = any(self._target.iterdir())
+        self._replaces = _holds_something(self._target)
         self._give_back = weakref.finalize(self, _give_back, self._descriptor, made, os.getpid())
 
     @contextmanager
-    def scratch(self) -> Iterator[Path]:
-        """Yield a temporary folder on the same file system for what grows during the work; gone afterwards."""
+    def scratch(self) -> Iterator[Scratch]:
+        """Yield a temporary folder on the same file system for what grows during the work; gone afterwards.
+
+        The logs of work that has failed stay where `Scratch.logs` says.
+        """
         temporary = self._temporary()
+        logs = temporary / LOGS
+        # Results that are there stay as they are until they are replaced.
+        shown = _free(self.path.with_name(f"{self.path.name}.{LOGS}")) if self._replaces else self.path / LOGS
         try:
-            temporary.joinpath("logs").mkdir()
-            yield temporary
+            logs.mkdir()
+            if not self._replaces:
+                _remove_left(self._target)
+            shown.symlink_to(logs.resolve())
+            yield Scratch(temporary, shown)
+        except Exception:
+            if logs.is_dir() and any(logs.iterdir()):
+                shown.unlink(missing_ok=True)
+                logs.rename(shown)
+                shown.joinpath(_FAILED).touch()
+            raise
         finally:
+            if shown.is_symlink():
+                shown.unlink()
             shutil.rmtree(temporary, ignore_errors=True)
 
     def write(self, fill: Callable[[Path], None]) -> None:
@@ -110,6 +145,8 @@ class ResultFolder:
         """Put what is complete in the target's place, and what is to be replaced, if anything, out of the way."""
         if self._target.exists() and not self._is_ours(self._target):
             self._put_beside(temporary)
+        if not self._replaces and self._target.exists():
+            _remove_left(self._target)
         if self._replaces and self._target.exists():
             self._target.rename(replaced)
             if not self._is_ours(replaced):  # it was exchanged a moment ago
@@ -217,7 +254,7 @@ def _check(target: Path, option: str, *, overwrite: bool) -> None:
     if target.exists():
         if not target.is_dir():
             raise UsageError(f"{option}: is a file; give a folder")
-        if any(target.iterdir()):
+        if _holds_something(target):
             if not any((target / marker).exists() for marker in MARKERS):
                 raise UsageError(f"{option}: is not empty and holds no SKD results; give a new folder")
             if not overwrite:
@@ -230,6 +267,32 @@ def _check(target: Path, option: str, *, overwrite: bool) -> None:
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
     ancestor = next(folder for folder in target.parents if folder.exists())
     make_temporary(ancestor).rmdir()
+
+
+def _holds_something(target: Path) -> bool:
+    """Return whether something is in a folder but the logs of work of ours that has failed, or was killed."""
+    return any(not _is_left(one) for one in target.iterdir())
+
+
+def _is_left(path: Path) -> bool:
+    if path.name != LOGS:
+        return False
+    return path.readlink().parent.name.startswith(PREFIX) if path.is_symlink() else (path / _FAILED).is_file()
+
+
+def _remove_left(target: Path) -> None:
+    """Remove what work of ours that has failed has left in a folder."""
+    logs = target / LOGS
+    if logs.is_symlink():
+        logs.unlink()
+    elif logs.is_dir() and _is_left(logs):
+        shutil.rmtree(logs)
+
+
+def _free(path: Path) -> Path:
+    """Return a path where nothing is: this one, or with a number behind it."""
+    names = itertools.chain([path.name], (f"{path.name}-{number}" for number in itertools.count(2)))
+    return next(one for one in map(path.with_name, names) if not (one.exists() or one.is_symlink()))
 
 
 def _umask() -> int:

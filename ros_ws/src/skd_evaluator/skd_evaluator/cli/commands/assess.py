@@ -243,8 +243,8 @@ def _assess_graph(
             graph_options(arguments),
             controller=plan.controller,
             campaign=campaign_name(plan.car),
-            log_folder=scratch.joinpath("logs"),
-            record_to=scratch / "bags" if arguments.record else None,
+            log_folder=scratch.logs,
+            record_to=scratch.folder / "bags" if arguments.record else None,
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             graph = graph_options(arguments)
@@ -254,5 +254,5 @@ def _assess_graph(
             rating = assessed(plan, objectives, runners, progress, further)
             evaluator.publish_assessment(rating)
         rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
-        problem = save_with_scratch(out, scratch, lambda folder: _write(folder, rating, arguments))
+        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, rating, arguments))
     return rating, problem

@@ -29,7 +29,8 @@ from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.side_by_side import campaign_table, plan_table
+from skd_evaluator.report.repeat import program
+from skd_evaluator.report.side_by_side import campaign_table, equal_remarks, plan_table
 from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.risk.assessment_risk import warm_up_risk
 from skd_evaluator.ros.session import prepare_ros
@@ -143,7 +144,7 @@ def _go_on(arguments: argparse.Namespace, out: Path) -> str:
     words = [word for word in arguments.command_line if word not in ("--overwrite", "--resume")]
     if arguments.out is None:
         words += ["--out", str(out)]
-    return shlex.join([*words, "--resume"])
+    return shlex.join([program(), *words[1:], "--resume"])
 
 
 def _say_plan(cells: Sequence[Cell], arguments: argparse.Namespace) -> int:
@@ -167,6 +168,8 @@ def _say_result(campaign: Campaign, arguments: argparse.Namespace, out: Path) ->
     failures = 0
     if content["planned_refusal"]:
         print(f"skd campaign: warning: {content['planned_refusal']}", file=sys.stderr)
+    for remark in equal_remarks(content["cells"], "name"):
+        print(f"skd campaign: warning: {remark}", file=sys.stderr)
     for row in content["cells"]:
         for warning in row["warnings"]:
             print(f"skd campaign: warning: {row['name']}: {warning}", file=sys.stderr)

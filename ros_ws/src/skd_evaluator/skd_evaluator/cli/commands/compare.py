@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,18 +13,22 @@ from typing import Any
 from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessing.asked import scenario_for
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import columns
+from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.files import tails
+from skd_evaluator.measure.behaviour import WALKERS
+from skd_evaluator.report import repeat
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car
-from skd_evaluator.report.side_by_side import comparison_table, verdict_table
+from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import car_name, print_table
 
 
@@ -58,7 +63,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
     remarks = [line for one in results for line in one.remarks]
-    warnings = list(dict.fromkeys([*remarks, *(line for one in compared for line in one.lines())]))
+    warnings = [*remarks, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
+    warnings = list(dict.fromkeys(warnings))
     ranked_by = ranking_figure(results)
     content = {
         "rows": rows,
@@ -124,10 +130,29 @@ def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
     if not curve:
         raise UsageError(
             f"--reference {folder}: has no two basic cars with margin and risk over the φ of {first.folder}, in its "
-            "encounter and with its behaviour model; skd sweep --multipliers makes them, with its --seed, --safe and "
-            "--safe-count"
+            f"encounter and with its behaviour model. {reference_hint(first.figures)}"
         )
     return curve
+
+
+_REFERENCE = ("0.75", "1", "1.25")
+
+
+def reference_hint(figures: Mapping[str, Any]) -> str:
+    """Return the command that makes basic cars to compare a result with: over its φ, in its encounter."""
+    safe, count = str(figures["safe"]), len(figures["per_safe_trajectory"])
+    scenario = repeat.scenario_name(figures) or repeat.SCENARIO_FILE
+    behaviour = (repeat.behaviour_name(figures) or repeat.BEHAVIOUR_FILE) if figures.get("risk") else WALKERS
+    if scenario != scenario_for(None, safe).name:
+        return (
+            f"A campaign makes them, whose file says `cars: [{{controller: basic, sweep: {{multiplier: "
+            f"[{', '.join(_REFERENCE)}]}}}}]`, `encounters: [{{scenario: {scenario}}}]` and `defaults: {{seed: "
+            f"{figures['seed']}, safe: {safe}, safe_count: {count}, behaviour: {behaviour}}}`"
+        )
+    words = [repeat.program(), "sweep", "--multipliers", *_REFERENCE, "--seed", str(figures["seed"])]
+    words += ["--safe-count", str(count)] if safe == SYNTHETIC else ["--safe", safe, "--safe-count", str(count)]
+    words += ["--behaviour", behaviour] if behaviour != WALKERS else []
+    return f"This makes them: {shlex.join([*words, '--out', 'skd_results/reference'])}"
 
 
 def _encounter(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,8 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
             graph_options(arguments),
             controller=plan.controller,
             campaign=campaign_name(plan.car),
-            log_folder=scratch / "logs",
-            record_to=scratch / "bags",
+            log_folder=scratch.logs,
+            record_to=scratch.folder / "bags",
         )
         with session as evaluator:
             if episode.mode == Mode.KAMIKAZE:  # nobody else plans against the car
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
                 plan = learned_plan(plan, evaluator, lambda *_told: None, partial(say, arguments.command), graph)
                 episode = replace(episode, car_model=plan.car_model)
             log = evaluator.run_episode(episode)
-        write_with_scratch(out, scratch, lambda folder: fill_episode(folder, log))
+        write_with_scratch(out, scratch.folder, lambda folder: fill_episode(folder, log))
     if arguments.json:
         print_json(episode_summary(log))
     else:

@@ -23,7 +23,7 @@ from skd_evaluator.measure.surrogate.scenes import course_of
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_evaluator.report.repeat import repeat_command, repeat_crossing
+from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
 from skd_evaluator.report.risk.failures import KeptFailure, kept_failures
 
 _RUNS = 4
@@ -52,15 +52,23 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     out = result_folder(arguments)
     refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
+    commands = [_command(subject, number, kept) for number in numbers]
+    needed = {name: content for words in commands for name, content in files_of(subject.figures, words).items()}
     entries = [
-        {**_entry(subject, number, name, kept), "measures": _measures(subject, number)}
-        for number, name in zip(numbers, names, strict=True)
+        {
+            **_entry(subject, number, name, kept),
+            "command": shlex.join([str(out.path / word) if word in needed else word for word in words]),
+            "measures": _measures(subject, number),
+        }
+        for number, name, words in zip(numbers, names, commands, strict=True)
     ]
     content = {"result": str(arguments.path), "episodes": entries}
 
     def write(folder: Path) -> None:
         for number, name in zip(numbers, names, strict=True):
             save_episode(folder / name, shown_episode(subject, number, kept))
+        for name, inside in needed.items():  # JSON is YAML
+            write_json(folder / name, inside)
         write_json(folder / "show.json", content)
 
     out.write(write)
@@ -204,7 +212,13 @@ def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]
         "deformation": float(episodes.deformation[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
         **({"failure": asdict(kept[number])} if kept else {}),
-        "command": shlex.join(
-            repeat_crossing(subject.figures, found) if kept else repeat_command(subject.figures, mode, objective, found)
-        ),
     }
+
+
+def _command(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> list[str]:
+    """Return the words of the command that repeats an episode."""
+    episodes, found = subject.episodes, int(subject.episodes.episode_id[number])
+    if kept:
+        return repeat_crossing(subject.figures, found)
+    mode, objective = Mode(int(episodes.mode[number])), str(episodes.objective[number])
+    return repeat_command(subject.figures, mode, objective, found)

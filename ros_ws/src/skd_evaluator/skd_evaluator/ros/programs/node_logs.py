@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from pathlib import Path
 
 CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"
@@ -23,10 +21,3 @@ def log_of(folder: Path, reason: str) -> Path:
     """Return the log of the process that a reason speaks of first, where it has one, else the simulator's."""
     logs = [folder / f"{name}.log" for name in (*concerned(reason), SIMULATOR)]
     return next((log for log in logs if log.exists()), folder)
-
-
-def keep_logs(folder: Path) -> Path:
-    """Copy the logs to where they stay after a campaign that leaves no results, and return the place."""
-    kept = Path(tempfile.mkdtemp(prefix="skd-logs-"))
-    shutil.copytree(folder, kept, dirs_exist_ok=True)
-    return kept

@@ -25,6 +25,7 @@ from numba.core import serialize
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 
+from skd_sim.kernels import anew
 from skd_sim.kernels.compiler.fingerprint import UnfathomableError, argument_shapes, fingerprint
 
 VARIABLE = "SKD_CACHE_DIR"
@@ -148,6 +149,12 @@ class KernelCache:
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return what was compiled for a signature; None where there is nothing."""
         target.refresh()
+        found = self._load(signature, target)
+        if found is None:
+            anew.note(self._plain.__qualname__)
+        return found
+
+    def _load(self, signature: Any, target: Any) -> Any:
         name, folder = self._file_name(signature, target.codegen()), cache_folder()
         if name is None or folder is None:
             return None

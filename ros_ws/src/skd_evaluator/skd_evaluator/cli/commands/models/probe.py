@@ -97,12 +97,12 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
             graph_options(arguments),
             controller=car.controller,
             campaign=f"probe-{campaign_name(car)}",
-            log_folder=scratch / "logs",
-            record_to=scratch / "bags",
+            log_folder=scratch.logs,
+            record_to=scratch.folder / "bags",
         )
         with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
             logs = _collect(evaluator, episodes, progress)
-        write_with_scratch(out, scratch, lambda folder: _fill(folder, arguments, logs))
+        write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs))
     return logs
 
 
