@@ -41,12 +41,12 @@ def provenance(
         surroundings: what `surroundings_of` gave; found out by default.
     """
     now = datetime.datetime.now(datetime.UTC)
+    files = controller_files(car, controller_command)
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
         **(surroundings_of(command) if surroundings is None else surroundings),
-        "controller_files": [
-            {"path": str(path), "sha256": sha256_of(path)} for path in controller_files(car, controller_command)
-        ],
+        "controller_files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
+        "controller_git": next(filter(None, map(git_revision, reversed(files))), None),
         "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
     }
 
@@ -64,10 +64,10 @@ def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
 
 
 def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:
-    """Return the commit of the checkout that SKD's code is in, and whether files of it differ from that; None: in none.
+    """Return the commit of the checkout that code is in, and whether files of it differ from that; None: in none.
 
     Args:
-        file: a file of the code.
+        file: a file of the code; by default SKD's own.
     """
     here, git = file.resolve().parent, shutil.which("git")
     # An environment inside somebody else's checkout is not part of it: the file has to be tracked there.

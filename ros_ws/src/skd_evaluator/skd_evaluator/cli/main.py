@@ -19,7 +19,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.verbosity import be_verbose, is_verbose
 
 EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
-_SELDOM_WITH_KERNELS = frozenset({"completion", "plan"})
+_SELDOM_WITH_KERNELS = frozenset({"completion", "doctor", "list", "plan"})
 """Commands that mostly call no kernel, and then start without numba, which takes longer than all else."""
 
 

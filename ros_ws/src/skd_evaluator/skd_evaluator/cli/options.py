@@ -31,6 +31,7 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.cli.gate import add_gate_arguments
 from skd_evaluator.cli.model_options import add_model_commands
+from skd_evaluator.cli.overview_options import add_overview_commands
 from skd_evaluator.cli.regulator_options import add_reference_arguments, add_regulator_command
 
 
@@ -366,6 +367,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     add_regulator_command(commands)
     add_model_commands(commands)
+    add_overview_commands(commands)
 
     completion = commands.add_parser(
         "completion",

@@ -1,0 +1,1 @@
+"""Commands that look around: at results, at how a car has changed, at what is installed."""

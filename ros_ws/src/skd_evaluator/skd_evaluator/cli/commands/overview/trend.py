@@ -1,0 +1,61 @@
+"""`skd trend`: how a figure of a car has changed, from assessment to assessment."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import cache
+from pathlib import Path
+
+from skd_sim.errors import UsageError
+
+from skd_evaluator.campaign.compare.comparison import Comparison, compare
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.history.runs import Run, find_runs
+from skd_evaluator.report.history.table import trend_table
+from skd_evaluator.report.history.trend import trends_of
+from skd_evaluator.report.terminal import print_table
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    runs = find_runs(arguments.paths)
+    for one in (one for one in runs if not one.figures):
+        raise UsageError(f"{one.folder}: {one.remark}")
+    wanted = [one for one in runs if arguments.car is None or arguments.car.casefold() in one.car.casefold()]
+    if len(wanted) < 2:
+        raise UsageError("a trend is of at least two assessments of a car")
+    out = result_folder(arguments)
+    refuse_to_replace(out.path, arguments.paths)
+    read = cache(read_result)  # each is held against its neighbours; what does not follow from episodes is refused
+
+    def held(first: Run, second: Run, confidence: float) -> Comparison:
+        return compare(read(first.folder), read(second.folder), confidence)
+
+    trends = trends_of(wanted, arguments.figure, held)
+    kind = AT_THE_TOP[arguments.figure].kind
+    content = {"figure": arguments.figure, "cars": [one.as_dict() for one in trends]}
+    if arguments.json:
+        print_json(content)
+    else:
+        for trend in trends:
+            print_table(trend_table(trend, kind))
+        sys.stdout.flush()
+
+    def write(folder: Path) -> None:
+        write_json(folder / "trend.json", content)
+        if arguments.pictures:
+            from skd_evaluator.report.history.picture import save_trends
+
+            save_trends(folder / "trend.png", trends, kind)
+
+    problem = out.save(write)
+    if problem:
+        print(f"skd trend: {problem}", file=sys.stderr)
+    elif not arguments.json:
+        print(f"results in {out.path}")
+    return 1 if problem else 0

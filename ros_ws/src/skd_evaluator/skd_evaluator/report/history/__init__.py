@@ -1,0 +1,1 @@
+"""Many results at a glance: what is under a folder, and how a car has changed."""

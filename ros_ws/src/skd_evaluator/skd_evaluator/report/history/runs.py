@@ -1,0 +1,112 @@
+"""Assessments under a folder, as they are written: found and read quickly, and not computed anew."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json
+
+from skd_evaluator.campaign.store.former_names import of_today
+from skd_evaluator.campaign.store.manifest import check_unchanged
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.report.terminal import car_name
+from skd_evaluator.temporary_folders import PREFIX
+
+SHORT = 7  # digits of a commit
+
+
+@dataclass(frozen=True)
+class Run:
+    """An assessment, as its file says.
+
+    Attributes:
+        folder: its folder.
+        figures: content of its assessment.json, under the keys of today.
+        remark: what is wrong with its files, in a few words; empty: nothing.
+    """
+
+    folder: Path
+    figures: Mapping[str, Any]
+    remark: str = ""
+
+    @property
+    def car(self) -> str:
+        """Name of the car."""
+        return car_name(self.figures)
+
+    @property
+    def encounter(self) -> str:
+        """Name of the scenario."""
+        return str(self.figures["scenario"]["name"])
+
+    @property
+    def date(self) -> str:
+        """When it began, UTC, as `2026-01-31T12:00:00Z`; empty where it is not known."""
+        return str((self.figures.get("provenance") or {}).get("date") or "")
+
+    @property
+    def revision(self) -> str:
+        """Commit of the car's code, shortened, with `+` where files differed from it; that of SKD for its own cars."""
+        origin = self.figures.get("provenance") or {}
+        git = origin.get("controller_git") or origin.get("git")
+        return "" if not git else f"{git['revision'][:SHORT]}{'+' if git['modified'] else ''}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row of `skd list --json`."""
+        keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deformation", "skd", "risk_1", "seed", "safe")
+        return {
+            "folder": str(self.folder),
+            "car": self.car,
+            "encounter": self.encounter,
+            "date": self.date,
+            "revision": self.revision,
+            "safe_count": len(self.figures["per_safe_trajectory"]),
+            "attempts": self.figures.get("margin_attempts"),
+            **{key: self.figures.get(key) for key in keys},
+            "remark": self.remark,
+        }
+
+
+def find_runs(folders: Sequence[Path]) -> list[Run]:
+    """Return every assessment in or under folders; one whose files cannot be read is there with a remark alone.
+
+    Raises:
+        UsageError: a folder is not there.
+    """
+    found: dict[Path, Run] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"{folder}: is no folder")
+        for place in _places(folder):
+            found.setdefault(place.resolve(), read_run(place))
+    return list(found.values())
+
+
+def _places(folder: Path) -> Iterator[Path]:
+    """Yield the folders that hold an assessment, in the order of their names; hidden ones are left out."""
+    for path, inside, files in os.walk(folder):
+        inside[:] = sorted(name for name in inside if not name.startswith((".", PREFIX)))
+        if ASSESSMENT in files:
+            yield Path(path)
+
+
+def read_run(folder: Path) -> Run:
+    """Return an assessment; one that cannot be understood has only a remark."""
+    path = folder / ASSESSMENT
+    try:
+        content = read_json(path)
+        with understood(path):
+            run = Run(folder, of_today(content))
+            run.as_dict()  # it is found here that something is missing
+    except UsageError as error:
+        return Run(folder, {}, str(error).removeprefix(f"{path}: "))
+    try:
+        known = check_unchanged(folder, (ASSESSMENT,))
+    except UsageError:
+        return Run(folder, run.figures, "changed since it was written")
+    return run if known else Run(folder, run.figures, "has no manifest")

@@ -1,0 +1,130 @@
+"""How a figure of a car has changed from assessment to assessment, each held against the one before.
+
+All verdicts of a car together are to be right with 95 %: each has Bonferroni's share.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
+from skd_evaluator.measure.statistics.statistics import Interval
+from skd_evaluator.report.history.runs import Run
+
+FIGURES = ("margin", "deformation", "skd", "hit_rate", "risk_1")
+"""Figures that can be followed."""
+
+
+class Compared(Protocol):
+    """What is said of a result beside another one, as `skd_evaluator.campaign.compare` has it."""
+
+    @property
+    def verdict(self) -> str:
+        """What is said of the second car."""
+
+    @property
+    def differences(self) -> Mapping[str, Any]:
+        """Second less first, by figure."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """An assessment among those of its car.
+
+    Attributes:
+        run: the assessment.
+        value: the figure; None where it is not known.
+        interval: its 95 % interval, by φ; None where there is none.
+        verdict: what is said of the car beside the assessment before; empty for the first.
+        difference: of the figure from the one before; None where it is not compared.
+        difference_interval: interval of the difference.
+    """
+
+    run: Run
+    value: float | None
+    interval: Interval | None
+    verdict: str = ""
+    difference: float | None = None
+    difference_interval: Interval | None = None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How a car has changed in an encounter.
+
+    Attributes:
+        car: name of the car.
+        encounter: name of the scenario.
+        figure: key of the figure.
+        steps: the assessments, the earliest first.
+        confidence: of each verdict.
+    """
+
+    car: str
+    encounter: str
+    figure: str
+    steps: tuple[Step, ...]
+    confidence: float
+
+    @property
+    def label(self) -> str:
+        """What the figure is called."""
+        return AT_THE_TOP[self.figure].label
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of trend.json."""
+        return {
+            "car": self.car,
+            "encounter": self.encounter,
+            "figure": self.figure,
+            "confidence": self.confidence,
+            "runs": [
+                {
+                    "folder": str(step.run.folder),
+                    "date": step.run.date,
+                    "revision": step.run.revision,
+                    "value": step.value,
+                    "ci95": step.interval,
+                    "verdict": step.verdict,
+                    "difference": step.difference,
+                    "difference_interval": step.difference_interval,
+                }
+                for step in self.steps
+            ],
+        }
+
+
+def trends_of(
+    runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Compared | None] | None = None
+) -> list[Trend]:
+    """Return a trend for each car and encounter, in the order of their names.
+
+    Args:
+        runs: the assessments, in any order.
+        figure: key of the figure that is followed.
+        compare: compares the second with the first, with a confidence; None: nothing is compared.
+    """
+    groups: dict[tuple[str, str], list[Run]] = {}
+    for run in sorted(runs, key=lambda one: (one.date, str(one.folder))):
+        groups.setdefault((run.car, run.encounter), []).append(run)
+    found = []
+    for (car, encounter), mine in sorted(groups.items()):
+        confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
+        steps = [_step(mine[0], figure)]
+        for before, run in itertools.pairwise(mine):
+            steps.append(_step(run, figure, None if compare is None else compare(before, run, confidence)))
+        found.append(Trend(car, encounter, figure, tuple(steps), confidence))
+    return found
+
+
+def _step(run: Run, figure: str, compared: Compared | None = None) -> Step:
+    value, interval = run.figures.get(figure), run.figures.get(f"{figure}_ci95")
+    if compared is None:
+        return Step(run, value, interval)
+    change = compared.differences.get(figure)
+    if change is None:
+        return Step(run, value, interval, compared.verdict)
+    return Step(run, value, interval, compared.verdict, change.value, change.interval)

@@ -1,0 +1,122 @@
+"""`skd list` and `skd trend`: results under a folder, and a car from result to result."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_support import one_line
+from matplotlib.image import imread
+from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.cli.main import main
+from skd_evaluator.report.history.runs import Run, find_runs
+from skd_evaluator.report.history.trend import trends_of
+
+REVISIONS = 20
+
+
+@pytest.fixture(scope="module")
+def figures(sweep) -> dict[str, Any]:
+    return json.loads((sweep / "synthetic" / "C_0.5" / "assessment.json").read_text())
+
+
+def written(figures: dict[str, Any], folder: Path, **changes: Any) -> Path:
+    folder.mkdir(parents=True)
+    (folder / "assessment.json").write_text(json.dumps({**figures, **changes}))
+    return folder
+
+
+def origin(figures: dict[str, Any], number: int) -> dict[str, Any]:
+    """Where a result of some day is from."""
+    git = {"revision": f"{number:040x}", "modified": number % 2 == 1}
+    date = f"2026-{1 + number // 28:02d}-{1 + number % 28:02d}T12:00:00Z"
+    return {**figures["provenance"], "date": date, "controller_git": git}
+
+
+def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, capsys):
+    for number in range(200):
+        car = "basic" if number % 4 else "my_cars:Careful"
+        changes = {"controller": car, "margin": 0.01 * ((7 * number) % 200), "provenance": origin(figures, number)}
+        written(figures, tmp_path / f"group{number % 3}" / f"{number}", **changes)
+    assert main(["list", str(tmp_path), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["results"]
+    assert [row["date"] for row in rows] == sorted(row["date"] for row in rows)
+    assert {row["folder"] for row in rows} == {str(path.parent) for path in tmp_path.rglob("assessment.json")}
+    assert rows[0]["revision"] == "0000000"
+    assert rows[1]["revision"] == "0000000+"  # files were changed
+    words = ["list", str(tmp_path), "--car", "careful", "--sort", "margin", "--last", "5"]
+    assert main([*words, "--json"]) == 0
+    best = [row["margin"] for row in json.loads(capsys.readouterr().out)["results"]]
+    assert best == sorted(0.01 * ((7 * number) % 200) for number in range(0, 200, 4))[-5:]
+    assert main(words) == 0
+    assert "my_cars:Careful" in (shown := capsys.readouterr().out)
+    assert "5 results" in shown
+
+
+def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
+    shutil.copytree(sweep / "synthetic" / "C_0.5", tmp_path / "kept")
+    shutil.copytree(tmp_path / "kept", tmp_path / "forged")
+    better = json.loads((tmp_path / "forged" / "assessment.json").read_text()) | {"margin": 3.0}
+    (tmp_path / "forged" / "assessment.json").write_text(json.dumps(better))
+    written({"margin": 1.0}, tmp_path / "foreign")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "assessment.json").write_text("{")
+    assert (tmp_path / "kept" / MANIFEST).exists()
+    remarks = {run.folder.name: run.remark for run in find_runs([tmp_path])}
+    assert remarks["kept"] == ""
+    assert remarks["forged"] == "changed since it was written"
+    assert main(["list", str(tmp_path)]) == 0
+    captured = capsys.readouterr()
+    assert "changed since it was written" in captured.out
+    assert "foreign" not in captured.out
+    assert all(f"skd list: warning: {tmp_path / name}: " in captured.err for name in ("foreign", "broken"))
+    assert main(["list", str(tmp_path), "--encounter", "nowhere"]) == 2
+    assert main(["list", str(tmp_path / "nothing")]) == 2
+    assert main(["trend", str(tmp_path), "--out", str(tmp_path / "out")]) == 2  # not past what is broken
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_trend_follows_each_car_by_date(figures):
+    """A car that gets better by 0.1 m with each of twenty revisions, and another one."""
+    runs = [
+        Run(Path(f"{number}"), {**figures, "margin": 0.1 * number, "provenance": origin(figures, number)})
+        for number in reversed(range(REVISIONS))
+    ]
+    other = Run(Path("other"), {**figures, "controller": "my_cars:Careful", "margin": 9.0, "provenance": None})
+    asked = []
+
+    def compare(first: Run, second: Run, confidence: float) -> None:
+        asked.append((first.folder.name, second.folder.name, confidence))
+
+    mine, theirs = trends_of([*runs, other], "margin", compare)
+    assert [step.value for step in mine.steps] == pytest.approx([0.1 * number for number in range(REVISIONS)])
+    assert [step.value for step in theirs.steps] == [9.0]
+    assert asked == [(str(n), str(n + 1), pytest.approx(1.0 - 0.05 / (REVISIONS - 1))) for n in range(REVISIONS - 1)]
+
+
+@pytest.mark.usefixtures("pictures_drawn")
+def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch):
+    """The basic car with C = 0.5, and then with 1 under the same name: it got safer."""
+    monkeypatch.setattr(Run, "car", property(lambda _run: "my car"))
+    folders = [str(sweep / "synthetic" / name) for name in ("C_0.5", "C_1")]
+    assert main(["trend", *folders, "--figure", "hit_rate", "--out", str(tmp_path / "trend")]) == 0
+    shown = capsys.readouterr().out
+    assert main(["compare", *folders, "--json", "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
+    (judged,) = json.loads(capsys.readouterr().out)["comparisons"]
+    content = json.loads((tmp_path / "trend" / "trend.json").read_text())
+    (car,) = content["cars"]
+    first, second = car["runs"]
+    assert first["verdict"] == ""
+    assert second["verdict"] == judged["verdict"]
+    assert second["verdict"] in shown
+    assert second["difference"] == pytest.approx(second["value"] - first["value"])
+    assert imread(tmp_path / "trend" / "trend.png").shape[1] > 1000
+
+
+def test_a_trend_takes_two(skd_here, here, sweep):
+    result = str(sweep / "synthetic" / "C_0.5")
+    one_line(skd_here("trend", result, "--out", "x"), 2, "at least two assessments")
+    assert not (here / "x").exists()
