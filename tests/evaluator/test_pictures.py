@@ -129,7 +129,7 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
 def test_sweep(tmp_path, rows):
     save_sweep(tmp_path / "sweep.png", rows)
     height, width = drawn(tmp_path / "sweep.png").shape[:2]
-    assert width > 1.4 * height
+    assert width > 1.05 * height
 
 
 # --- what is drawn
@@ -290,10 +290,11 @@ def test_the_approach_of_the_car_and_the_time_are_drawn(tmp_path, figures):
     draw(tmp_path / "picture.png", what)
     (panel,) = figures[0].axes
     log = sorted(what.kamikaze[0].logs, key=lambda one: one.last_car_position)[1]
-    fronts = sorted(round(float(patch.get_xy()[:, 1].max()) - CROSSING.car.front, 6) for patch in panel.patches)
-    low = panel.get_ylim()[0]
-    places = [*(y for y in log.car[:-1, 1].tolist() if y > low), log.last_car_position]
-    assert set(np.round(places, 6)) <= set(fronts)
+    drawn = {round(float(line[0, 1]), 6) for line in lines(panel, palette.CAR.lower()) if line[0, 1] == line[1, 1]}
+    fronts = [y + CROSSING.car.front for y in log.car[:-1, 1].tolist()]
+    assert {round(y, 6) for y in fronts if y > panel.get_ylim()[0]} <= drawn
+    last = round(log.last_car_position + CROSSING.car.front, 6)
+    assert last in {round(float(patch.get_xy()[:, 1].max()), 6) for patch in panel.patches}
     said = [text.get_text() for text in panel.texts]
     assert {"0.0 s", "0.9 s", "1.8 s"} <= set(said)
 

@@ -10,6 +10,10 @@ from matplotlib.text import Text
 from skd_sim.inputs.printable import printable
 
 DPI = 150
+PAGE = 7.2
+"""Width of a page between its margins, inches: a wider picture is printed smaller, with its type."""
+TYPE = 8.0
+"""Least size of type in a picture of that width, pt."""
 
 
 def save_picture(figure: Figure, path: Path, dpi: int = DPI) -> None:

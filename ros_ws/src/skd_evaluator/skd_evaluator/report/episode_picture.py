@@ -32,14 +32,15 @@ from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
 from skd_evaluator.report.believed_car import DEVIATIONS
-from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road, front_band
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.report.scenery import car_outline, draw_car, draw_fronts, draw_road, front_band
+from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 
 FORMATS = ("png", "gif", "mp4")
-DPI, _FILM_DPI = 110, 80
-_HEIGHT = 6.4  # inches of the view from above
-_APART = 1.2  # m between two places whose times are written
-_MOST = 28.0  # m of a straight lane in the picture: a car that comes from further away drives into it
+DPI, _FILM_DPI = 150, 110
+_HEIGHT = 5.4  # inches of the view from above
+_APART = 1.6  # m between two places of the adversary whose times are written
+_CAR_TIMES = 0.9  # m, of the car likewise
+_MOST = 20.0  # m of a straight lane in the picture: a car that comes from further away drives into it
 _RATE = 12  # pictures a second
 _SLOWER = 2.0  # than it happened
 _HELD = 1.5  # s that a film stays at its end
@@ -104,14 +105,16 @@ class EpisodePicture:
         """Draw what does not move."""
         self._shown = shown
         box = _extent(shown)
-        width = min(5.0, max(2.2, _HEIGHT * (box[1] - box[0]) / (box[3] - box[2]))) + 0.7
-        self.figure = Figure(figsize=(width + 5.0, _HEIGHT + 1.4), layout="constrained")
-        above, beside = self.figure.subplots(1, 2, width_ratios=[width, 5.0])
+        width = min(3.6, max(2.2, _HEIGHT * (box[1] - box[0]) / (box[3] - box[2]))) + 0.7
+        self.figure = Figure(figsize=(PAGE, _HEIGHT + 1.5), layout="constrained")
+        above, beside = self.figure.subplots(1, 2, width_ratios=[width, PAGE - width])
+        for axes in (above, beside):
+            axes.tick_params(labelsize=TYPE)
         self._draw_above(above, box)
         self._draw_distances(beside)
-        self.figure.suptitle(shown.title, fontsize=10, parse_math=False)
+        self.figure.suptitle(shown.title, fontsize=9, parse_math=False)
         handles, labels = above.get_legend_handles_labels()
-        self.figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
+        self.figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=TYPE)
         self.set(float(shown.times[-1]))
 
     def set(self, time: float) -> None:
@@ -151,22 +154,33 @@ class EpisodePicture:
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         shown, scenario = self._shown, self._shown.scenario
         draw_road(axes, scenario, -_LANE, _LANE, float(shown.times[-1]))
-        draw_ghosts(axes, scenario, shown.along[:-1], "car at each tick")
+        draw_fronts(axes, scenario, shown.along[:-1], "front of the car at each tick, with its time")
+        self._label_fronts(axes, box)
         axes.plot(*shown.phi.T, color=palette.SAFE, lw=1.6, marker=".", ms=6, zorder=4, label="φ, a dot each tick")
-        axes.plot(*shown.adversary.T, color=palette.KAMIKAZE, lw=2.0, marker="o", mfc="none", ms=5, zorder=5, label="ψ")
+        axes.plot(
+            *shown.adversary.T,
+            color=palette.KAMIKAZE,
+            lw=2.0,
+            marker="o",
+            mfc="none",
+            ms=5,
+            zorder=5,
+            label="ψ: the adversary",
+        )
         labelled: list[FloatArray] = []
         for time, place in zip(shown.times.tolist(), shown.adversary, strict=True):
             if all(np.linalg.norm(place - other) >= _APART for other in labelled):
                 labelled.append(place)
                 axes.annotate(
-                    f"{time:.1f} s", place, xytext=(0, 7), textcoords="offset points", fontsize=7, ha="center",
+                    f"{time:.1f} s", place, xytext=(0, 8), textcoords="offset points", fontsize=TYPE, ha="center",
                     color=palette.KAMIKAZE, zorder=8,
+                    bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
                 )  # fmt: skip
         self._car = draw_car(axes, scenario, float(shown.along[-1]), "car")
         self._car.set_zorder(3)
         self._believed = []
         if shown.belief is not None:
-            label = f"where it believes its front to be, ± {DEVIATIONS:g} sd"
+            label = f"where the adversary believes the car's front, ± {DEVIATIONS:g} sd"
             nowhere = front_band(scenario, 0.0, 0.0)
             self._believed = [
                 Polygon(nowhere, fc=palette.BELIEF, ec="none", alpha=0.35, zorder=3.5, label=label),
@@ -183,9 +197,21 @@ class EpisodePicture:
         axes.set_xlim(box[0], box[1])
         axes.set_ylim(box[2], box[3])
         axes.set_aspect("equal")
-        axes.set_xlabel("x, East (m)")
-        axes.set_ylabel("y, North (m)")
+        axes.set_xlabel("x, East (m)", fontsize=9)
+        axes.set_ylabel("y, North (m)", fontsize=9)
         self._clock = axes.set_title("", loc="right", fontsize=9)
+
+    def _label_fronts(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
+        """Write when the front of the car was where, beside it, as far as there is room."""
+        scenario, last = self._shown.scenario, None
+        for time, along in zip(self._shown.times[:-1].tolist(), self._shown.along[:-1].tolist(), strict=True):
+            _, (x, y) = car_outline(scenario, along)[[0, 3]].tolist()
+            if box[2] < y < box[3] and (last is None or np.hypot(x - last[0], y - last[1]) > _CAR_TIMES):
+                last = (x, y)
+                axes.annotate(
+                    f"{time:.1f} s", (x, y), xytext=(4, 0), textcoords="offset points", fontsize=TYPE, va="center",
+                    color=palette.CAR, zorder=3, clip_on=True,
+                )  # fmt: skip
 
     def _draw_distances(self, axes: Axes) -> None:
         shown = self._shown
@@ -196,15 +222,16 @@ class EpisodePicture:
         self._cursor = axes.axvline(0.0, color="black", lw=1.0)
         axes.set_xlim(0.0, max(float(shown.times[-1]), shown.scenario.time_step))
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("m")
+        axes.set_xlabel("time (s)", fontsize=9)
+        axes.set_ylabel("distance (m)", fontsize=9)
         axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=8.5)
+        axes.legend(frameon=False, fontsize=TYPE)
 
 
 def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     """Return what the picture shows: x from and to, y from and to, m."""
-    cars = np.concatenate([car_outline(shown.scenario, float(along)) for along in shown.along])
+    *before, last = (car_outline(shown.scenario, float(along)) for along in shown.along)
+    cars = np.concatenate([*(outline[[0, 3]] for outline in before), last])  # of the others the fronts are drawn
     points = np.concatenate([shown.phi, shown.adversary, cars])
     low, high = points.min(axis=0) - 0.8, points.max(axis=0) + 0.8
     if shown.scenario.road.straight:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,15 @@ from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road
-from skd_evaluator.report.terminal import car_name
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.report.scenery import car_outline, draw_car, draw_fronts, draw_road
+from skd_evaluator.report.terminal import car_name, counted
+from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 
-_APPROACH, _LANE_SHOWN = 8.0, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
+_APPROACH, _LANE_SHOWN = 2.5, 80.0  # m of a lane that are in the picture at least, and of a curved one that are drawn
 _LABELLED = 3
 """Ticks between those whose time stands beside φ."""
+_HEADING = 100  # characters of a line of the heading
+_OUTLINES = "outline of the adversary at the hit"
 PANELS = 6
 """Most φ that one picture shows."""
 
@@ -71,14 +74,14 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title
         axes.errorbar(x, y, errors, label=label, color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
     by_phi = interval == f"{value}_ci95"
     of = "" if interval is None else f", 95 % interval {'by φ' if by_phi else independent}"
-    axes.set_title(f"{title}{of}", loc="left", fontsize=10)
-    axes.set_xlabel("multiplier C of the basic controller")
+    axes.set_title(f"{title}{of}", loc="left", fontsize=TYPE)
+    axes.set_xlabel("multiplier C of the basic controller", fontsize=9)
     axes.grid(alpha=0.3)
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Save margin, planned deformation, SKD and collision rate against C; the paper's figure has the last two."""
-    figure = Figure(figsize=(11.5, 7.6), layout="constrained")
+    figure = Figure(figsize=(PAGE, 6.4), layout="constrained")
     panels = figure.subplots(2, 2).ravel()
     shown = (
         ("margin", "(a) Margin", "", "margin (m)"),
@@ -88,7 +91,7 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     )
     for axes, (value, title, independent, label) in zip(panels, shown, strict=True):
         _error_bars(axes, rows, value, title, independent)
-        axes.set_ylabel(label)
+        axes.set_ylabel(label, fontsize=9)
         if all(row[value] is None for row in rows):
             why = "not known" if value == "margin" else "none was found"
             axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=palette.CAR)
@@ -99,7 +102,7 @@ def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         if handles:  # in one of them there may be no figure
-            figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+            figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
             break
     save_picture(figure, path)
 
@@ -115,6 +118,11 @@ def _shortened(name: str, length: int) -> str:
         return name
     kept = max(2, length - 1)
     return f"{name[: kept // 2]}…{name[-(kept - kept // 2) :]}"
+
+
+def _broken(text: str, length: int) -> str:
+    """Return a text with no line longer than `length`, but for words that are."""
+    return "\n".join("\n".join(textwrap.wrap(line, length)) for line in text.split("\n"))
 
 
 def _ranks(rating: Rating, assessment: Assessment) -> bool:
@@ -203,16 +211,16 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
     """
     log = sorted(logs, key=lambda one: one.last_car_position)[len(logs) // 2]
     along = right_and_along(scenario.road.line, np.ascontiguousarray(log.car[:, :2]))[:-1, 1]
-    visible = along[along > low] if scenario.road.straight else along
+    visible = along[along + scenario.car.front > low] if scenario.road.straight else along
     draw_car(axes, scenario, log.last_car_position, "car, median at impact", 0.6)
-    draw_ghosts(axes, scenario, visible, "that car at the ticks before, with their times")
+    draw_fronts(axes, scenario, visible, "its front at the ticks before, with their times")
     if not scenario.road.straight:
         return
     for number, place in enumerate(along.tolist()):
         front = place + scenario.car.front
-        if place > low and front < log.last_car_position + scenario.car.front - 0.35:
-            time = number * scenario.time_step
-            axes.text(-0.92 * scenario.car.half_width, front - 0.05, f"{time:.1f} s", fontsize=5.5, va="top", zorder=3)
+        if low < front < log.last_car_position + scenario.car.front - 0.35:
+            time, beside = number * scenario.time_step, scenario.car.half_width + 0.15
+            axes.text(beside, front, f"{time:.1f} s", fontsize=TYPE, va="center", zorder=3, clip_on=True)
 
 
 def _cross_out(axes: Axes, words: str) -> None:
@@ -229,8 +237,9 @@ def _label_times(axes: Axes, phi: Trajectory) -> None:
     for number in range(0, len(phi), _LABELLED):
         x, y = phi.positions[number]
         axes.annotate(
-            f"{number * phi.time_step:.1f} s", (x, y), xytext=(0, 4), textcoords="offset points", fontsize=5.5,
-            ha="center", color=palette.SAFE, zorder=6,
+            f"{number * phi.time_step:.1f} s", (x, y), xytext=(0, -4), textcoords="offset points", fontsize=TYPE,
+            ha="center", va="top", color=palette.SAFE, zorder=6,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.6, "pad": 0.5},
         )  # fmt: skip
 
 
@@ -264,13 +273,13 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     low = min(points[:, 1].min() - 1.0, -_APPROACH)
     high = max(points[:, 1].max() + 1.0, 1.5)
     left, right = points[:, 0].min() - 0.8, max(points[:, 0].max() + 0.8, 0.6 * scenario.road.lane_width)
-    columns = min(3, len(groups))
+    columns = min(2, len(groups))
     lines = -(-len(groups) // columns)
     aspect = (high - low) / (right - left)
-    width = max(1.8, min(4.2, 6.0 / aspect))
+    width = (PAGE - 0.7) / 2.0
     # Around the panels: title and axis labels of each row, the heading and the legend.
-    size = (max(6.0, columns * width + 0.8), lines * (min(width * aspect, 9.0) + 0.65) + 0.85)
-    fitting = max(16, int(13 * size[0] / columns))  # characters of a title
+    size = (PAGE, lines * (min(width * aspect, 4.5) + 0.65) + 1.45)
+    fitting = int(16 * width)  # characters of a line above a panel
     figure = Figure(figsize=size, layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for panel in panels[len(groups) :]:
@@ -290,26 +299,33 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
             panel.plot(x[-1], y[-1], "x", color=colour, ms=4, alpha=0.7, zorder=4)
         _draw_ways(panel, of_margin[number], shown)
         outlines = [scenario.adversary.outline(log.trajectory.positions) for log in group.logs[:shown]]
-        panel.add_collection(PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4))
+        panel.add_collection(
+            PolyCollection(outlines, fc="none", ec=palette.KAMIKAZE, lw=0.6, alpha=0.45, zorder=4, label=_OUTLINES)
+        )
         x, y = group.safe_trajectory.positions.T
         panel.plot(x, y, color=palette.SAFE, lw=1.8, marker=".", ms=5, zorder=5, label="safe φ, a dot each tick")
         _label_times(panel, group.safe_trajectory)
         mean = _panel_figure(rating, assessment, number)
-        panel.set_title(
-            f"{_shortened(group.safe_trajectory.name, fitting - len(mean) - 2)}: {mean}", fontsize=9, parse_math=False
-        )
+        count = f"{counted(len(group.logs), 'kamikaze')}"
+        if of_margin[number]:
+            count += f", {counted(len(of_margin[number]), 'way')} of the margin"
+        name = _shortened(group.safe_trajectory.name, fitting - len(mean) - 2)
+        panel.set_title(f"{name}: {mean}\n{count}", fontsize=TYPE, parse_math=False)
+        panel.tick_params(labelsize=TYPE)
         panel.set_xlim(left, right)
         panel.set_ylim(low, high)
         panel.set_aspect("equal")
     for row in range(lines):
-        panels[row * columns].set_ylabel("y, North (m)")
+        panels[row * columns].set_ylabel("y, North (m)", fontsize=TYPE)
     for panel in panels[max(0, len(groups) - columns) : len(groups)]:
-        panel.set_xlabel("x, East (m)")
+        panel.set_xlabel("x, East (m)", fontsize=TYPE)
         panel.xaxis.set_tick_params(labelbottom=True)
     entries: dict[str, Any] = {}
     for panel in panels[: len(groups)]:  # the first may have no kamikaze trajectory
         entries = {**dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True)), **entries}
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside lower center", ncols=2, frameon=False, fontsize=TYPE
+    )
     total = len(assessment.kamikaze)
     which = f" (first {len(groups)} of {total} φ)" if total > len(groups) else ""
     start = ""
@@ -320,7 +336,6 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     lost = len(rating.reasons)
     aborted = f"{lost} of {rating.episodes} episodes aborted\n" if lost else ""
     figures = f"{_heading(rating, assessment)}\n"
-    figure.suptitle(
-        f"{aborted}{figures}Seen from above{which}{start}", fontsize=10, color=palette.ALERT if lost else "black"
-    )
+    heading = _broken(f"{aborted}{figures}Seen from above{which}{start}", _HEADING)
+    figure.suptitle(heading, fontsize=9, parse_math=False, color=palette.ALERT if lost else "black")
     save_picture(figure, path)

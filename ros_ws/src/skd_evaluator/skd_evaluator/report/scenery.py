@@ -69,6 +69,13 @@ def draw_car(axes: Axes, scenario: Scenario, along: float, label: str | None = N
     return outline
 
 
+def draw_fronts(axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None) -> None:
+    """Draw where the front of the car was before, as lines across it: path coordinates, m."""
+    for index, along in enumerate(alongs.tolist()):
+        front = car_outline(scenario, along)[[0, 3]]
+        axes.plot(*front.T, color=palette.CAR, lw=1.1, ls=(0, (3, 2)), zorder=2, label=label if index == 0 else None)
+
+
 def draw_ghosts(axes: Axes, scenario: Scenario, alongs: FloatArray, label: str | None = None) -> None:
     """Draw where the car was before, as outlines: path coordinates, m."""
     for index, along in enumerate(alongs.tolist()):

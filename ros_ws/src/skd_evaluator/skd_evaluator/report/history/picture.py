@@ -15,16 +15,15 @@ from skd_evaluator import palette
 from skd_evaluator.campaign.judge.figure_table import Kind
 from skd_evaluator.report.history.table import day, scaled
 from skd_evaluator.report.history.trend import Trend
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 
 _MOST_LABELS = 24
-_TYPE = 9  # pt
 
 
 def save_trends(path: Path, trends: Sequence[Trend], kind: Kind) -> None:
     """Save one picture with a panel for each car and encounter."""
     unit, scale = kind.unit, kind.scale
-    figure = Figure(figsize=(9.0, 0.8 + 3.0 * len(trends)), layout="constrained")
+    figure = Figure(figsize=(PAGE, 0.8 + 3.0 * len(trends)), layout="constrained")
     panels = figure.subplots(len(trends), 1, squeeze=False)[:, 0]
     for axes, trend in zip(panels, trends, strict=True):
         known = [(place, step) for place, step in enumerate(trend.steps) if step.value is not None]
@@ -45,13 +44,13 @@ def save_trends(path: Path, trends: Sequence[Trend], kind: Kind) -> None:
         every = -(-len(trend.steps) // _MOST_LABELS)
         shown = range(0, len(trend.steps), every)
         texts = [trend.steps[place].run.revision or day(trend.steps[place].run.date) or "?" for place in shown]
-        axes.set_xticks(list(shown), texts, rotation=45, ha="right", fontsize=_TYPE)
+        axes.set_xticks(list(shown), texts, rotation=45, ha="right", fontsize=TYPE)
         for text in axes.get_xticklabels():
             text.set_parse_math(False)
-        axes.tick_params(axis="y", labelsize=_TYPE)
+        axes.tick_params(axis="y", labelsize=TYPE)
         axes.set_ylim(bottom=0.0)
-        axes.set_ylabel(f"{trend.label} ({unit})" if unit else trend.label, fontsize=_TYPE)
+        axes.set_ylabel(f"{trend.label} ({unit})" if unit else trend.label, fontsize=TYPE)
         axes.set_title(f"{trend.car}, {trend.encounter}", loc="left", fontsize=10).set_parse_math(False)
         axes.grid(axis="y", color="#dddddd", lw=0.6)
-        axes.legend(frameon=False, fontsize=_TYPE, loc="best")
+        axes.legend(frameon=False, fontsize=TYPE, loc="best")
     save_picture(figure, path)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from skd_evaluator import palette
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 
 
 def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
@@ -25,17 +25,20 @@ def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
         path: file to which the picture is written.
         cars: cars in it, those that are there for the curve alone included.
     """
-    figure = Figure(figsize=(11.5, 4.6), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
     panels = figure.subplots(1, len(SCALES))
     for place, axes in enumerate(panels):
         _draw(axes, cars, place)
-    panels[0].set_ylabel("risk: hit by the front of the moving car")
+    panels[0].set_ylabel("risk: hit by the front of the car", fontsize=9)
+    own = [one for one in cars if not one.behind]
+    hollow = any(one.risks[place][0] < floor_of(cars, place) for place in range(len(SCALES)) for one in own)
     figure.suptitle(
-        "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below", x=0.02, ha="left",
-        fontsize=11,
+        "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
+        + ("\nhollow, at the edge: nobody was hit" if hollow else ""),
+        x=0.02, ha="left", fontsize=9,
     )  # fmt: skip
     handles, labels = panels[0].get_legend_handles_labels()
-    legend = figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8.5)
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=TYPE)
     for text in legend.get_texts():
         text.set_parse_math(False)  # a name may be anything
     save_picture(figure, path)
@@ -49,7 +52,7 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
         axes.plot(x, y, "-", color=palette.BEHIND, lw=1.3, marker=".", ms=5, zorder=2, label="basic cars, by C")
         for text, across, up in zip(labelled(curve, place, floor), x, y, strict=True):
             axes.annotate(
-                text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=7, color=palette.BEHIND
+                text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=TYPE, color=palette.BEHIND
             )
     for number, one in enumerate(one for one in cars if not one.behind):
         colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
@@ -65,14 +68,5 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
     axes.set_yscale("log")
     axes.set_ylim(floor, 1.0)
     axes.set_title(f"R({SCALES[place]:g})", loc="left", fontsize=10)
-    axes.set_xlabel("margin (m)")
+    axes.set_xlabel("margin (m)", fontsize=9)
     axes.grid(alpha=0.3)
-    if any(one.risks[place][0] < floor for one in cars if not one.behind):
-        axes.text(
-            0.02,
-            0.02,
-            "hollow, at the edge: nobody was hit",
-            transform=axes.transAxes,
-            fontsize=7,
-            color=palette.BEHIND,
-        )
