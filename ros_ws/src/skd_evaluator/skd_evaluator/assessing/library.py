@@ -16,6 +16,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
@@ -24,7 +25,7 @@ from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.provenance import provenance
 from skd_evaluator.risk.asked import risk_asked
 
@@ -82,13 +83,15 @@ def assess(
     return rating
 
 
-def load_result(folder: str | Path) -> StoredResult:
+def load_result(folder: str | Path) -> Result:
     """Read an assessment from its folder; it is refused unless its figures follow from its episodes.
+
+    `to_dataframe()` has its episodes, `to_xarray()` their trajectories, and a notebook shows its figures.
 
     Raises:
         UsageError: there is none, or it contradicts itself.
     """
-    return read_result(Path(folder).expanduser())
+    return result_of(read_result(Path(folder).expanduser()))
 
 
 def _origin(plan: Plan) -> dict[str, Any]:

@@ -65,6 +65,12 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
         ("csv", "write every figure to this file, one a line"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
+    group.add_argument(
+        "--mlflow",
+        metavar="URI",
+        help="log figures, parameters and files as a run of the experiment SKD in MLflow: a server's address, or "
+        "file:/// and a folder",
+    )
 
 
 @dataclass(frozen=True)
@@ -75,11 +81,13 @@ class Gate:
         limits: the limits that figures have to keep.
         earlier: result that the car must not fall behind.
         files: the files to write, by kind: junit, markdown, csv.
+        mlflow: where MLflow is to have it; empty: nowhere.
     """
 
     limits: tuple[Limit, ...]
     earlier: StoredResult | None
     files: Mapping[str, Path]
+    mlflow: str = ""
 
     def checks(self, result: Mapping[str, Any], folder: Path | None, errors: list[str]) -> list[Check]:
         """Return what became of each condition.
@@ -121,6 +129,18 @@ class Gate:
                 _put(path, texts[name]())
         except OSError as error:
             return f"--{name} {path}: cannot be written ({error.strerror})"
+        return None
+
+    def log(self, result: Mapping[str, Any], folder: Path) -> str | None:
+        """Log a result that is on disk, and return why that failed, in one line; none where all is well."""
+        if not self.mlflow:
+            return None
+        from skd_evaluator.assessing.tracking import log_to_mlflow
+
+        try:
+            log_to_mlflow(self.mlflow, result, folder)
+        except AssessmentError as error:
+            return str(error)
         return None
 
     @contextmanager
@@ -173,7 +193,11 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     for name, path in files.items():
         if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
-    return Gate(limits, earlier, files)
+    if arguments.mlflow:
+        from skd_evaluator.assessing.tracking import require_mlflow
+
+        require_mlflow()  # before any work
+    return Gate(limits, earlier, files, arguments.mlflow or "")
 
 
 def _put(path: Path, text: str) -> None:

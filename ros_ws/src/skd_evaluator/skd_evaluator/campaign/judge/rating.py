@@ -19,6 +19,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
+from skd_evaluator.campaign.judge.html import figures_html
 from skd_evaluator.campaign.judge.surrogate_figures import Surrogates, surrogates_of
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
@@ -238,6 +239,9 @@ class Rating:
     def collision_rate(self) -> float | None:
         """Share of the runs along φ that ended in a collision."""
         return self.collisions / self.completed_replays if self.completed_replays else None
+
+    def _repr_html_(self) -> str:
+        return figures_html(self.as_dict())
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.

@@ -14,6 +14,7 @@ from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.html import figures_html
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
@@ -52,6 +53,9 @@ class StoredResult:
     objective: str
     groups: Mapping[str, tuple[FloatArray, ...]]
     remarks: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        return figures_html(self.figures)
 
     @property
     def margin_curve(self) -> VulnerabilityCurve | None:

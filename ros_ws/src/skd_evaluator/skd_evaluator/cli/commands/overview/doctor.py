@@ -30,7 +30,11 @@ _TOOLS = {
     "ffmpeg": "films as mp4 (skd show --format mp4)",
     "ssh-keygen": "signed results (--sign)",
 }
-_EXTRAS = {"dask": ("dask", "runs on a cluster (--scheduler)")}
+_EXTRAS = {
+    "dask": ("dask", "runs on a cluster (--scheduler)"),
+    "mlflow": ("mlflow", "figures in MLflow (--mlflow)"),
+    "notebook": ("xarray", "tables and arrays of results in a notebook"),
+}
 _PATIENCE = 60.0  # s
 
 

@@ -1,0 +1,89 @@
+"""A plug-in of pytest: a car is assessed by a test, which asks for its figures.
+
+    def test_my_car(skd):
+        assert skd.assess(MyCar, safe_count=10).margin > 0.8
+
+Light, for every pytest of an environment with SKD begins with it.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from skd_evaluator.campaign.judge.rating import Rating
+
+_OUT = "--skd-out"
+
+
+class Assessed:
+    """An assessment: every key of assessment.json is an attribute, and what fails shows the sentence about the car.
+
+    Attributes:
+        figures: content of assessment.json.
+        folder: folder with all of it.
+    """
+
+    def __init__(self, rating: Rating, folder: Path) -> None:
+        """Take a rating, which is written already."""
+        self.figures: dict[str, Any] = rating.as_dict()
+        self.folder = folder
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name not in self.figures:
+            raise AttributeError(f"an assessment has no figure {name!r}; docs/files.md has the list")
+        return self.figures[name]
+
+    def __repr__(self) -> str:
+        from skd_evaluator.report.terminal import headline
+
+        return f"<{headline(self.figures)} See {self.folder}>"
+
+    def is_worse_than(self, earlier: str | Path) -> bool:
+        """Return whether the car is less safe than in an earlier result, judged as `skd compare` does."""
+        from skd_evaluator.campaign.compare.comparison import LESS_SAFE, compare
+        from skd_evaluator.campaign.store.stored_result import read_result
+
+        return compare(read_result(Path(earlier)), read_result(self.folder)).verdict == LESS_SAFE
+
+
+class Skd:
+    """What the fixture `skd` is."""
+
+    def __init__(self, out: Path) -> None:
+        """Assess into new folders in `out`."""
+        self._out = out
+        self._kept: dict[str, Assessed] = {}
+
+    def assess(self, car: type | str = "basic", **options: Any) -> Assessed:
+        """Assess a car as `skd_evaluator.assess` does; the same again, in the same run of pytest, is not run again.
+
+        Args:
+            car: a class with `reset` and `command`, in a module that can be imported, or what `--controller` takes.
+            options: those of `skd_evaluator.assess`.
+        """
+        from skd_evaluator.assessing.library import assess
+
+        controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
+        key = f"{controller} {sorted(options.items())!r}"
+        if key not in self._kept:
+            folder = self._out / f"{len(self._kept)}"
+            self._kept[key] = Assessed(assess(controller, out=folder, **options), folder)
+        return self._kept[key]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add --skd-out."""
+    text = "keep the results of the fixture skd in this new folder (default: pytest's temporary folder)"
+    parser.getgroup("skd", "SKD").addoption(_OUT, metavar="DIR", help=text)
+
+
+@pytest.fixture(scope="session", name="skd")
+def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Skd:
+    """Assess cars: `skd.assess(MyCar).margin`."""
+    out, worker = request.config.getoption(_OUT), os.environ.get("PYTEST_XDIST_WORKER", "")
+    return Skd(Path(out, worker) if out else tmp_path_factory.mktemp("skd"))
