@@ -6,39 +6,32 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
-CAR = """
-class Asleep:
-    def reset(self, scenario, rng): ...
-    def command(self, car, adversary): return 0.0
-"""
-SMALL = (
-    "safe_count=1, kamikaze_count=1, collision_runs=2, simulations=5, knowledge='nothing', margin_limit=0, "
-    "behaviour='none', workers=1"
-)
+import pytest
+from skd_evaluator.assessing import library
+from skd_evaluator.pytest_plugin import Skd
+
+SMALL = "safe_count=1, kamikaze_count=1, collision_runs=2, simulations=5, margin_limit=0, behaviour='none', workers=1"
 TESTS = f"""
 import pytest
-from my_cars import Asleep
 
 SMALL = dict({SMALL})
 
-def test_who_is_asleep_hits(skd):
-    assert skd.assess(Asleep, **SMALL).hit_rate == 1.0
-
-def test_it_is_assessed_once(skd):
-    first = skd.assess(Asleep, **SMALL)
-    assert first is skd.assess("my_cars:Asleep", **SMALL)
+def test_a_car_is_assessed_once(skd):
+    first = skd.assess("basic", **SMALL)
+    assert first is skd.assess(**SMALL)
+    assert 0.0 <= first.hit_rate <= 1.0
     assert (first.folder / "assessment.json").exists()
     with pytest.raises(AttributeError, match="no figure 'magrin'"):
         first.magrin
 
 def test_one_that_fails(skd):
-    assert skd.assess(Asleep, **SMALL).hit_rate < 0.5
+    assert skd.assess(**SMALL).hit_rate < 0.0
 """
 
 
 def test_cars_are_assessed_by_tests(tmp_path: Path) -> None:
-    (tmp_path / "my_cars.py").write_text(CAR)
     (tmp_path / "test_cars.py").write_text(TESTS)
     words = ["-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q", "--skd-out", str(tmp_path / "kept")]
     done = subprocess.run(
@@ -49,6 +42,20 @@ def test_cars_are_assessed_by_tests(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert "1 failed, 2 passed" in done.stdout, done.stdout + done.stderr
-    assert "<my_cars:Asleep: the margin is not known" in done.stdout  # what failed says of which car
+    assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
+    assert "<basic, C = 1: the margin is not known" in done.stdout  # what failed says of which car
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["0"]
+
+
+class MyCar:
+    """A car whose name is all that is wanted."""
+
+
+def test_a_class_is_named_by_its_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, Path]] = []
+    rating = SimpleNamespace(as_dict=dict)
+    monkeypatch.setattr(library, "assess", lambda name, *, out, **_options: asked.append((name, out)) or rating)
+    skd = Skd(tmp_path)
+    assert skd.assess(MyCar, seed=1) is skd.assess(MyCar, seed=1)
+    assert skd.assess(MyCar, seed=2) is not skd.assess(MyCar, seed=1)
+    assert asked == [(f"{__name__}:MyCar", tmp_path / "0"), (f"{__name__}:MyCar", tmp_path / "1")]

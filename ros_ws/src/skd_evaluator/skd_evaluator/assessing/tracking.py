@@ -49,7 +49,7 @@ def log_to_mlflow(uri: str, figures: Mapping[str, Any], folder: Path) -> str:
     if urlsplit(uri).scheme in (
         "",
         "file",
-    ):  # who names a folder wants one, although MLflow would rather have a database
+    ):  # MLflow would rather have a database, and refuses
         os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
     try:
         client = mlflow.MlflowClient(tracking_uri=uri)
