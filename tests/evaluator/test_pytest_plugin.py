@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,26 +13,37 @@ import pytest
 from skd_evaluator.assessing import library
 from skd_evaluator.pytest_plugin import Skd
 
-SMALL = "safe_count=1, kamikaze_count=1, collision_runs=2, simulations=5, margin_limit=0, behaviour='none', workers=1"
-TESTS = f"""
+CONFTEST = """
+import json, pathlib
+from types import SimpleNamespace
+from skd_evaluator.assessing import library
+
+FIGURES = json.loads(pathlib.Path("figures.json").read_text())
+
+def assess(name, *, out, **options):  # tests/evaluator/test_library.py has the real one
+    out.mkdir(parents=True)
+    return SimpleNamespace(as_dict=lambda: FIGURES)
+
+library.assess = assess
+"""
+TESTS = """
 import pytest
 
-SMALL = dict({SMALL})
-
 def test_a_car_is_assessed_once(skd):
-    first = skd.assess("basic", **SMALL)
-    assert first is skd.assess(**SMALL)
-    assert 0.0 <= first.hit_rate <= 1.0
-    assert (first.folder / "assessment.json").exists()
+    first = skd.assess("basic", seed=1)
+    assert first is skd.assess(seed=1)
+    assert 0.0 <= first.hit_rate <= 1.0 and first.folder.is_dir()
     with pytest.raises(AttributeError, match="no figure 'magrin'"):
         first.magrin
 
 def test_one_that_fails(skd):
-    assert skd.assess(**SMALL).hit_rate < 0.0
+    assert skd.assess(seed=1).margin > 100.0
 """
 
 
-def test_cars_are_assessed_by_tests(tmp_path: Path) -> None:
+def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
+    shutil.copy(sweep / "synthetic" / "C_1" / "assessment.json", tmp_path / "figures.json")
+    (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_cars.py").write_text(TESTS)
     words = ["-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q", "--skd-out", str(tmp_path / "kept")]
     done = subprocess.run(
@@ -43,7 +55,7 @@ def test_cars_are_assessed_by_tests(tmp_path: Path) -> None:
         check=False,
     )
     assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
-    assert "<basic, C = 1: the margin is not known" in done.stdout  # what failed says of which car
+    assert "<basic, C = 1: somebody who strays" in done.stdout  # what failed says of which car
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["0"]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from skd_evaluator import palette
 from skd_evaluator.campaign.judge.figure_table import CI95, SHARE, shown_in
+from skd_evaluator.report.html.matrix import encounters_of
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.vulnerability import interval_band
 
@@ -227,7 +228,9 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
     if len(subjects) < 2:
         return []
     against = against_multiplier(subjects)
-    kinds = list(dict.fromkeys(one.kind for one in subjects))
+    several = len(encounters_of(subjects)) > 1
+    series = {one.label: ", ".join(filter(None, (several * one.scenario.name, one.kind))) for one in subjects}
+    kinds = list(dict.fromkeys(series.values()))
     labels = [one.label for one in subjects]
     across, up = ("x", "y") if against else ("y", "x")
     found = []
@@ -241,7 +244,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
             values.append(
                 {
                     "car": one.label,
-                    "kind": one.kind,
+                    "kind": series[one.label],
                     "C": one.figures["multiplier"],
                     "value": scale * one.figures[key],
                     "low": scale * ends[0],
@@ -266,7 +269,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
         colour = {
             "field": "kind",
             "type": "nominal",
-            "title": "φ",
+            "title": "encounter" if several else "φ",
             "scale": {"domain": kinds, "range": list(palette.SERIES[: len(kinds)])},
             "legend": None if kinds == [""] else {"title": "φ"},
         }

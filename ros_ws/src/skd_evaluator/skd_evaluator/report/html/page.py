@@ -22,6 +22,7 @@ from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
 from skd_evaluator.report.html.library import chart_library
+from skd_evaluator.report.html.matrix import by_encounter, matrix_of
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
 from skd_evaluator.report.html.rating_charts import rating_charts
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
@@ -76,11 +77,14 @@ def render(subjects: Sequence[Subject]) -> str:
 
 def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways: int) -> str:
     block = pack({**_content(subjects), "listed": len(order)}, episode_columns(subjects, order, ways))
+    views = [_view(one) for one in subjects]
     script, library, style = _joined(_SCRIPTS), chart_library(), _template("style.css")
     return filled(
         "skd_evaluator.report.html",
         "report.html.j2",
-        subjects=[_view(one) for one in subjects],
+        subjects=views,
+        listed=[views[place] for place in by_encounter(subjects)],
+        matrix=matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
