@@ -114,6 +114,8 @@ def test_the_table_sorts_and_filters(opened, subjects):
 def test_the_player_moves(opened, subjects):
     place = "['cx', 'cy'].map((name) => document.querySelector('#view .user').getAttribute(name)).join()"
     opened.page.locator("#table tbody tr").nth(2).click()
+    top = opened.page.evaluate("document.getElementById('player').getBoundingClientRect().top / window.innerHeight")
+    assert 0.0 <= top <= 0.5  # where the row was clicked it was out of sight
     command = opened.text("#command")
     assert command.startswith("skd episode --mode ")
     assert command.endswith(f"--attempt {opened.column('attempt')[2]}")

@@ -1,3 +1,9 @@
+// Scrolls to what was just filled, unless its beginning is seen already.
+function reveal(element) {
+  const top = element.getBoundingClientRect().top;
+  if (top < 0 || top > 0.5 * window.innerHeight) element.scrollIntoView();
+}
+
 // Puts the parts together; says what a browser lacks instead of staying empty.
 async function main() {
   const episodes = await unpack(document.getElementById("data").textContent);
@@ -17,7 +23,7 @@ async function main() {
     for (const button of document.querySelectorAll("button[data-failure]")) {
       button.addEventListener("click", () => {
         player.load(episodes.failure(Number(button.dataset.subject), Number(button.dataset.failure)));
-        document.getElementById("player").scrollIntoView();
+        reveal(document.getElementById("player"));
         player.start();
       });
     }

@@ -109,7 +109,7 @@ class Table {
     copy.addEventListener("click", (event) => { event.stopPropagation(); copyText(this.episodes.command(k), copy); });
     const row = html("tr", {}, ...cells, html("td", {}, copy));
     row.dataset.episode = k;
-    row.addEventListener("click", () => this.choose(k));
+    row.addEventListener("click", () => { this.choose(k); reveal(document.getElementById("player")); });
     return row;
   }
 
