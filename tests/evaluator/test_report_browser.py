@@ -217,3 +217,40 @@ def test_names_are_shown_as_text(browser, subjects, tmp_path):
     assert HOSTILE in other.text("#maps")
     assert HOSTILE in other.text("#playing")
     other.assert_quiet(path)
+
+
+_CONTRAST = """() => {
+  const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const channels = (colour) => {
+    canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
+    return [...canvas.getImageData(0, 0, 1, 1).data.slice(0, 3)];
+  };
+  const light = (colour) => channels(colour).map((one) => one / 255)
+    .map((one) => one <= 0.04045 ? one / 12.92 : ((one + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, one, place) => sum + one * [0.2126, 0.7152, 0.0722][place], 0);
+  const behind = (element) => {
+    for (let one = element; one; one = one.parentElement) {
+      const colour = getComputedStyle(one).backgroundColor;
+      if (colour !== "rgba(0, 0, 0, 0)") return colour;
+    }
+    return "white";
+  };
+  return [...document.querySelectorAll("main *")]
+    .filter((one) => one.checkVisibility() && !one.closest("svg") && !one.disabled)
+    .filter((one) => [...one.childNodes].some((inside) => inside.nodeType === 3 && inside.textContent.trim()))
+    .map((one) => {
+      const [first, second] = [light(getComputedStyle(one).color), light(behind(one))].sort((a, b) => b - a);
+      return [(first + 0.05) / (second + 0.05), one.textContent.trim().slice(0, 60)];
+    });
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_stand_out_and_what_scrolls_is_reached_by_keyboard(browser, file, scheme):
+    """By the contrast of WCAG 2.2, 1.4.3; a region that scrolls takes the focus (2.1.1)."""
+    page = open_page(browser, file, 400, scheme).page
+    found = page.evaluate(_CONTRAST)
+    assert len(found) > 100
+    assert [one for one in found if one[0] < 4.5] == []
+    scrolling = "[...document.querySelectorAll('.scroll')].filter((one) => one.scrollWidth > one.clientWidth)"
+    assert page.evaluate(f"{scrolling}.every((one) => one.tabIndex === 0)")
