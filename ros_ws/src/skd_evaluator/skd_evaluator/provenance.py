@@ -38,15 +38,19 @@ def provenance(
         car: the car under test.
         controller_command: command that starts the car's own node, if it has one.
         car_model: text of the model with which the adversary plans; empty: none was given.
-        surroundings: what `surroundings_of` gave; found out by default.
+        surroundings: what `surroundings_of` gave, and as `controller_git` what `controller_revision` gave; found out by
+            default.
     """
     now = datetime.datetime.now(datetime.UTC)
+    around = surroundings_of(command) if surroundings is None else surroundings
     files = controller_files(car, controller_command)
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
-        **(surroundings_of(command) if surroundings is None else surroundings),
+        **around,
         "controller_files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
-        "controller_git": next(filter(None, map(git_revision, reversed(files))), None),
+        "controller_git": around["controller_git"]
+        if "controller_git" in around
+        else controller_revision(car, controller_command, around["git"]),
         "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
     }
 
@@ -61,6 +65,20 @@ def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
         "folder": str(Path.cwd()),
         "git": git_revision(),
     }
+
+
+def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the commit of the checkout that the last of a car's files is in; None: in none. This starts programs.
+
+    Args:
+        car: the car under test.
+        command: command that starts the car's own node, if it has one.
+        own: commit of the checkout that SKD's code is in, for its own cars.
+    """
+    if car.is_own:
+        return own
+    files = controller_files(car, command)
+    return next(filter(None, map(git_revision, reversed(files))), None)
 
 
 def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:

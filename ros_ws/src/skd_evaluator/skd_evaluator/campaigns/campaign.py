@@ -39,12 +39,17 @@ from skd_evaluator.campaigns.rows import (
 from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.provenance import provenance, surroundings_of
+from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FRESH = partial(InProcessRunner, 1, isolated=True)
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
+
+
+def _command_of(cell: Cell) -> str:
+    """Return the command that starts the car's own node; empty if it has none."""
+    return (cell.graph.controller_command if cell.graph else None) or ""
 
 
 class Campaign:
@@ -74,6 +79,8 @@ class Campaign:
         # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
         # which has the pipe by which the program says that it has begun.
         self._surroundings = surroundings_of(command)
+        own = self._surroundings["git"]
+        self._revisions = {one.name: controller_revision(one.plan.car, _command_of(one), own) for one in cells}
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
         before = folder.rows_before()
@@ -259,13 +266,12 @@ class Campaign:
         return self._runs[cell.name]
 
     def _provenance(self, cell: Cell) -> dict[str, Any]:
-        command = (cell.graph.controller_command if cell.graph else None) or ""
         return provenance(
             self._command,
             cell.plan.car,
-            controller_command=command,
+            controller_command=_command_of(cell),
             car_model=cell.plan.car_model,
-            surroundings=self._surroundings,
+            surroundings={**self._surroundings, "controller_git": self._revisions[cell.name]},
         )
 
     def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:
