@@ -13,7 +13,7 @@ from rich.table import Table
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.control_variate import Mean
+from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.fusion.measured import Recorder
 from skd_evaluator.fusion.simulated import Simulated, by_phi, read_simulated
