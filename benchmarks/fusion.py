@@ -18,6 +18,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,9 @@ def coverage(draw: Draw, truth: float, figure: Figure, repetitions: int, seed: i
         rng = np.random.default_rng((seed, trials))
         found = [asked(*draw(rng, SIMULATED, trials), figure) for _ in range(repetitions)]
         said = [one for one in found if one is not None]
+        if not said:
+            yield {"trials": trials, "said": 0.0}
+            continue
         alone, stands = np.mean([one.alone.width for one in said]), np.mean([one.stands.width for one in said])
         both = [one.with_simulator.width for one in said if one.with_simulator is not None]
         yield {
@@ -171,7 +175,7 @@ def main() -> None:
             for name in populations.files:
                 for place, key in enumerate(PLAYED):
                     draw, truth = played(populations[name][..., place])
-                    figure = FIGURES[key] if FIGURES[key].is_rate else _PLAIN
+                    figure = FIGURES[key] if FIGURES[key].is_rate else replace(_PLAIN, wrong=FIGURES[key].wrong)
                     for row in coverage(draw, truth, figure, arguments.repetitions, arguments.seed):
                         rows.append({"pairs": f"{name}: {key}", "truth": truth, **row})
                         show(rows[-1])
@@ -185,6 +189,9 @@ def main() -> None:
 
 def show(row: dict[str, Any]) -> None:
     """Print a line of the first table."""
+    if not row["said"]:
+        print(f"| {row['pairs']} | | {row['trials']} | nothing is said | | | | | 0 |", flush=True)
+        return
     always = "–" if row["narrower_always"] is None else f"{row['narrower_always']:.2f}"
     print(
         f"| {row['pairs']} | {row.get('rho', row['correlation']):.2f} | {row['trials']} | {100 * row['held']:.1f} "
