@@ -18,7 +18,7 @@ import numpy as np
 from fusion_trials import walks
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.fusion.calibration.estimate import Calibration, estimated
+from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by
 from skd_evaluator.measure.statistics.statistics import wilson_interval
@@ -115,9 +115,10 @@ def main() -> None:
         world = replace(base, car=car, control_period=case.control_period)
         for count in arguments.trials:
             found = [fitted(case, world, physical(case, world, count, seed)) for seed in range(arguments.repetitions)]
+            believed = [each for each in found if each.after <= POOR]
             for name in case.free:
                 own = PARAMETERS[name].of(world)
-                ones = [one for each in found for one in each.told if one.parameter.name == name and one.interval]
+                ones = [one for each in believed for one in each.told if one.parameter.name == name and one.interval]
                 true = case.truth.get(name, own)
                 if not ones:
                     print(f"| {case.name} | {count} | {name} | {true:g} | | | | 0 |", flush=True)

@@ -219,6 +219,7 @@ def test_pairs_are_of_one_timing():
     near = fuse(trials_of(y, gap=13.2), runs).figures[0].pairs
     assert near.simulated == pytest.approx(every[:8] + 13.0)
     assert near.population.mean() == pytest.approx(every.mean() + 14.0)
+    assert sorted(near.shape) == pytest.approx(sorted([*(every + 13.0), *(every + 15.0)]))
     with pytest.raises(UsageError, match=r"14\.00 m before the crossing line.*13\.00 to 15\.00 m"):
         fuse(trials_of(y, gap=14.0), runs)
 

@@ -255,9 +255,9 @@ def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Rea
     off = pairs.physical - pairs.physical.mean()
     if by_line:
         off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
-    leans = skewness(pairs.population - pairs.population.mean()) >= 0.0
+    leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
     return rehearsed(
-        pairs.population,
+        pairs.shape,
         off.size,
         confidence,
         by_line=by_line,
@@ -268,10 +268,10 @@ def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Rea
 
 def _check_shape(figure: Figure, pairs: Pairs) -> None:
     """Refuse few trials of a figure that a few φ decide: none of them need be among these."""
-    if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.population) > _RARE:
+    if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.shape) > _RARE:
         raise NotSaidError(
             f"{figure.text}: nothing is said, for a few φ decide the mean, by the simulation (kurtosis "
-            f"{kurtosis(pairs.population):.0f}; normal figures have 3), and {len(pairs.names)} φ with trials need not "
+            f"{kurtosis(pairs.shape):.0f}; normal figures have 3), and {len(pairs.names)} φ with trials need not "
             f"have any of them: make trials on at least {_FEW} φ"
         )
 
@@ -303,7 +303,7 @@ def _notes(pairs: Pairs, line: Line, why_alone: str, confidence: float, *, is_ra
                 f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far as that "
                 "of normal figures"
             )
-        if kurtosis(pairs.population) > _RARE:
+        if kurtosis(pairs.shape) > _RARE:
             found.append("a few φ decide the mean, by the simulation: more trials may move it much")
     if (np.array([len(group) for group in pairs.groups]) > 1).any():
         found.append("several trials of a φ count as one: the interval is by φ")

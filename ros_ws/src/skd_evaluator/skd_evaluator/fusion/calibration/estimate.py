@@ -27,6 +27,8 @@ from skd_evaluator.measure.statistics.statistics import Interval
 
 Off = Callable[[Mapping[str, float]], list[FloatArray]]
 """Given values of parameters: recorded less simulated place of each trial, m, per tick."""
+POOR = 0.3
+"""m, root mean square, left between recorded and simulated places, above which nothing is said: it is another car."""
 _ALIKE = 0.97
 """Cosine of two parameters' effects from which on nobody can tell them apart."""
 _FELT = 0.02

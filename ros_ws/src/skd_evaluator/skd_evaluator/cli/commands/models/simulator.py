@@ -24,7 +24,7 @@ from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.calibration.estimate import Calibration, estimated
+from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
@@ -36,7 +36,6 @@ from skd_evaluator.report.terminal import counted, narrow_table, print_table
 RESULT, SCENARIO, PICTURE = "simulator.json", "simulator.yaml", "simulator.png"
 DRAWS = 10
 _KEYS = ("margin", "risk_1", "risk_2", "risk_3")
-_POOR = 0.3  # m left between recorded and simulated places, above which the simulator is another car
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,6 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     trials = _recorded(simulated, world, table_in(physical), arguments)
     workers = arguments.workers or available_workers()
     calibration = _calibrated(world, car, trials, arguments.parameters, workers)
+    if calibration.after > POOR:
+        raise UsageError(
+            f"nothing is said of the simulator: with the best parameters simulated cars are {calibration.after:.2f} m "
+            f"(root mean square) from where recorded ones were, more than {POOR:g} m; it is another car or other "
+            "software, or one that decides otherwise by the noise of the recordings"
+        )
     best = replace(calibrated(world, calibration.values), name=f"{world.name}_calibrated")
     worlds = []
     if arguments.draws and calibration.told:
@@ -169,11 +174,6 @@ def _with_draws(
 def doubts(calibration: Calibration) -> list[str]:
     """Return what a reader should know before believing a calibration."""
     found = []
-    if calibration.after > _POOR:
-        found.append(
-            f"after calibration simulated cars are {calibration.after:.2f} m (root mean square) from where recorded "
-            "ones were: they are not one car in different worlds, and intervals take them to be"
-        )
     found += [
         f"{one.parameter.text} is at the end of its range, {one.parameter.shown(one.value)}"
         for one in calibration.told
