@@ -27,14 +27,15 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
+from skd_evaluator.fusion.measured import PATH_TOLERANCE
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
-RESULT, SCENARIO, PICTURE = "simulator.json", "simulator.yaml", "simulator.png"
-DRAWS = 10
+RESULT, SCENARIO = "simulator.json", "simulator.yaml"
+DRAWS, DRAW_PHI = 10, 20
 _KEYS = ("margin", "risk_1", "risk_2", "risk_3")
 
 
@@ -236,8 +237,10 @@ def check_only_simulator(arguments: argparse.Namespace) -> None:
         "--road-user": arguments.road_user,
         "--frame": arguments.frame,
         "--reference": arguments.reference or None,
+        "--path-tolerance": None if arguments.path_tolerance == PATH_TOLERANCE else arguments.path_tolerance,
         "--parameters": arguments.parameters,
         "--draws": None if arguments.draws == DRAWS else arguments.draws,
+        "--draw-phi": None if arguments.draw_phi == DRAW_PHI else arguments.draw_phi,
         "--workers": arguments.workers,
     }
     for name, value in given.items():
