@@ -6,8 +6,9 @@
 Every repetition draws simulated φ, physical trials on the first of them, and asks for the figure that stands: with the
 simulator where the test says that it predicts, else by the physical trials alone. What an interval has to hold is the
 population's own mean. The pairs are normal; skewed (gamma, of skewness 1 and 2, and log-normal, both sides, residuals
-as well); cut off at 0, as clearances are; clustered by φ, with 3 trials on each; and those of `fusion_trials.py`, φ
-drawn with replacement. *Looks* stop at the first of 4 looks, each after as many further trials, at which the interval
+as well); cut off at 0, as clearances are; clustered by φ, with 3 trials on each, or unequally, with 1 to 6 trials; both
+skewed (gamma, skewness 2) and unequally clustered; and those of `fusion_trials.py`, φ drawn with replacement.
+*Looks* stop at the first of 4 looks, each after as many further trials, at which the interval
 is as narrow as it is on average at the third, or at the last.
 """
 
@@ -17,6 +18,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,9 @@ CORRELATIONS = (0.0, 0.3, 0.5, 0.8, 0.9)
 TRIALS = (10, 20, 40)
 SIMULATED = 2000
 LOOKS = 4
-KINDS = ("normal", "gamma 1", "gamma 2", "log-normal", "cut off", "clustered")
+KINDS = (
+    "normal", "gamma 1", "gamma 2", "log-normal", "cut off", "clustered", "clustered unequally", "clustered gamma 2"
+)  # fmt: skip
 _PLAIN = Figure("clearance", "figure", "m", math.inf)
 
 
@@ -43,7 +47,7 @@ def shaped(kind: str, rho: float) -> tuple[Draw, float]:
     """Return how pairs of a kind are drawn, and the mean that they have."""
 
     def of(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
-        if kind.startswith("gamma"):
+        if "gamma" in kind:
             shape = 4.0 / float(kind.split()[-1]) ** 2
             one, other = (rng.gamma(shape, size=count) / math.sqrt(shape) - math.sqrt(shape) for _ in range(2))
             return one, rho * one + math.sqrt(1.0 - rho**2) * other
@@ -57,10 +61,14 @@ def shaped(kind: str, rho: float) -> tuple[Draw, float]:
 
     def draw(rng: np.random.Generator, simulated: int, trials: int) -> tuple[FloatArray, list[FloatArray]]:
         x, y = of(rng, simulated)
-        if kind == "clustered":  # half of what the simulator does not know is of the φ, half of the single trial
+        if kind.startswith("clustered"):  # half of what the simulator does not know is of the φ, half of its trials
             half, left = math.sqrt(0.5), y - rho * x
-            apart = math.sqrt(0.5 * 3.0 * (1.0 - rho**2)) * rng.standard_normal((trials, 3))
-            return x, [rho * x[number] + half * left[number] + apart[number] for number in range(trials)]
+            counts = np.full(trials, 3) if kind == "clustered" else rng.integers(1, 7, trials)
+            scale = math.sqrt(0.5 * (1.0 - rho**2) / float(np.mean(1.0 / counts)))
+            return x, [
+                rho * x[number] + half * left[number] + scale * rng.standard_normal(count)
+                for number, count in enumerate(counts.tolist())
+            ]
         return x, [y[number : number + 1] for number in range(trials)]
 
     density = math.exp(-0.125) / math.sqrt(2.0 * math.pi)
@@ -101,6 +109,9 @@ def coverage(draw: Draw, truth: float, figure: Figure, repetitions: int, seed: i
         rng = np.random.default_rng((seed, trials))
         found = [asked(*draw(rng, SIMULATED, trials), figure) for _ in range(repetitions)]
         said = [one for one in found if one is not None]
+        if not said:
+            yield {"trials": trials, "said": 0.0}
+            continue
         alone, stands = np.mean([one.alone.width for one in said]), np.mean([one.stands.width for one in said])
         both = [one.with_simulator.width for one in said if one.with_simulator is not None]
         yield {
@@ -164,7 +175,7 @@ def main() -> None:
             for name in populations.files:
                 for place, key in enumerate(PLAYED):
                     draw, truth = played(populations[name][..., place])
-                    figure = FIGURES[key] if FIGURES[key].is_rate else _PLAIN
+                    figure = FIGURES[key] if FIGURES[key].is_rate else replace(_PLAIN, wrong=FIGURES[key].wrong)
                     for row in coverage(draw, truth, figure, arguments.repetitions, arguments.seed):
                         rows.append({"pairs": f"{name}: {key}", "truth": truth, **row})
                         show(rows[-1])
@@ -178,6 +189,9 @@ def main() -> None:
 
 def show(row: dict[str, Any]) -> None:
     """Print a line of the first table."""
+    if not row["said"]:
+        print(f"| {row['pairs']} | | {row['trials']} | nothing is said | | | | | 0 |", flush=True)
+        return
     always = "–" if row["narrower_always"] is None else f"{row['narrower_always']:.2f}"
     print(
         f"| {row['pairs']} | {row.get('rho', row['correlation']):.2f} | {row['trials']} | {100 * row['held']:.1f} "

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.fusion.control_variate import (
+from skd_evaluator.fusion.estimate.control_variate import (
     LEAST_PAIRS,
     alone,
     checked_pairs,
@@ -16,11 +16,12 @@ from skd_evaluator.fusion.control_variate import (
     skewness,
     trials_saved,
 )
+from skd_evaluator.fusion.estimate.gap import gap_of, trend
+from skd_evaluator.fusion.estimate.rate import alone_rate, fused_rate
+from skd_evaluator.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
 from skd_evaluator.fusion.figures import FIGURES
 from skd_evaluator.fusion.fusion import NotSaidError, fuse, fused_figure
-from skd_evaluator.fusion.gap import gap_of, trend
-from skd_evaluator.fusion.pairs import Pairs
-from skd_evaluator.fusion.rate import alone_rate, fused_rate
+from skd_evaluator.fusion.pairs import Pairs, paired
 from skd_evaluator.fusion.trial import Trial
 from skd_evaluator.measure.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
@@ -177,10 +178,10 @@ def test_looks_are_paid_for():
 
 def test_intervals_at_all_looks_hold_together():
     rng, held = np.random.default_rng(7), 0
-    for _ in range(300):
+    for _ in range(80):
         y, x, every = drawn(rng, 0.8, 32)
         held += all(_holds(y[:count], x[:count], every, nominal_confidence(4)) for count in (8, 16, 24, 32))
-    assert held / 300 >= 0.92
+    assert held / 80 >= 0.86  # 3.5 standard errors below 95 %
 
 
 def _holds(y: np.ndarray, x: np.ndarray, every: np.ndarray, confidence: float) -> bool:
@@ -218,6 +219,7 @@ def test_pairs_are_of_one_timing():
     near = fuse(trials_of(y, gap=13.2), runs).figures[0].pairs
     assert near.simulated == pytest.approx(every[:8] + 13.0)
     assert near.population.mean() == pytest.approx(every.mean() + 14.0)
+    assert sorted(near.shape) == pytest.approx(sorted([*(every + 13.0), *(every + 15.0)]))
     with pytest.raises(UsageError, match=r"14\.00 m before the crossing line.*13\.00 to 15\.00 m"):
         fuse(trials_of(y, gap=14.0), runs)
 
@@ -240,12 +242,89 @@ def test_gaps_and_their_trends():
 def test_of_trials_on_alike_phi_nothing_is_said():
     """A few φ decide the mean, and none of them has a trial."""
     rng = np.random.default_rng(11)
-    every = np.concatenate([3.0 + 0.1 * rng.standard_normal(900), np.full(100, 9.0)])
+    every = np.concatenate([3.0 + 0.1 * rng.standard_normal(600), np.full(400, 9.0)])
     y = every[:10] + 0.02 * rng.standard_normal(10)
     with pytest.raises(UsageError, match=r"too alike.*make more trials"):
         fuse(trials_of(y), simulated_of(every))
-    chosen = [*range(9), 950]
+    chosen = [*range(7), 950, 960, 970]
     spread = [
         Trial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())}) for index in chosen
     ]
     assert fuse(spread, simulated_of(every)).figures[0].predicts
+
+
+def test_normal_figures_reach_as_far_as_student_s():
+    every = 3.0 - 2.0 * stats.norm.ppf((np.arange(2000) + 0.5) / 2000)
+    for by_line in (False, True):
+        reach = rehearsed(every, 10, 0.95, by_line=by_line, mirrored=False, least=0.0)
+        assert reach == Reach(1.0, 1.0)
+    assert rehearsed(np.full(50, 0.7), 10, 0.95, by_line=False, mirrored=False, least=0.0) == Reach()
+
+
+def test_the_reach_is_that_of_the_studentised_mean_of_such_figures():
+    """Of exponential figures, by drawing them: the lower quantile of the studentised mean asks for the upper end."""
+    rng = np.random.default_rng(12)
+    every = stats.expon.ppf((np.arange(2000) + 0.5) / 2000)
+    drawn_ones = rng.exponential(size=(40_000, 12))
+    studentised = (drawn_ones.mean(axis=1) - 1.0) / (drawn_ones.std(axis=1, ddof=1) / math.sqrt(12))
+    above = -np.quantile(studentised, 0.025) / stats.t.ppf(0.975, 11)
+    reach = rehearsed(every, 12, 0.95, by_line=False, mirrored=False, least=0.0)
+    assert reach.above == pytest.approx(above, rel=0.12)  # 3.5 standard errors of a quantile of 2,000 draws
+    assert reach.below == 1.0
+    mirrored = rehearsed(every, 12, 0.95, by_line=False, mirrored=True, least=0.0)
+    assert (mirrored.below, mirrored.above) == (reach.above, reach.below)
+    shuffled = rehearsed(7.0 + 3.0 * rng.permutation(every), 12, 0.95, by_line=False, mirrored=False, least=0.0)
+    assert shuffled.above == pytest.approx(reach.above)
+
+
+def test_intervals_of_skewed_figures_hold_at_ten_trials():
+    """Of exponential residuals and figures; Student's with the sample's own skewness holds 92 to 93 %."""
+    rng, held, used = np.random.default_rng(13), 0, 0
+    for _ in range(200):
+        x, other = rng.exponential(size=(2, 1000)) - 1.0
+        y = (0.3 * x + math.sqrt(0.91) * other)[:10]
+        pairs = Pairs(tuple(map(str, range(10))), tuple(y[:, None]), y, x[:10], x, y, x[:10], True)
+        try:
+            low, high = fused_figure(FIGURES["margin"], pairs, 0.95).stands.interval
+        except NotSaidError:
+            continue
+        used += 1
+        held += low <= 0.0 <= high
+    assert used > 140
+    assert held / used >= 0.895  # 3.5 standard errors below 95 %
+
+
+def test_few_trials_of_a_figure_that_few_phi_decide_are_refused():
+    rng = np.random.default_rng(14)
+    every = np.where(np.arange(2000) % 40 == 0, 9.0, 0.1 * rng.random(2000))
+    assert kurtosis(every) == pytest.approx(stats.kurtosis(every, fisher=False))
+    y = every[:12] + 0.2 * rng.random(12)
+    with pytest.raises(UsageError, match=r"a few φ decide the mean.*at least 20 φ"):
+        fuse(trials_of(y, "required_deceleration"), simulated_of(every, "required_deceleration"))
+
+
+def test_figures_too_skewed_for_so_few_trials_are_refused():
+    rng = np.random.default_rng(15)
+    every = np.where(rng.random(2000) < 0.12, 9.0, 0.0)
+    y = np.concatenate([rng.random(9), [7.0]])
+    with pytest.raises(UsageError, match="10 trials do not tell the mean"):
+        fuse(trials_of(y), simulated_of(np.concatenate([np.zeros(9), [9.0], every])))
+
+
+def test_a_simulator_that_is_right_so_far_may_be_wrong_some_day():
+    """Partly a yes or no: beside the residuals one trial counts in which the simulator said nothing."""
+    y, _, every = drawn(np.random.default_rng(16), 0.95, 12)
+    plain, partly = (
+        fused_figure(FIGURES[key], paired_of(y + 5.0, every + 5.0, key), 0.95).stands
+        for key in ("margin", "required_deceleration")
+    )
+    line = fitted_line(y, every[:12])
+    expected = math.sqrt((10.0 * line.residual + np.var(y, ddof=1)) / (11.0 * line.residual))
+    assert partly.value == plain.value
+    assert partly.error / plain.error == pytest.approx(expected, rel=0.02)  # but for the error of the simulated mean
+
+
+def paired_of(y: np.ndarray, every: np.ndarray, key: str) -> Pairs:
+    found = paired(FIGURES[key], trials_of(y, key), simulated_of(every, key))
+    assert found is not None
+    return found

@@ -213,6 +213,28 @@ def test_bags_become_sentences(simulated: Path, trials: Path, tmp_path: Path, ca
     assert [measured[name] for name in played] == pytest.approx(list(played.values()), abs=0.05)
 
 
+def test_trials_calibrate_the_simulator(
+    simulated: Path, trials: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """The example's car brakes 0.15 s late; what it was played with is in the interval."""
+    out = tmp_path / "calibrated"
+    words = ("--parameters", "delay", "--draws", "0", "--workers", "1")
+    assert run_skd("fit", "--simulator", simulated, trials, *NAMES, *words, "--out", out) == 0
+    content = json.loads((out / "simulator.json").read_text("utf-8"))
+    delay = content["parameters"]["delay"]
+    assert delay["ci95"][0] < 0.15 < delay["ci95"][1]
+    assert delay["ci95"][1] - delay["ci95"][0] < 0.1
+    assert content["parameters"]["friction"]["reason"] == "not asked for"
+    scenario = load_scenario(str(out / "simulator.yaml"))
+    assert scenario.car.brake_delay == delay["value"]
+    assert scenario.car.dynamics == "multi_body"
+    assert content["sentences"][0] in capsys.readouterr().out
+    assert run_skd("fit", simulated, "--draws", "3", "--out", tmp_path / "other") == 2
+    assert "--draws goes with --simulator" in capsys.readouterr().err
+    assert run_skd("fit", "--simulator", simulated, "--out", tmp_path / "other") == 2
+    assert "--simulator needs two paths" in capsys.readouterr().err
+
+
 def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
     from skd_evaluator import Plan, load_result, run_episode
     from skd_evaluator.measure.surrogate.clearance import least_clearance

@@ -324,3 +324,13 @@ def test_a_behaviour_that_is_none_is_one_line(tmp_path):
     done = skd("assess", *SMALL, "--behaviour", "walker", "--out", "it", cwd=tmp_path)
     one_line(done, 2, "behaviour 'walker'", "did you mean 'walkers'?")
     assert not (tmp_path / "it").exists()
+
+
+def test_uneven_replicates_are_said():
+    levels = np.full(16, 5)
+    even = Subsets(np.full((16, 1), 1e-3), levels, 1000)
+    uneven = Subsets(np.array([[1e-5]] * 15 + [[1e-3]]), levels, 1000)
+    none = np.zeros(10, np.int64)
+    assert ScaleRisk(1.0, none, 1, even).as_dict()["note"] == ""
+    assert "replicates differ" in ScaleRisk(1.0, none, 1, uneven).as_dict()["note"]
+    assert "conditional" in ScaleRisk(1.0, none, 1, uneven).as_dict()["note"]

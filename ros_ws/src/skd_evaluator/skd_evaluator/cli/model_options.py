@@ -17,6 +17,9 @@ from skd_evaluator.cli.arguments import (
     real_number,
 )
 
+CALIBRATED = ("delay", "deceleration", "friction", "sensor_range")
+"""Names of the simulator's parameters; what they are stands in `fusion/calibration`."""
+
 
 def add_model_commands(commands: Any) -> None:
     """Add them to a parser's commands; each says in which module of `cli/commands` it is."""
@@ -36,17 +39,20 @@ def add_model_commands(commands: Any) -> None:
 
     fit = commands.add_parser(
         "fit",
-        help="learn a model of a car from recorded episodes",
+        help="learn a model of a car from recorded episodes, or calibrate the simulator by physical trials",
         description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
-        "car_model.yaml. skd assess --car-model lets the adversary plan with it.",
+        "car_model.yaml. skd assess --car-model lets the adversary plan with it. With --simulator: estimate the "
+        "simulator's brake, friction and sensor range from trials on a proving ground (docs/fusion.md).",
     )
     fit.add_argument(
         "paths",
         type=Path,
         nargs="+",
         metavar="PATH",
-        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them",
+        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them; with --simulator the folder of the "
+        "simulated assessment, and the physical trials as of skd fuse",
     )
+    _add_simulator(fit)
     add_damage_argument(fit)
     add_output_arguments(fit)
     fit.set_defaults(module="models.fit")
@@ -79,37 +85,7 @@ def add_model_commands(commands: Any) -> None:
         "many further trials. The intervals then hold at all looks together",
         default=1,
     )
-    recordings = fuse.add_argument_group("recordings")
-    recordings.add_argument(
-        "--car", metavar="NAME", help="topic of the car in bags, or its id in tables (default: /ego/odometry, car)"
-    )
-    recordings.add_argument(
-        "--road-user",
-        metavar="NAME",
-        help="topic of the road user in bags, or its id in tables (default: /adversary/odometry, other)",
-    )
-    recordings.add_argument(
-        "--frame",
-        type=frame_place,
-        metavar="X,Y,DEGREES",
-        help="where the frame map of the scenario lies in the recordings' frame: its origin, m, and the direction of "
-        "its x axis (default: 0,0,0)",
-    )
-    recordings.add_argument(
-        "--reference",
-        type=real_number(-20.0, 20.0),
-        default=0.0,
-        metavar="M",
-        help="how far ahead of the car's reference point in the scenario the tracked point of the car is, m; below 0 "
-        "behind it (default: 0)",
-    )
-    recordings.add_argument(
-        "--path-tolerance",
-        type=real_number(0.0, 5.0, above=True),
-        default=0.5,
-        metavar="M",
-        help="how far the tracked road user may be off its φ; a trial beyond is refused (default: 0.5)",
-    )
+    recordings = _add_recordings(fuse)
     recordings.add_argument(
         "--gap-tolerance",
         type=real_number(0.0, 20.0, above=True),
@@ -145,3 +121,68 @@ def add_model_commands(commands: Any) -> None:
     add_damage_argument(behaviour)
     add_output_arguments(behaviour)
     behaviour.set_defaults(module="models.behaviour")
+
+
+def _add_recordings(parser: Any) -> Any:
+    """Add how recordings of physical trials are read, and return the group."""
+    recordings = parser.add_argument_group("recordings")
+    recordings.add_argument(
+        "--car", metavar="NAME", help="topic of the car in bags, or its id in tables (default: /ego/odometry, car)"
+    )
+    recordings.add_argument(
+        "--road-user",
+        metavar="NAME",
+        help="topic of the road user in bags, or its id in tables (default: /adversary/odometry, other)",
+    )
+    recordings.add_argument(
+        "--frame",
+        type=frame_place,
+        metavar="X,Y,DEGREES",
+        help="where the frame map of the scenario lies in the recordings' frame: its origin, m, and the direction of "
+        "its x axis (default: 0,0,0)",
+    )
+    recordings.add_argument(
+        "--reference",
+        type=real_number(-20.0, 20.0),
+        default=0.0,
+        metavar="M",
+        help="how far ahead of the car's reference point in the scenario the tracked point of the car is, m; below 0 "
+        "behind it (default: 0)",
+    )
+    recordings.add_argument(
+        "--path-tolerance",
+        type=real_number(0.0, 5.0, above=True),
+        default=0.5,
+        metavar="M",
+        help="how far the tracked road user may be off its φ; a trial beyond is refused (default: 0.5)",
+    )
+    return recordings
+
+
+def _add_simulator(fit: Any) -> None:
+    """Add --simulator and what goes with it."""
+    fit.add_argument(
+        "--simulator",
+        action="store_true",
+        help="calibrate the simulator: which delay and deceleration of the brake, friction and sensor range make "
+        "simulated cars go as recorded ones, and what margin and risk follow",
+    )
+    _add_recordings(fit)
+    calibration = fit.add_argument_group("calibration")
+    calibration.add_argument(
+        "--parameters",
+        nargs="+",
+        choices=CALIBRATED,
+        metavar="NAME",
+        help=f"what may be calibrated: {', '.join(CALIBRATED)} (default: all of which the trials say something)",
+    )
+    add_count(
+        calibration,
+        "--draws",
+        0,
+        1000,
+        "how many draws of the parameters margin and risk are computed with; 0: neither",
+        default=10,
+    )
+    add_count(calibration, "--draw-phi", 5, 10_000, "on how many φ, at most, each draw is assessed", default=20)
+    add_workers_argument(calibration)

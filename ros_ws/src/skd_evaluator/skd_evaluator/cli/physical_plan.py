@@ -14,8 +14,8 @@ from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.fusion.estimate.planning import trials_for_width
 from skd_evaluator.fusion.figures import FIGURES, Figure
-from skd_evaluator.fusion.planning import trials_for_width
 from skd_evaluator.fusion.simulated import read_simulated
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 

@@ -20,6 +20,9 @@ class Figure:
         unit: of it; empty for a share.
         most: largest value that it can have: more is another unit, or no trial.
         is_rate: whether a trial has it or not: 1 or 0.
+        wrong: trials in which the simulator was wrong that are added to what is seen of it. A required deceleration is
+            0 where nobody comes into the other's way, and much where somebody nearly does: partly it is a yes or no, as
+            a hit is, and a simulator that was right in a dozen trials will be wholly wrong in one some day.
     """
 
     key: str
@@ -27,13 +30,14 @@ class Figure:
     unit: str
     most: float
     is_rate: bool = False
+    wrong: float = 0.0
 
 
 FIGURES = {
     one.key: one
     for one in (
         Figure("clearance", "least clearance", "m", 100.0),
-        Figure("required_deceleration", "greatest required deceleration", "m/s²", MOST),
+        Figure("required_deceleration", "greatest required deceleration", "m/s²", MOST, wrong=1.0),
         Figure("hit", "hit rate", "", 1.0, is_rate=True),
         Figure("margin", "margin", "m", 100.0),
     )

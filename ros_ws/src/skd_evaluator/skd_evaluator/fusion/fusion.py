@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from skd_sim.errors import UsageError
 
-from skd_evaluator.fusion.control_variate import (
+from skd_evaluator.fusion.estimate.control_variate import (
     LEAST_PAIRS,
     Line,
     Mean,
@@ -17,23 +17,26 @@ from skd_evaluator.fusion.control_variate import (
     checked_pairs,
     fitted_line,
     fused,
+    least_variance,
     skewness,
     stand_for_all,
     trials_saved,
 )
+from skd_evaluator.fusion.estimate.gap import Gap, gap_of
+from skd_evaluator.fusion.estimate.rate import LEAST_OF_EACH, alone_rate, enough_of_each, fused_rate
+from skd_evaluator.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
 from skd_evaluator.fusion.figures import FIGURES, Figure
-from skd_evaluator.fusion.gap import Gap, gap_of
 from skd_evaluator.fusion.pairs import GAP_TOLERANCE, Pairs, paired
-from skd_evaluator.fusion.rate import LEAST_OF_EACH, alone_rate, enough_of_each, fused_rate
 from skd_evaluator.fusion.trial import Trial
 from skd_evaluator.measure.statistics.sequential import nominal_confidence
 
 _MANY = 5
 """Simulated φ for each physical one, below which their own error is felt."""
-_RARE = 9.0
-"""Kurtosis of what is simulated from which a few φ decide a mean; the normal distribution has 3."""
-_FEW, _SKEWED = 20, 1.5
-"""φ with trials and skewness, below and above which intervals hold less often than they say (docs/fusion.md)."""
+_RARE, _FEW = 12.0, 20
+"""Kurtosis of what is simulated from which a few φ decide a mean, and the φ with trials that it then takes to say
+something. The normal distribution has 3."""
+_MOST_REACH, _FELT = 4.0, 1.25
+"""How many times as far as Student's an interval may reach before nothing is said; and before that is said."""
 
 
 class NotSaidError(UsageError):
@@ -193,7 +196,8 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
                 f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
                 f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
             )
-        by_itself = alone_rate(pairs.groups, confidence) if figure.is_rate else alone(y, confidence)
+        _check_shape(figure, pairs)
+        by_itself = _by_itself(figure, pairs, line, confidence)
         both, why = _with_simulator(figure, pairs, line, confidence)
     except NotSaidError:
         raise
@@ -218,7 +222,7 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
         gap,
         saved,
         why,
-        tuple(_notes(pairs, line, why, is_rate=figure.is_rate)),
+        tuple(_notes(pairs, line, why, confidence, is_rate=figure.is_rate)),
     )
 
 
@@ -231,10 +235,57 @@ def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float)
         if not enough_of_each(pairs.groups):
             return None, (f"there are fewer than {LEAST_OF_EACH} trials with a hit, or without one")
         return fused_rate(y, x, population, line, confidence), ""
-    return fused(y, x, population, line, confidence), ""
+    reach = _reach(pairs, line, confidence, by_line=True)
+    if line.predicts:
+        _check_reach(figure, pairs, reach)
+    return fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach), ""
 
 
-def _notes(pairs: Pairs, line: Line, why_alone: str, *, is_rate: bool) -> list[str]:
+def _by_itself(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> Mean:
+    if figure.is_rate:
+        return alone_rate(pairs.groups, confidence)
+    reach = _reach(pairs, line, confidence, by_line=False)
+    if not line.predicts:
+        _check_reach(figure, pairs, reach)
+    return alone(pairs.physical, confidence, reach)
+
+
+def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Reach:
+    """Return how far an interval reaches for figures of the shape of the simulated ones."""
+    off = pairs.physical - pairs.physical.mean()
+    if by_line:
+        off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
+    leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
+    return rehearsed(
+        pairs.shape,
+        off.size,
+        confidence,
+        by_line=by_line,
+        mirrored=(skewness(off) >= 0.0) != leans,
+        least=least_variance(off.size) if line.predicts else 0.0,
+    )
+
+
+def _check_shape(figure: Figure, pairs: Pairs) -> None:
+    """Refuse few trials of a figure that a few φ decide: none of them need be among these."""
+    if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.shape) > _RARE:
+        raise NotSaidError(
+            f"{figure.text}: nothing is said, for a few φ decide the mean, by the simulation (kurtosis "
+            f"{kurtosis(pairs.shape):.0f}; normal figures have 3), and {len(pairs.names)} φ with trials need not "
+            f"have any of them: make trials on at least {_FEW} φ"
+        )
+
+
+def _check_reach(figure: Figure, pairs: Pairs, reach: Reach) -> None:
+    if reach.further > _MOST_REACH:
+        raise NotSaidError(
+            f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {len(pairs.names)} "
+            f"trials do not tell the mean of such: an interval that holds would reach more than {_MOST_REACH:g} times "
+            "as far as that of normal figures: make more trials"
+        )
+
+
+def _notes(pairs: Pairs, line: Line, why_alone: str, confidence: float, *, is_rate: bool) -> list[str]:
     found = []
     if not pairs.timed:
         found.append("the timing of physical trials is not known: pairs are of the same φ alone")
@@ -245,13 +296,15 @@ def _notes(pairs: Pairs, line: Line, why_alone: str, *, is_rate: bool) -> list[s
             f"only {pairs.population.size} simulated φ for {len(pairs.names)} physical ones: more would narrow the "
             "interval"
         )
-    centre = pairs.physical - pairs.physical.mean()
-    left = centre if why_alone else centre - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
-    if not is_rate and len(left) < _FEW and abs(skewness(left)) > _SKEWED:
-        found.append("few and very skewed figures: intervals of such hold 90 to 94 % of the time, not 95 %")
-    off = pairs.population - pairs.population.mean()
-    if not is_rate and float(np.mean(off**4)) > _RARE * float(np.mean(off**2)) ** 2:
-        found.append("a few φ decide the mean, by the simulation: intervals of such hold 80 to 95 % of the time")
+    if not is_rate:
+        reach = _reach(pairs, line, confidence, by_line=not why_alone).further
+        if reach > _FELT:
+            found.append(
+                f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far as that "
+                "of normal figures"
+            )
+        if kurtosis(pairs.shape) > _RARE:
+            found.append("a few φ decide the mean, by the simulation: more trials may move it much")
     if (np.array([len(group) for group in pairs.groups]) > 1).any():
         found.append("several trials of a φ count as one: the interval is by φ")
     return found

@@ -62,6 +62,22 @@ class Recorder:
         Raises:
             UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
         """
+        scene = self.laid(path, trial)
+        touched = bool(clearances(scene)[-1] <= 0.0)
+        hit = touched and self.scenario.collision.is_hit(float(scene.car[-1, 3]))
+        values = figures_of(scene, hit=hit)
+        _check_agrees(trial, values)
+        if trial.values.get("hit") == 1.0:
+            values["clearance"] = 0.0
+        gap = gap_to_crossing(self.scenario, scene.car[0])
+        return replace(trial, values={**values, **trial.values}, gap=gap if trial.gap is None else trial.gap)
+
+    def laid(self, path: Path, trial: Trial) -> Scene:
+        """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
+
+        Raises:
+            UsageError: it cannot be read, does not follow φ, or does not fit the road.
+        """
         if trial.phi not in self.safe:
             raise UsageError(f"{trial.where}: φ {trial.phi!r} was not simulated{did_you_mean(trial.phi, self.safe)}")
         car, other = (track.placed(self.frame) for track in read_tracks(path, self.car, self.other))
@@ -73,14 +89,7 @@ class Recorder:
             scene = _until(scene, int(touching[0]) + 1)
         self._check_follows(scene, phi, path)
         self._check_road(scene, path)
-        impact = float(scene.car[-1, 3]) if touching.size else 0.0
-        hit = bool(touching.size) and self.scenario.collision.is_hit(impact)
-        values = figures_of(scene, hit=hit)
-        _check_agrees(trial, values)
-        if trial.values.get("hit") == 1.0:
-            values["clearance"] = 0.0
-        gap = gap_to_crossing(self.scenario, scene.car[0])
-        return replace(trial, values={**values, **trial.values}, gap=gap if trial.gap is None else trial.gap)
+        return scene
 
     def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
         """Return when φ began, s on the recording's clock."""

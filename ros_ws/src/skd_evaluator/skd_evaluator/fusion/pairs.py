@@ -30,6 +30,8 @@ class Pairs:
         trials: physical figures in the order of the trials, k.
         predicted: what the simulator says of each of these trials, k.
         timed: whether the timing of every physical trial is known.
+        runs: simulated figures of every run of every φ, each with a timing of its own as a physical trial has one; they
+            show the figure's shape. None: the same as those of every φ.
     """
 
     names: tuple[str, ...]
@@ -40,6 +42,12 @@ class Pairs:
     trials: FloatArray
     predicted: FloatArray
     timed: bool
+    runs: FloatArray | None = None
+
+    @property
+    def shape(self) -> FloatArray:
+        """Simulated figures that are skewed as single trials are."""
+        return self.population if self.runs is None else self.runs
 
 
 def paired(
@@ -81,7 +89,8 @@ def paired(
     said = np.array([predicted[of == index].mean() for index in range(len(names))])
     population = np.array([np.mean([one.values[key] for one in trials]) for trials in every.values()])
     timed = all(one.gap is not None for one in physical)
-    return Pairs(names, groups, means, said, population, values, predicted, timed)
+    runs = np.array([one.values[key] for trials in every.values() for one in trials])
+    return Pairs(names, groups, means, said, population, values, predicted, timed, runs)
 
 
 def _predicted(key: str, trial: Trial, every: Mapping[str, Sequence[Trial]], tolerance: float) -> float:

@@ -31,13 +31,12 @@ def save_fusion(path: Path, figures: Sequence[FusedFigure]) -> None:
 def _draw_pairs(axes: Axes, one: FusedFigure) -> None:
     unit = f" ({one.figure.unit})" if one.figure.unit else ""
     pairs = one.pairs
-    low = float(min(pairs.physical.min(), pairs.population.min()))
-    high = float(max(pairs.physical.max(), pairs.population.max()))
-    ends = np.array([low, high])
+    said = np.concatenate([pairs.simulated, pairs.population])
+    low, high = float(min(pairs.physical.min(), said.min())), float(max(pairs.physical.max(), said.max()))
+    ends = np.array([said.min(), said.max()])
     axes.plot(ends, ends, color=palette.ROAD_EDGE, dashes=(4, 2), linewidth=1.0, label="no gap")
     if one.with_simulator is not None and one.line.slope is not None:
-        centre = pairs.simulated.mean()
-        fitted = pairs.physical.mean() + one.line.slope * (ends - centre)
+        fitted = pairs.physical.mean() + one.line.slope * (ends - pairs.simulated.mean())
         axes.plot(ends, fitted, color=palette.BLUE, linewidth=1.4, label="line through the pairs")
     axes.scatter(pairs.simulated, pairs.physical, s=22, color=palette.VERMILLION, zorder=3, label="a φ with trials")
     level = low - 0.04 * (high - low)

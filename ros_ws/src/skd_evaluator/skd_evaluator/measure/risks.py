@@ -29,6 +29,10 @@ FEW_HITS: Final = 50
 UNSEEN: Final = 1e-4
 """Below it a risk is a statement about the behaviour model: so few people identify no tail."""
 CONDITIONAL: Final = "below 1e-4 conditional on the behaviour model, whose tails no data identify"
+UNEVEN: Final = (
+    "replicates differ by more than their mean: few of them decide it, and intervals of such hold less often"
+)
+"""See docs/risk.md: 82 to 91 % where 95 % are said."""
 
 
 class Touch(IntEnum):
@@ -194,8 +198,15 @@ class ScaleRisk:
             "flank": self.number_of(Touch.FLANK),
             "standing": self.number_of(Touch.STANDING),
             "aborted": self.number_of(Touch.ABORTED),
-            "note": CONDITIONAL if self.value is not None and self.value < UNSEEN else "",
+            "note": "; ".join(self._notes()),
         }
+
+    def _notes(self) -> list[str]:
+        found = [CONDITIONAL] if self.value is not None and self.value < UNSEEN else []
+        many = self.subsets is not None and len(self.subsets.levels) > 1
+        if self.subsets is not None and many and float(np.std(self.subsets.estimates, ddof=1)) > (self.value or 0.0):
+            found.append(UNEVEN)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

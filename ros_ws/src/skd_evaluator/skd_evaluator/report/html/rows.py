@@ -52,7 +52,7 @@ def failure_rows(subject: Subject) -> list[dict[str, Any]]:
     return [
         {
             "kind": group["kind"],
-            "share": percent(group["share"], 0),
+            "share": percent(group["share"], 0) if group["share"] >= 0.005 else "< 1 %",
             "hits": str(group["hits"]),
             "nearest": [
                 {
@@ -97,6 +97,10 @@ def _first_rows(subject: Subject) -> list[Row]:
             f"{counted(figures['pairs'], 'pair')} over {phis}"
         },
     }
+    risk = figures.get("risk")
+    if risk:
+        people = f"people by {risk['behaviour']['name']}"
+        told.update({f"risk_{one['scale']:g}": {"basis": f"{one['method']}; {people}"} for one in risk["scales"]})
     if figures["skd"] is None:
         told["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
     shown = [one for one in shown_in("summary") if one.first]

@@ -26,12 +26,12 @@ def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
         cars: cars in it, those that are there for the curve alone included.
     """
     figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
-    panels = figure.subplots(1, len(SCALES))
+    panels = figure.subplots(1, len(SCALES), sharey=True)
+    floor = min(floor_of(cars, place) for place in range(len(SCALES)))
     for place, axes in enumerate(panels):
-        _draw(axes, cars, place)
-    panels[0].set_ylabel("risk: hit by the front of the car", fontsize=9)
-    own = [one for one in cars if not one.behind]
-    hollow = any(one.risks[place][0] < floor_of(cars, place) for place in range(len(SCALES)) for one in own)
+        _draw(axes, cars, place, floor)
+    panels[0].set_ylabel("risk: hit by the front of the moving car", fontsize=9)
+    hollow = any(risk[0] < floor for one in cars if not one.behind for risk in one.risks)
     figure.suptitle(
         "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
         + ("\nhollow, at the edge: nobody was hit" if hollow else ""),
@@ -44,8 +44,7 @@ def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
     save_picture(figure, path)
 
 
-def _draw(axes: Axes, cars: Sequence[RatedCar], place: int) -> None:
-    floor = floor_of(cars, place)
+def _draw(axes: Axes, cars: Sequence[RatedCar], place: int, floor: float) -> None:
     curve = basic_cars(cars)
     if curve:
         x, y = [one.margin for one in curve], [max(floor, one.risks[place][0]) for one in curve]

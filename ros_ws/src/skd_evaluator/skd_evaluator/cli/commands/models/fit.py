@@ -20,6 +20,7 @@ from skd_adversary.fitted_car import FittedCar
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.commands.models import simulator
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -35,6 +36,9 @@ FAIR, FAIR_NEAR = 0.03, 0.05
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if arguments.simulator:
+        return simulator.run(arguments)
+    simulator.check_only_simulator(arguments)
     begin = time.perf_counter()
     out = result_folder(arguments)
     refuse_to_replace(out.path, arguments.paths)

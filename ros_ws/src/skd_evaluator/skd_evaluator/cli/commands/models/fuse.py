@@ -13,7 +13,7 @@ from rich.table import Table
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.control_variate import Mean
+from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.fusion.measured import Recorder
 from skd_evaluator.fusion.simulated import Simulated, by_phi, read_simulated
@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_replace(out.path, [arguments.simulated, arguments.physical])
     simulated = _simulated(arguments.simulated)
     table = table_in(arguments.physical)
-    recorder = _recorder(simulated, arguments)
+    recorder = recorder_of(simulated, arguments)
     trials = read_trials(table, None if recorder is None else recorder.measured)
     fusion = fuse(trials, simulated.trials, looks=arguments.looks, tolerance=arguments.gap_tolerance)
     figures, warnings = fusion.figures, [*simulated.remarks, *fusion.left_out]
@@ -75,7 +75,8 @@ def _simulated(path: Path) -> Simulated:
     return Simulated(str(path), by_phi(read_trials(table_in(path))))
 
 
-def _recorder(simulated: Simulated, arguments: argparse.Namespace) -> Recorder | None:
+def recorder_of(simulated: Simulated, arguments: argparse.Namespace) -> Recorder | None:
+    """Return what reads recordings of trials on simulated φ; None where road and shapes are not known."""
     if simulated.scenario is None or simulated.safe is None:
         return None
     return Recorder(

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.fusion.control_variate import Line, Mean, regressed
+from skd_evaluator.fusion.estimate.control_variate import Line, Mean, regressed
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.statistics import checked_confidence, score_interval

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from skd_evaluator.fusion.control_variate import LEAST_PAIRS
+from skd_evaluator.fusion.estimate.control_variate import LEAST_PAIRS
 from skd_evaluator.measure.statistics.clustered import student_quantile
 
 MOST = 10_000

@@ -17,7 +17,8 @@ pairs and large N it is exact, however wrong the simulator: a bias of the simula
 
 Student's interval leaves skewed figures too often on the side of the long tail; there it reaches further by the term of
 order 1/√n in the distribution of the studentised mean (N. J. Johnson, Journal of the American Statistical Association
-73, 1978; P. Hall, Annals of Statistics 16, 1988), and on the other side it stays. Physical trials alone get the same.
+73, 1978; P. Hall, Annals of Statistics 16, 1988), and on the other side it stays; or as far as the shape of the
+simulated figures asks for (`rehearsal`), if that is further. Physical trials alone get the same.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.program.on_demand import on_demand
 
+from skd_evaluator.fusion.estimate.rehearsal import Reach
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, plain_numbers
 
@@ -114,8 +116,13 @@ def fitted_line(y: FloatArray, x: FloatArray) -> Line:
     return Line(slope, correlation, chance, left / freedom, spread)
 
 
-def alone(y: FloatArray, confidence: float = 0.95) -> Mean:
+def alone(y: FloatArray, confidence: float = 0.95, reach: Reach | None = None) -> Mean:
     """Return the mean of physical figures, one of each φ, by themselves: Student's interval, further out where skewed.
+
+    Args:
+        y: the figures.
+        confidence: two-sided.
+        reach: how many times as far as Student's the interval reaches; None: not further.
 
     Raises:
         ValueError: they are all the same: nothing is known of how they vary.
@@ -126,10 +133,19 @@ def alone(y: FloatArray, confidence: float = 0.95) -> Mean:
     if variance * y.size <= _rounding(y):
         raise ValueError(f"all {y.size} physical figures are {y[0]:.6g}: nothing is known of how they vary")
     error = math.sqrt(variance / y.size)
-    return Mean(centre, _interval(centre, error, y.size - 1.0, deviations, confidence), error)
+    return Mean(centre, _interval(centre, error, y.size - 1.0, deviations, confidence, reach), error)
 
 
-def fused(y: FloatArray, x: FloatArray, population: FloatArray, line: Line, confidence: float = 0.95) -> Mean:
+def fused(
+    y: FloatArray,
+    x: FloatArray,
+    population: FloatArray,
+    line: Line,
+    confidence: float = 0.95,
+    *,
+    wrong: float = 0.0,
+    reach: Reach | None = None,
+) -> Mean:
     """Return the mean over all φ from pairs and from every simulated figure.
 
     Args:
@@ -138,6 +154,8 @@ def fused(y: FloatArray, x: FloatArray, population: FloatArray, line: Line, conf
         population: simulated figures of all φ, those of the pairs among them.
         line: through the pairs; it has a slope.
         confidence: two-sided.
+        wrong: trials in which the simulator was wrong that are added to the residuals (`figures.Figure`).
+        reach: how many times as far as Student's the interval reaches; None: not further.
 
     Raises:
         ValueError: the pairs lie on a line to the last digit, which no physical trial does.
@@ -145,8 +163,12 @@ def fused(y: FloatArray, x: FloatArray, population: FloatArray, line: Line, conf
     slope = line.slope or 0.0
     if line.residual * y.size <= _rounding(y):
         raise ValueError("physical and simulated figures lie on one line to the last digit: are they the same data?")
-    value, error, residuals = regressed(y, x, population, line)
-    return Mean(value, _interval(value, error, y.size - 2.0, residuals, confidence), error) if slope else alone(y)
+    if not slope:
+        return alone(y, confidence, reach)
+    freedom = y.size - 2.0
+    left = (line.residual * freedom + wrong * float(np.var(y, ddof=1))) / (freedom + wrong)
+    value, error, residuals = regressed(y, x, population, line, left)
+    return Mean(value, _interval(value, error, freedom, residuals, confidence, reach), error)
 
 
 def regressed(
@@ -177,9 +199,13 @@ def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
     a line, and their interval is narrow and wrong. φ that were drawn by lot vary so little in one of twenty cases, by
     the χ² distribution of a variance.
     """
-    freedom = x.size - 1.0
-    least = float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
-    return float(np.var(x, ddof=1)) >= least * float(np.var(population, ddof=1))
+    return float(np.var(x, ddof=1)) >= least_variance(x.size) * float(np.var(population, ddof=1))
+
+
+def least_variance(count: int) -> float:
+    """Return the share of the variance over all φ that so many φ drawn by lot have in all but `SELDOM` of the cases."""
+    freedom = count - 1.0
+    return float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
 
 
 def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
@@ -208,12 +234,16 @@ def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
     return high - pairs
 
 
-def _interval(value: float, error: float, freedom: float, residuals: FloatArray, confidence: float) -> Interval:
+def _interval(
+    value: float, error: float, freedom: float, residuals: FloatArray, confidence: float, reach: Reach | None
+) -> Interval:
     """Return Student's interval, its end on the side of the residuals' long tail moved outwards."""
     quantile = student_quantile(freedom, checked_confidence(confidence))
-    further = skewness(residuals) * (1.0 + 2.0 * quantile**2) / (6.0 * math.sqrt(residuals.size)) * error
-    reach = quantile * error
-    return value - reach + min(0.0, further), value + reach + max(0.0, further)
+    further = skewness(residuals) * (1.0 + 2.0 * quantile**2) / (6.0 * math.sqrt(residuals.size))
+    times = reach or Reach()
+    below = max(quantile * times.below, quantile - min(0.0, further))
+    above = max(quantile * times.above, quantile + max(0.0, further))
+    return value - below * error, value + above * error
 
 
 def skewness(residuals: FloatArray) -> float:

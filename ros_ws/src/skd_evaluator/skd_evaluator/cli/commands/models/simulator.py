@@ -1,0 +1,248 @@
+"""`skd fit --simulator`: a simulated world in which simulated cars go as recorded ones, and what follows from it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.table import Table
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
+
+from skd_evaluator.assessing.propagated import Propagated, assessed_draws, propagated
+from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.commands.models.fuse import recorder_of
+from skd_evaluator.cli.output import print_json
+from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
+from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
+from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
+from skd_evaluator.fusion.measured import PATH_TOLERANCE
+from skd_evaluator.fusion.simulated import Simulated, read_simulated
+from skd_evaluator.fusion.table import read_trials, table_in
+from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import counted, narrow_table, print_table
+
+RESULT, SCENARIO = "simulator.json", "simulator.yaml"
+DRAWS, DRAW_PHI = 10, 20
+_KEYS = ("margin", "risk_1", "risk_2", "risk_3")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; return its exit code."""
+    begin = time.perf_counter()
+    if len(arguments.paths) != 2:
+        raise UsageError("--simulator needs two paths: the simulated assessment, and the physical trials")
+    folder, physical = arguments.paths
+    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    refuse_to_replace(out.path, arguments.paths)
+    simulated = read_simulated(folder)
+    figures = read_result(folder).figures
+    car = CarUnderTest(str(figures["controller"]), float(figures["multiplier"]))
+    if car.is_external:
+        raise UsageError(f"{folder}: its car ran as a node, and cannot drive the trials again in process")
+    assert simulated.scenario is not None
+    world = replace(simulated.scenario, control_period=check_controller(car, simulated.scenario).control_period)
+    trials = _recorded(simulated, world, table_in(physical), arguments)
+    workers = arguments.workers or available_workers()
+    calibration = _calibrated(world, car, trials, arguments.parameters, workers)
+    if calibration.after > POOR:
+        raise UsageError(
+            f"nothing is said of the simulator: with the best parameters simulated cars are {calibration.after:.2f} m "
+            f"(root mean square) from where recorded ones were, more than {POOR:g} m; it is another car or other "
+            "software, or one that decides otherwise by the noise of the recordings"
+        )
+    best = replace(calibrated(world, calibration.values), name=f"{world.name}_calibrated")
+    worlds = []
+    if arguments.draws and calibration.told:
+        rng = np.random.default_rng(np.random.SeedSequence(int(figures["seed"]), spawn_key=(len(trials),)))
+        worlds = [calibrated(world, values) for values in calibration.drawn(arguments.draws, rng)]
+    found = _with_draws(worlds, car, simulated, int(figures["seed"]), workers, float(figures["eta_max"]), arguments)
+    warnings = [*simulated.remarks, *doubts(calibration)]
+    content = {
+        "simulated": simulated.source,
+        "physical": str(physical),
+        "trials": len(trials),
+        "phi": len({one.phi for one in trials}),
+        "parameters": {
+            one.parameter.name: {
+                "place": ".".join(one.parameter.place),
+                "unit": one.parameter.unit,
+                "value": one.value,
+                "ci95": one.interval and list(one.interval),
+                "standard_error": one.error,
+                "reason": one.reason or None,
+            }
+            for one in calibration.estimates
+        },
+        "covariance": calibration.covariance.tolist(),
+        "degrees_of_freedom": calibration.freedom,
+        "places_off_before": calibration.before,
+        "places_off_after": calibration.after,
+        "places_off_by_trial": calibration.by_trial.tolist(),
+        "propagated": {one.key: one.as_dict() for one in found},
+        "draws": len(worlds),
+        "sentences": sentences(calibration, found),
+        "warnings": warnings,
+    }
+
+    def write(where: Path) -> None:
+        text = yaml.safe_dump(best.as_dict(), sort_keys=False, allow_unicode=True, width=120)
+        (where / SCENARIO).write_text(text, encoding="utf-8")
+        write_json(where / RESULT, content)
+
+    problem = out.save(write)
+    if arguments.json:
+        print_json(content)
+    else:
+        print_table(parameter_table(calibration, world))
+        for line in content["sentences"]:
+            print(line)
+        seconds = f"{time.perf_counter() - begin:.1f} s"
+        print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / SCENARIO}")
+    for line in warnings:
+        print(f"skd fit: warning: {line}", file=sys.stderr)
+    if problem:
+        print(f"skd fit: {problem}", file=sys.stderr)
+    return 1 if problem else 0
+
+
+def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
+    recorder, found = recorder_of(simulated, arguments), []
+    assert recorder is not None
+
+    def keep(path: Path, trial: Trial) -> Trial:
+        found.append(recorded(world, recorder.laid(path, trial), trial.phi, trial.where))
+        return trial
+
+    trials = read_trials(table, keep)
+    if len(found) < len(trials):
+        raise UsageError(f"{table}: a trial without a recording says nothing of how the car went: give each a file")
+    return found
+
+
+def _calibrated(
+    world: Scenario, car: CarUnderTest, trials: Sequence[Recorded], names: Sequence[str] | None, workers: int
+) -> Calibration:
+    known = [name for name, one in PARAMETERS.items() if not one.sensing or world.sensor is not None]
+    if names and (absent := [one for one in names if one not in known]):
+        raise UsageError(f"{absent[0]} cannot be calibrated: scenario {world.name} has no sensor")
+    start = {name: PARAMETERS[name].of(calibrated(world, {})) for name in known}
+    with InProcessRunner(workers, isolated=not car.is_own) as runner:
+        runner.start()
+
+        def off(values: Mapping[str, float]) -> list[np.ndarray]:
+            scenario = calibrated(world, values)
+            return list(runner.map(off_by, [Drive(one, scenario, car.controller, car.multiplier) for one in trials]))
+
+        numbers = list(dict.fromkeys(one.phi for one in trials))
+        free = [name for name in known if not names or name in names]
+        try:
+            return estimated(off, start, free, [numbers.index(one.phi) for one in trials])
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+
+
+def _with_draws(
+    worlds: Sequence[Scenario],
+    car: CarUnderTest,
+    simulated: Simulated,
+    seed: int,
+    workers: int,
+    eta_max: float,
+    arguments: argparse.Namespace,
+) -> list[Propagated]:
+    if not worlds:
+        return []
+    safe = dict(list((simulated.safe or {}).items())[: arguments.draw_phi])
+    with progress_bar(quiet=arguments.quiet) as progress:
+        found = assessed_draws(worlds, car, safe, seed, workers, progress)
+    every = [propagated(found, key, (0.0, eta_max if key == "margin" else 1.0)) for key in _KEYS]
+    return [one for one in every if one is not None]
+
+
+def doubts(calibration: Calibration) -> list[str]:
+    """Return what a reader should know before believing a calibration."""
+    found = []
+    found += [
+        f"{one.parameter.text} is at the end of its range, {one.parameter.shown(one.value)}"
+        for one in calibration.told
+        if one.value in one.parameter.range
+    ]
+    if not calibration.told:
+        found.append(
+            "the trials say nothing of the simulator's parameters: margin and risk are those of the assessment"
+        )
+    return found
+
+
+def sentences(calibration: Calibration, found: Sequence[Propagated]) -> list[str]:
+    """Return what may be said, a sentence each."""
+    said = [
+        f"The {one.parameter.text} is {one.parameter.shown(one.value)}, with a 95 % interval from "
+        f"{one.parameter.shown(one.interval[0])} to {one.parameter.shown(one.interval[1])}."
+        for one in calibration.told
+        if one.interval is not None
+    ]
+    said.append(
+        f"Simulated cars are {calibration.after:.2f} m from where recorded ones were (root mean square); with the "
+        f"scenario's own values {calibration.before:.2f} m."
+    )
+    for one in found:
+        unit = " m" if one.key == "margin" else ""
+        name = "margin" if one.key == "margin" else f"risk R({one.key.removeprefix('risk_')})"
+        said.append(
+            f"In the calibrated simulator the {name} is {one.value:.3g}{unit}, with a 95 % interval from "
+            f"{one.interval[0]:.3g} to {one.interval[1]:.3g}{unit}, by {counted(len(one.values), 'draw')} of its "
+            f"parameters; were they known, it would be about {one.by_phi:.2g}{unit} wide."
+        )
+    return said
+
+
+def parameter_table(calibration: Calibration, world: Scenario) -> Table:
+    """Return the table of all parameters."""
+    table = narrow_table("The simulator by the physical trials")
+    for name in ("", "scenario", "estimate", "95 %\ninterval"):
+        table.add_column(name, justify="right" if name else "left")
+    begun = calibrated(world, {})
+    for one in calibration.estimates:
+        name = f"{one.parameter.text} ({one.parameter.unit})" if one.parameter.unit else one.parameter.text
+        own = f"{one.parameter.of(begun):.3g}"
+        if one.interval is None:
+            table.add_row(name, own, "—", one.reason)
+        else:
+            table.add_row(name, own, f"{one.value:.3g}", f"[{one.interval[0]:.3g}, {one.interval[1]:.3g}]")
+    return table
+
+
+def check_only_simulator(arguments: argparse.Namespace) -> None:
+    """Refuse options of --simulator without it.
+
+    Raises:
+        UsageError: one of them is given.
+    """
+    given: dict[str, Any] = {
+        "--car": arguments.car,
+        "--road-user": arguments.road_user,
+        "--frame": arguments.frame,
+        "--reference": arguments.reference or None,
+        "--path-tolerance": None if arguments.path_tolerance == PATH_TOLERANCE else arguments.path_tolerance,
+        "--parameters": arguments.parameters,
+        "--draws": None if arguments.draws == DRAWS else arguments.draws,
+        "--draw-phi": None if arguments.draw_phi == DRAW_PHI else arguments.draw_phi,
+        "--workers": arguments.workers,
+    }
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"{name} goes with --simulator")

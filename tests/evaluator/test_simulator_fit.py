@@ -1,0 +1,180 @@
+"""Calibration of the simulator: against least squares and jackknife done otherwise, and trials of a known car."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import special, stats
+from skd_evaluator.assessing.propagated import propagated
+from skd_evaluator.cli.commands.models.simulator import doubts
+from skd_evaluator.fusion.calibration.estimate import estimated
+from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
+from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
+from skd_evaluator.measure.surrogate.scene import Scene
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+
+START = {"delay": 0.1, "deceleration": 15.0, "friction": 1.0}
+TIMES = np.linspace(0.0, 3.0, 11)
+
+
+def trials_off(rng: np.random.Generator, count: int, delay: float, most: float) -> tuple[list[np.ndarray], list[float]]:
+    """Recorded places of cars that brake from 8 m/s with 4 m/s², or the most that they can, after a delay."""
+    delays = delay + 0.02 * rng.standard_normal(count)
+    return [braked(one, most) + 0.01 * rng.standard_normal(TIMES.size) for one in delays], delays.tolist()
+
+
+def braked(delay: float, most: float, asked: float = 4.0) -> np.ndarray:
+    passed = np.clip(TIMES - 1.0 - delay, 0.0, 8.0 / min(most, asked))
+    return (
+        8.0 * TIMES
+        - 8.0 * np.clip(TIMES - 1.0 - delay - 8.0 / min(most, asked), 0.0, None)
+        - 0.5 * min(most, asked) * passed**2
+    )
+
+
+def off_of(places: list[np.ndarray]):
+    def off(values: Mapping[str, float]) -> list[np.ndarray]:
+        simulated = braked(values["delay"], min(values["deceleration"], 11.5 * values["friction"]))
+        return [one - simulated for one in places]
+
+    return off
+
+
+def test_a_delay_is_the_mean_of_the_trials_delays_with_the_jackknife_s_error():
+    places, delays = trials_off(np.random.default_rng(1), 10, 0.27, 15.0)
+    found = estimated(off_of(places), START, ["delay"], list(range(10)))
+    (one,) = found.told
+    assert one.value == pytest.approx(np.mean(delays), abs=0.004)
+    # Each trial left out, and all of it estimated anew.
+    again = [
+        estimated(off_of(places[:index] + places[index + 1 :]), START, ["delay"], list(range(9))).told[0].value
+        for index in range(10)
+    ]
+    error = math.sqrt(0.9 * np.sum((np.array(again) - np.mean(again)) ** 2))
+    assert one.error == pytest.approx(error, rel=0.1)
+    assert one.interval is not None
+    assert one.interval[1] - one.interval[0] == pytest.approx(2.0 * stats.t.ppf(0.975, 9) * one.error, rel=1e-6)
+    assert found.after < 0.1 < found.before
+
+
+def test_a_limit_that_was_reached_is_told_and_one_that_was_not_is_not():
+    places, _ = trials_off(np.random.default_rng(2), 12, 0.2, 2.9)
+    found = estimated(off_of(places), START, list(START), list(range(12)))
+    by_name = {one.parameter.name: one for one in found.estimates}
+    assert by_name["deceleration"].value == pytest.approx(2.9, abs=0.1)
+    assert by_name["delay"].interval is not None
+    assert by_name["delay"].interval[0] < 0.2 < by_name["delay"].interval[1]
+    assert by_name["friction"].interval is None
+    assert by_name["friction"].value == 1.0
+    assert by_name["friction"].reason == "the trials do not tell it from the brake's greatest deceleration"
+    plain, _ = trials_off(np.random.default_rng(3), 12, 0.2, 15.0)
+    told = estimated(off_of(plain), START, list(START), list(range(12))).told
+    assert [one.parameter.name for one in told] == ["delay"]
+
+
+def test_trials_of_one_phi_are_one_draw():
+    places, _ = trials_off(np.random.default_rng(4), 8, 0.2, 15.0)
+    once = estimated(off_of(places), START, ["delay"], list(range(8))).told[0]
+    thrice = estimated(
+        off_of([one for one in places for _ in range(3)]), START, ["delay"], np.repeat(range(8), 3)
+    ).told[0]
+    assert thrice.error == pytest.approx(once.error, rel=1e-6)
+    with pytest.raises(ValueError, match="4 φ are too few"):
+        estimated(off_of(places[:4]), START, ["delay"], list(range(4)))
+
+
+def test_draws_are_as_the_estimates_and_stay_in_their_ranges():
+    places, _ = trials_off(np.random.default_rng(5), 12, 0.03, 15.0)
+    found = estimated(off_of(places), START, ["delay"], list(range(12)))
+    drawn = np.array([one["delay"] for one in found.drawn(4000, np.random.default_rng(6))])
+    assert drawn.min() >= 0.0
+    one = found.told[0]
+    expected = stats.t(found.freedom, one.value, one.error).ppf([0.5, 0.9])
+    assert np.quantile(drawn, [0.5, 0.9]) == pytest.approx(
+        expected, abs=4.0 * one.error / math.sqrt(4000 * 0.09) + 1e-4
+    )
+    assert not doubts(found)
+
+
+def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
+    """The controller is shown the recording, so a drive by the same world is the recording."""
+    world = calibrated(load_scenario("crossing_multi_body"), {"delay": 0.3, "friction": 0.28})
+    quiet = replace(world, car=replace(world.car, acceleration_noise=0.0))
+    count = 11
+    other = np.column_stack([np.linspace(-3.5, 1.0, count), np.zeros(count)])
+    begin = np.array([0.0, -15.0 - world.car.front, 0.5 * math.pi, world.car.start_speed])
+    # A car that its own drive leads on: shown to its controller is where it really is.
+    states = np.tile(begin, (count, 1))
+    for _ in range(count):
+        shown = ShownRecording(states)
+        off_by_own = _places(shown, quiet, other, states)
+        states = off_by_own
+    trial = Recorded("walk", other, states, "here")
+    assert np.abs(off_by(Drive(trial, quiet, "basic", 1.0))).max() < 1e-9
+    slower = calibrated(quiet, {"delay": 0.1})
+    assert off_by(Drive(trial, slower, "basic", 1.0))[-1] > 0.5  # the recorded car braked later, and is ahead
+
+
+def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
+    from skd_evaluator.campaign.run.runner import run_episode
+    from skd_sim.episode.episode import Episode, Mode
+    from skd_sim.geometry.trajectory import Trajectory
+
+    speeds: list[float] = [float(states[0, 3])]
+    step, inner = shown.step, shown._inner
+
+    def keep(acceleration: float, velocity: tuple[float, float]):
+        frame = step(acceleration, velocity)
+        speeds.append(inner.world.car.speed)
+        return frame
+
+    shown.step = keep  # type: ignore[method-assign]
+    collision = replace(world.collision, minimum_impact_speed=60.0)
+    run_episode(
+        Episode(replace(world, collision=collision), Mode.REPLAY, 0, 0, Trajectory(other, world.time_step, "walk")),
+        simulator=shown,
+    )
+    x, y = np.array(shown.places).T
+    return np.column_stack([x, y, np.full(len(x), 0.5 * math.pi), speeds])
+
+
+def test_recordings_that_cannot_calibrate_are_refused():
+    world = load_scenario("crossing_multi_body")
+    times = np.arange(0.0, 3.0, 0.05)
+    still = np.zeros((times.size, 2))
+
+    def scene(speed: float, count: int) -> Scene:
+        car = np.column_stack([still, np.full(times.size, 0.5 * math.pi), np.full(times.size, speed)])[:count]
+        return Scene(times[:count], car, still[:count], still[:count], times[:count], (2.0, 2.0, 0.9), (0.25, 0.0, 0.0))
+
+    assert len(recorded(world, scene(8.3, 60), "walk", "here").car) == 10
+    with pytest.raises(UsageError, match=r"begins at 6\.00 m/s, and in the simulation at 8\.33"):
+        recorded(world, scene(6.0, 60), "walk", "here")
+    with pytest.raises(UsageError, match="too short"):
+        recorded(world, scene(8.3, 8), "walk", "here")
+
+
+def test_what_is_not_known_of_the_simulator_is_in_the_interval():
+    figures = [{"margin": value, "margin_ci95": [value - 0.2, value + 0.2]} for value in (0.8, 1.0, 1.2)]
+    found = propagated(figures, "margin", (0.0, 5.0))
+    assert found is not None
+    assert found.value == pytest.approx(1.0)
+    assert found.by_phi == pytest.approx(0.4)
+    # The mixture of three normals, by its distribution function.
+    places = np.linspace(0.0, 2.0, 200_001)
+    mixed = np.mean([special.ndtr((places - middle) / (0.2 / 1.959964)) for middle in (0.8, 1.0, 1.2)], axis=0)
+    assert found.interval == pytest.approx(np.interp([0.025, 0.975], mixed, places), abs=2e-3)
+    assert propagated([{"margin": None}], "margin", (0.0, 5.0)) is None
+
+
+def test_every_parameter_is_a_key_of_a_scenario():
+    world = calibrated(
+        load_scenario("crossing"), {"delay": 0.4, "friction": 0.5, "deceleration": 6.0, "sensor_range": 9.0}
+    )
+    assert [one.of(world) for one in PARAMETERS.values()] == [0.4, 6.0, 0.5, 9.0]
+    assert world.car.dynamics == "multi_body"
