@@ -36,7 +36,8 @@ def origin(figures: dict[str, Any], number: int) -> dict[str, Any]:
     return {**figures["provenance"], "date": date, "controller_git": git}
 
 
-def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, capsys):
+def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     for number in range(200):
         car = "basic" if number % 4 else "my_cars:Careful"
         changes = {"controller": car, "margin": 0.01 * ((7 * number) % 200), "provenance": origin(figures, number)}
@@ -52,8 +53,11 @@ def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, c
     best = [row["margin"] for row in json.loads(capsys.readouterr().out)["results"]]
     assert best == sorted(0.01 * ((7 * number) % 200) for number in range(0, 200, 4))[-5:]
     assert main(words) == 0
-    assert "my_cars:Careful" in (shown := capsys.readouterr().out)
+    shown = capsys.readouterr().out
     assert "5 results" in shown
+    assert f"Assessments in {tmp_path}" in "".join(shown.splitlines()).replace("in/", "in /")
+    for value in best:  # whole, however narrow it is and however long the folder's name
+        assert f"{value:.3f} {'[0.00, 0.11]'}" in shown
 
 
 def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
@@ -70,7 +74,7 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert remarks["forged"] == "changed since it was written"
     assert main(["list", str(tmp_path)]) == 0
     captured = capsys.readouterr()
-    assert "changed since it was written" in captured.out
+    assert f"* {tmp_path / 'forged'}: changed since it was written" in captured.out
     assert "foreign" not in captured.out
     assert all(f"skd list: warning: {tmp_path / name}: " in captured.err for name in ("foreign", "broken"))
     assert main(["list", str(tmp_path), "--encounter", "nowhere"]) == 2
@@ -101,6 +105,7 @@ def test_a_trend_follows_each_car_by_date(figures):
 def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch):
     """The basic car with C = 0.5, and then with 1 under the same name: it got safer."""
     monkeypatch.setattr(Run, "car", property(lambda _run: "my car"))
+    monkeypatch.setenv("COLUMNS", "120")
     folders = [str(sweep / "synthetic" / name) for name in ("C_0.5", "C_1")]
     assert main(["trend", *folders, "--figure", "hit_rate", "--out", str(tmp_path / "trend")]) == 0
     shown = capsys.readouterr().out

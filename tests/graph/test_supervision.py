@@ -141,8 +141,7 @@ def test_folders_of_a_killed_run_go_with_the_next(tmp_path: Path, safe: Path) ->
         assert (left / "logs" / "vehicle_simulator.log").exists()
         program.send_signal(signal.SIGKILL)
         program.finish()
-        assert left.exists()
-        (tmp_path / "out").rmdir()
+        assert left.exists()  # and --out, with a link to its logs alone, is taken by the next one as it is
 
 
 def test_folders_of_the_living_stay(tmp_path: Path) -> None:

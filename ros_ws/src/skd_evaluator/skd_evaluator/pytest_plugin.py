@@ -8,7 +8,6 @@ Light, for every pytest of an environment with SKD begins with it.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,5 +84,5 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session", name="skd")
 def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Skd:
     """Assess cars: `skd.assess(MyCar).margin`."""
-    out, worker = request.config.getoption(_OUT), os.environ.get("PYTEST_XDIST_WORKER", "")
+    out, worker = request.config.getoption(_OUT), getattr(request.config, "workerinput", {}).get("workerid", "")
     return Skd(Path(out, worker) if out else tmp_path_factory.mktemp("skd"))

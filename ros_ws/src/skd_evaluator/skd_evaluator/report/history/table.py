@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
@@ -17,22 +19,19 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 
 
 def runs_table(runs: Sequence[Run]) -> Table:
-    """Return the table of assessments, a row each."""
-    table = narrow_table("Assessments, as they are written")
+    """Return the table of assessments that could be read, a row each; those with a remark are marked."""
+    parent = common_parent(runs)
+    table = narrow_table(f"Assessments in {escape(str(parent))}, as they are written")
     table.add_column("folder", overflow="fold")
     table.add_column("car", overflow="fold")
-    table.add_column("encounter")
+    table.add_column("encounter", overflow="fold")
     for name in ("margin\n(m)", "95 %,\nby φ", "hit\nalong φ", "φ"):
-        table.add_column(name, justify="right")
-    table.add_column("code of\nthe car")
-    table.add_column("date (UTC)")
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("code of\nthe car", no_wrap=True)
+    table.add_column("date\n(UTC)")
     for run in runs:
-        if not run.figures:
-            table.add_row(escape(str(run.folder)), f"[red]{escape(run.remark)}[/]")
-            continue
-        mark = f" [red]({escape(run.remark)})[/]" if run.remark else ""
         table.add_row(
-            f"{escape(str(run.folder))}{mark}",
+            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark else ''}",
             escape(run.car),
             escape(run.encounter),
             _number(run.figures["margin"]),
@@ -43,6 +42,14 @@ def runs_table(runs: Sequence[Run]) -> Table:
             day(run.date),
         )
     return table
+
+
+def common_parent(runs: Sequence[Run]) -> Path:
+    """Return the folder that holds those of all assessments: what is left of their names tells them apart."""
+    parents = [run.folder.parent for run in runs]
+    if len({parent.is_absolute() for parent in parents}) > 1:
+        parents = [parent.absolute() for parent in parents]
+    return Path(os.path.commonpath(parents) or ".")
 
 
 def scaled(interval: Sequence[float] | None, scale: float) -> list[float] | None:
@@ -59,14 +66,15 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
     """Return the table of how a car has changed, the earliest result first."""
     together = f"{100.0 * trend.confidence:.3g} %"
     unit, scale = kind.unit, kind.scale
-    table = narrow_table(f"{escape(trend.car)} in {escape(trend.encounter)}: {trend.label}")
-    table.add_column("date (UTC)")
-    table.add_column("code of\nthe car")
-    for name in (f"{trend.label}\n({unit})" if unit else trend.label, "95 %,\nby φ"):
-        table.add_column(name, justify="right")
+    parent = common_parent([step.run for step in trend.steps])
+    table = narrow_table(f"{escape(trend.car)} in {escape(trend.encounter)}: {trend.label}; in {escape(str(parent))}")
+    table.add_column("date\n(UTC)")
+    table.add_column("code of\nthe car", no_wrap=True)
+    table.add_column(f"{trend.label}\n({unit})" if unit else trend.label, justify="right")
+    table.add_column("95 %,\nby φ", justify="right", no_wrap=True)
     table.add_column("beside the\none before")
     for name in ("by so\nmuch", f"{together},\nby φ"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     table.add_column("folder", overflow="fold")
     for step in trend.steps:
         change = ("", "")
@@ -79,6 +87,6 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
             _interval(scaled(step.interval, scale), 2),
             f"[bold]{step.verdict}[/]",
             *change,
-            escape(str(step.run.folder)),
+            escape(os.path.relpath(step.run.folder, parent)),
         )
     return table

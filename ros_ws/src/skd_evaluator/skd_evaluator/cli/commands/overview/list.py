@@ -41,6 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
             where = ", ".join(map(str, arguments.paths))
             raise UsageError(f"{where}: holds no assessment that is asked for ({counted(len(runs), 'result')} in all)")
         print_table(runs_table(found))
+        for one in found:
+            if one.remark:
+                print(f"* {one.folder}: {one.remark}")
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
     return 0
 
