@@ -38,6 +38,12 @@ def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, 
 
 
 @kernel(inline=True)
+def left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Interface `left_behind`."""
+    return bool(car_s - parameters.rear > y + parameters.radius)
+
+
+@kernel(inline=True)
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
     """Interface `at_distance`."""
     along = math.sqrt(max(0.0, distance * distance - x * x))
@@ -66,4 +72,4 @@ def contact(
     return touch(p, y - car_s, -x, y_after - car_s_after, -x_after, heading - HEADING_NORTH)
 
 
-ROAD = RoadKernels("straight", parameters_of, on_road, velocity_on_road, from_car, at_distance, contact)
+ROAD = RoadKernels("straight", parameters_of, on_road, velocity_on_road, from_car, left_behind, at_distance, contact)
