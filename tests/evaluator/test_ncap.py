@@ -15,10 +15,10 @@ from skd_evaluator.campaign.run.static_test import static_tests
 from skd_evaluator.cli.commands import ncap
 from skd_evaluator.ncap import points
 from skd_evaluator.ncap.colours import colour_of
-from skd_evaluator.ncap.judging import scenario_of, wanted_cells
-from skd_evaluator.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
 from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
+from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
+from skd_evaluator.report.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS, lineage
 from skd_sim.encounter.scenario import load_scenario
