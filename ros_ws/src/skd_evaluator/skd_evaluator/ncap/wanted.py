@@ -60,13 +60,14 @@ def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | 
         if here:
             continue
         targets = list(dict.fromkeys(one.target for one in points if one.place is None))
-        cells += [Wanted(speed, None, target, None, _why_none(matrix, speed)) for target in targets]
+        cells += [Wanted(speed, None, target, None, why_none(matrix, speed)) for target in targets]
         if not targets:
-            cells += [Wanted(speed, place, None, None, _why_none(matrix, speed, place)) for place in places]
+            cells += [Wanted(speed, place, None, None, why_none(matrix, speed, place)) for place in places]
     return matrix, cells
 
 
-def _why_none(matrix: Matrix | None, speed: float, place: float = 0.0) -> str:
+def why_none(matrix: Matrix | None, speed: float, place: float = 0.0) -> str:
+    """Return why a matrix has no test at a speed (km/h) and a place (%)."""
     if matrix is None:
         return "it is none of the tests of 2026"
     if speed not in {point.speed for point in matrix.points}:

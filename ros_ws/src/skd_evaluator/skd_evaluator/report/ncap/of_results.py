@@ -18,7 +18,7 @@ from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.ncap.matrices import Matrix, matrix_of
 from skd_evaluator.ncap.result import Cell, Grid, rounded_kmh
 from skd_evaluator.ncap.tested import in_matrix, with_test
-from skd_evaluator.ncap.wanted import KMH, SAME, Wanted, scenario_of, wanted_cells
+from skd_evaluator.ncap.wanted import KMH, SAME, Wanted, scenario_of, wanted_cells, why_none
 from skd_evaluator.report.ncap.layout import Layout, headline, layout_of, reasons
 from skd_evaluator.report.terminal import car_name
 
@@ -190,7 +190,7 @@ def _wanted(scenario: Scenario, place: float) -> tuple[Matrix | None, Wanted]:
             if strange:
                 return matrix, replace(bare, why=f"section {strange[0]} is not that of {known}")
             return matrix, one
-    return matrix, replace(bare, why=cells[0].why or f"{matrix.test if matrix else known} has no such test")
+    return matrix, replace(bare, why=why_none(matrix, speed, place))
 
 
 def _is_other(section: str, mine: Scenario, shipped: Scenario) -> bool:
