@@ -29,6 +29,9 @@ class Tested:
         speed_ahead: speed of the target the way that the car pointed then, m/s; 0 where it was not touched.
         fastest: greatest speed of the car, m/s.
         aborted: why the test was aborted; empty: it was not.
+
+    Raises:
+        ValueError: one entry contradicts another.
     """
 
     place: float
@@ -39,19 +42,26 @@ class Tested:
     fastest: float = 0.0
     aborted: str = ""
 
+    def __post_init__(self) -> None:
+        """Refuse what no test can have found."""
+        strange = self.impact_speed < 0.0 or self.impact_speed > self.fastest or (self.touched and bool(self.aborted))
+        if strange or (not self.touched and (self.target or self.impact_speed or self.speed_ahead)):
+            raise ValueError(f"the static test at {self.place:g} % contradicts itself")
+
     @classmethod
     def of(cls, place: float, log: EpisodeLog) -> Tested:
         """Return what an episode of `static_episodes` says."""
         if log.outcome == Outcome.ABORTED:
             return cls(place=place, aborted=log.reason)
         touched = log.outcome == Outcome.COLLISION
+        impact = log.impact_speed if touched else 0.0
         return cls(
             place=place,
             touched=touched,
             target=touched and struck(log) == ADVERSARY,
-            impact_speed=log.impact_speed if touched else 0.0,
+            impact_speed=impact,
             speed_ahead=speed_ahead(log) if touched else 0.0,
-            fastest=float(log.car[:, 2].max()),
+            fastest=max(impact, float(log.car[:, 2].max())),
         )
 
     def as_dict(self) -> dict[str, Any]:
