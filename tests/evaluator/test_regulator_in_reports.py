@@ -175,3 +175,20 @@ def test_a_test_that_contradicts_itself_is_refused(subject, tmp_path, change):
     (folder / "manifest.sha256").unlink()
     with pytest.raises(UsageError, match="forged"):
         read_subjects([folder])
+
+
+def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeypatch):
+    """It brakes nowhere, and raises where the car starts in the middle of its range, which no attempt does."""
+    (tmp_path / "fails_alone.py").write_text(
+        "class Car:\n"
+        "    def reset(self, scenario, rng): self.strict = scenario.car.start_gap_range == 0.0\n"
+        "    def command(self, car, adversary): return 1 / 0 if self.strict else 0.0\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deformation", margin_limit=0,
+                    kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", knowledge="nothing",
+                    workers=1)  # fmt: skip
+    (test,) = rating.static_tests
+    assert "ZeroDivisionError" in test["aborted"]
+    assert rating.as_dict()["hit_rate"] == 1.0

@@ -15,6 +15,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.struck import ADVERSARY, speed_ahead, struck
 from skd_evaluator.campaign.plan.plan import EpisodeRunner
 from skd_evaluator.campaign.run.static_test import static_episodes
+from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +95,14 @@ def with_static_tests(rating: Rating, runner: EpisodeRunner) -> Rating:
     assert plan.scenario.protocol is not None
     every = zip(plan.scenario.protocol.impact_places, static_episodes(plan.scenario, plan.car), strict=True)
     wanted = [(place, episode) for place, episode in every if place in places]
-    logs = runner.run([episode for _, episode in wanted])
-    tests = tuple(Tested.of(place, log) for (place, _), log in zip(wanted, logs, strict=True))
+    try:
+        logs = list(runner.run([episode for _, episode in wanted]))
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # a car that fails here alone has its figures all the same
+        tests = tuple(Tested(place=place, aborted=str(error)) for place, _ in wanted)
+    else:
+        tests = tuple(Tested.of(place, log) for (place, _), log in zip(wanted, logs, strict=True))
     return dataclasses.replace(rating, static_tests=tuple(one.as_dict() for one in tests))
 
 
