@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_sim.choices.simulators import WORLD
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.judge.rating import Rating
@@ -90,7 +90,7 @@ def with_static_tests(rating: Rating, runner: EpisodeRunner) -> Rating:
     """
     plan = rating.plan
     places = _places(rating)
-    if not places or plan.simulator != WORLD or plan.car.is_external:
+    if not places or not is_own_world(plan.simulator) or plan.car.is_external:
         return rating
     assert plan.scenario.protocol is not None
     every = zip(plan.scenario.protocol.impact_places, static_episodes(plan.scenario, plan.car), strict=True)
