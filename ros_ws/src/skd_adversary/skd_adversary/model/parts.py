@@ -187,6 +187,7 @@ class RoadKernels:
         on_road: interface.
         velocity_on_road: interface.
         from_car: interface.
+        left_behind: interface.
         at_distance: interface.
         contact: interface, as a template that uses interface `touch`.
     """
@@ -196,6 +197,7 @@ class RoadKernels:
     on_road: Any
     velocity_on_road: Any
     from_car: Any
+    left_behind: Any
     at_distance: Any
     contact: Any
 

@@ -18,6 +18,7 @@ from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.judge.static_tests import with_static_tests
 from skd_evaluator.campaign.judge.until_width import rate_until_width
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
@@ -160,6 +161,7 @@ def assessed(
         rating = rate(plan, objectives, safe, runners.rated, progress)
     rating = with_margins(rating, runners.here, progress, further.margin_limit, runners.ways)
     rating = with_risks(rating, further.risk, runners.here, progress, runners.ways)
+    rating = with_static_tests(rating, runners.others)
     if further.floor:
         rating = with_floors(rating, runners.here, progress)
     if further.curve:

@@ -15,11 +15,11 @@ from skd_evaluator.cli.arguments import (
     real_number,
     steps_of,
 )
+from skd_evaluator.ncap.result import ROOM
 
 REFERENCE_ATTEMPTS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"
 ATTEMPTS = 5
-ROOM = 0.5  # m
 
 
 def add_regulator_command(commands: Any) -> None:

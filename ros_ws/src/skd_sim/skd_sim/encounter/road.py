@@ -275,6 +275,12 @@ def is_straight_north(line: FloatArray) -> bool:
     return not (turned or line[0, 1] != 0.0 or line[0, 2] != line[0, 0])
 
 
+def straight_from(line: FloatArray) -> float:
+    """Return the path coordinate (m) from which on the line goes straight; minus infinity if it has no curve."""
+    curved = line[line[:, 4] != 0.0]
+    return float(curved[-1, 0] + curved[-1, 5]) if len(curved) else -math.inf
+
+
 @kernel
 def _part_at(line: FloatArray, s: float) -> int:
     part = 0

@@ -35,6 +35,7 @@ from skd_adversary.model.interfaces import (
     contact,
     foreseen_acceleration,
     last_changes,
+    left_behind,
     move,
     moving,
     on_road,
@@ -119,7 +120,7 @@ def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, flo
     return velocity(parameters, state, action)
 
 
-@template("chosen", "move", "on_road", "ROW")
+@template("chosen", "move", "on_road", "left_behind", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -156,7 +157,7 @@ def step(
     across, along = on_road(p, x, y)
     if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return cost, True
-    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
+    passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
 
 
@@ -203,7 +204,9 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template("_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road")
+@template(
+    "_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road", "left_behind"
+)
 def _foreseen(
     parameters: Any,
     state: FloatArray,
@@ -262,7 +265,7 @@ def _foreseen(
         across, along = on_road(p, x_after, y_after)
         if leads_nowhere(p, across, along, x, y, x_after, y_after):
             return math.inf, _LATE, tick
-        if car_s_after - p.rear > along + p.radius:
+        if left_behind(p, x_after, y_after, car_s_after):
             return math.inf, _EARLY, tick
         if worst >= bound:
             return math.inf, _LATE, tick

@@ -34,6 +34,7 @@ class Told(StrEnum):
     EPISODES = ""
     BASIC_CARS = "read off margins of basic cars, which take a run"
     SEARCH = "how the margin was searched, which takes the car"
+    TESTED = "episodes of their own, which take the car"
     GRAPH = "wall time, which the graph alone knew"
     ASKED = "what was asked for, when and where, and what this version does not compute"
 
@@ -305,6 +306,8 @@ FIGURES = (
     Figure("warnings", LINES, told=Told.ASKED),
     Figure("verification", Kind(ref("verification")), "of kamikazes whose decisions were made again, by skd replay "
            "--verify alone", told=Told.ASKED, optional=True, newer=True),
+    Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
+           "each impact place that one of the φ stands for", told=Told.TESTED, optional=True, newer=True),
     Figure("name", TEXT, of=Of.PHI),
     Figure("attempts", COUNT, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, of=Of.PHI),

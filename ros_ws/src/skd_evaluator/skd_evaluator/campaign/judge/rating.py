@@ -71,6 +71,7 @@ class Rating:
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
         verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
+        static_tests: what came of the protocol's static tests, an entry of assessment.json each.
         led: some of the ways on which the search for the margin has led the car; in no file.
     """
 
@@ -88,6 +89,7 @@ class Rating:
     until_width: UntilWidth | None = None
     verification: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] | None = None
+    static_tests: tuple[Mapping[str, Any], ...] = ()
     led: tuple[LedWay, ...] = ()
 
     @property
@@ -292,6 +294,7 @@ class Rating:
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
+            **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
             **({} if self.verification is None else {"verification": dict(self.verification)}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,

@@ -106,6 +106,12 @@ def _definitions() -> dict[str, Any]:
             not_verifiable={"type": "object", "additionalProperties": {"type": "integer", "minimum": 1}},
             not_as_planned=_list(_object(
                 episode_id=_COUNT, objective=_TEXT, tick=_COUNT, recorded=ref("velocity"), planned=ref("velocity")))),
+        "static_test": _object(
+            place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
+            target=_said(_FLAG, "whether the target was touched, and nobody else"),
+            impact_speed=_said(_NUMBER, "of the car, m/s; 0 without a contact"),
+            speed_ahead=_said(_NUMBER, "of the target, the way that the car points, m/s"),
+            fastest=_said(_NUMBER, "greatest speed of the car, m/s"), aborted=_TEXT),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
