@@ -26,8 +26,8 @@ def add_exchange_commands(commands: Any) -> None:
         "--format",
         choices=EXPORT_FORMATS,
         required=True,
-        help="openscenario (1.2, with road.xodr), osi (ground truth as MCAP, with road.xodr; needs the extra exchange), "
-        "commonroad (XML 2020a), or csv",
+        help="openscenario (1.2, with road.xodr), osi (ground truth as MCAP, with road.xodr; needs the extra "
+        "exchange), commonroad (XML 2020a), or csv",
     )
     which = export.add_mutually_exclusive_group()
     which.add_argument(
@@ -51,12 +51,14 @@ def add_exchange_commands(commands: Any) -> None:
     taken = commands.add_parser(
         "import",
         help="make safe trajectories of files of others: OpenSCENARIO, OSI, CommonRoad, tracked data, bags",
-        description="Take a road user's way out of files of others, look at its rate, its gaps and its frame, and write "
+        description="Take a road user's way out of files of others, look at its rate, gaps and frame, and write "
         "it as csv that --safe reads. Read are OpenSCENARIO XML (polylines with times), ASAM OSI ground truth (MCAP), "
         "CommonRoad XML, csv (t, x, y; t, id, x, y; or the layout of inD and rounD), bags of ROS 2 (Odometry, poses, "
         "/tf, Detection3DArray), and folders of such files, as skd export writes them.",
     )
-    taken.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files")
+    taken.add_argument(
+        "paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files"
+    )
     who = taken.add_argument_group("who")
     who.add_argument(
         "--road-user",
@@ -89,8 +91,8 @@ def add_exchange_commands(commands: Any) -> None:
     where.add_argument(
         "--scenario",
         metavar="NAME",
-        help="also check each way as skd assess --safe does with this scenario, and leave out what cannot be used; a way "
-        "that lasts longer than its horizon is cut to what is around the crossing",
+        help="also check each way as skd assess --safe does with this scenario, and leave out what cannot be used; a "
+        "way that lasts longer than its horizon is cut to what is around the crossing",
     )
     where.add_argument(
         "--longest-gap",

@@ -5,6 +5,7 @@ from __future__ import annotations
 EGO, ADVERSARY = "Ego", "Adversary"
 OTHER, OBSTACLE = "Other_{}", "Obstacle_{}"
 ROAD_FILE = "road.xodr"
+EXPORT, IMPORT = "export.json", "import.json"
 SOURCE = "skd.role"
 """Type of OSI's external references that say whom an object is."""
 EGO_ID, ADVERSARY_ID, FIRST_OTHER_ID = 1, 2, 3

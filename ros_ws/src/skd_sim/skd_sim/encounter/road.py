@@ -147,7 +147,7 @@ class Road(Unchanging):
         return x, y, math.remainder(road_pose(line, along)[2] + turned, math.tau)
 
     def line_of(self, number: int) -> FloatArray:
-        """Return the line along which a lane's coordinate is counted; see the module. Lanes beside the car's share it."""
+        """Return the line along which a lane's coordinate is counted; lanes beside the car's share the car's."""
         lane = self.every_lane[number]
         return self.line if lane.beside else np.array([(0.0, lane.x, lane.y, lane.heading, 0.0, 0.0)])
 

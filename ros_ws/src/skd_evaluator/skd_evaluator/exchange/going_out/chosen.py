@@ -53,8 +53,8 @@ def chosen(subject: Subject, episode: int | None, worst: int | None, objective: 
         found = [number for number in lasting if int(episodes.episode_id[number]) == episode]
         if not found:
             raise UsageError(
-                f"--episode {episode}: {subject.folder} holds no such episode; skd show {subject.folder} --worst 5 names "
-                "some"
+                f"--episode {episode}: {subject.folder} holds no such episode; skd show {subject.folder} --worst 5 "
+                "names some"
             )
         return found
     fine = [number for number in lasting if episodes.outcome[number] != Outcome.ABORTED]

@@ -1,8 +1,8 @@
 """An episode as a CommonRoad scenario (XML, version 2020a): states at whole ticks, lanelets, a planning problem.
 
-CommonRoad knows whole time steps alone, so the last state of a kamikaze is that of the tick in which the contact was, in
-which shapes overlap. An object's position is the middle of its shape. The planning problem is the car's: from where it
-begins, along its lane.
+CommonRoad knows whole time steps alone, so the last state of a kamikaze is that of the tick in which the contact was,
+in which shapes overlap. An object's position is the middle of its shape. The planning problem is the car's: from where
+it begins, along its lane.
 """
 
 from __future__ import annotations

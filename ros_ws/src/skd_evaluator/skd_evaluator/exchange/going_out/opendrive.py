@@ -1,13 +1,14 @@
 """The road of a scenario as ASAM OpenDRIVE 1.8: straight and circular parts, and the lanes beside them.
 
-The reference line is the middle of the car's lane. A lane offset moves the lanes' zero to the left edge of those that go
-the car's way, so that these have ids −1, −2, … from left to right, and those to their left 1, 2, …. Lanes elsewhere are
-roads of their own, which cross the first without a junction: SKD knows no way from one to the other.
+The reference line is the middle of the car's lane. A lane offset moves the lanes' zero to the left edge of those that
+go the car's way, so that these have ids −1, −2, … from left to right, and those to their left 1, 2, …. Lanes elsewhere
+are roads of their own, which cross the first without a junction: SKD knows no way from one to the other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -45,8 +46,7 @@ def _add_road(root: Element, road: Road, number: int, lanes: Sequence[int], span
     add(found, "type", s=0.0, type="town")
     plan, line = add(found, "planView"), road.line_of(lanes[0])
     bounds = {low, high, *(s for row in line for s in (row[0], row[0] + row[5]) if low < s < high)}
-    ordered = sorted(bounds)
-    for begin, end in zip(ordered[:-1], ordered[1:], strict=True):
+    for begin, end in pairwise(sorted(bounds)):
         x, y, heading = road_pose(line, begin)
         geometry = add(plan, "geometry", s=begin - low, x=x, y=y, hdg=heading, length=end - begin)
         part = next((row for row in line if row[0] - _JOINT <= begin and end <= row[0] + row[5] + _JOINT), None)
@@ -54,7 +54,9 @@ def _add_road(root: Element, road: Road, number: int, lanes: Sequence[int], span
             add(geometry, "line")
         else:
             add(geometry, "arc", curvature=float(part[4]))
-    left = [one for one in lanes if one < 0 and any(road.every_lane[n].direction == ONCOMING for n in lanes if one <= n < 0)]
+    left = [
+        one for one in lanes if one < 0 and any(road.every_lane[n].direction == ONCOMING for n in lanes if one <= n < 0)
+    ]
     right = [one for one in lanes if one not in left]
     edge = road.offset(right[0]) - 0.5 * road.width(right[0])  # to the right of the reference line
     section = add(found, "lanes")
@@ -75,7 +77,7 @@ _JOINT = 1e-9  # m
 
 
 def _add_lane(side: Element, road: Road, lane: int, number: int, *, runs_along: bool) -> None:
-    """Add a lane. In right-hand traffic those on the right run along the reference line, those on the left against it."""
+    """Add a lane. Those on the right run along the reference line, those on the left against it: right-hand traffic."""
     found = add(side, "lane", id=str(number), type="driving", level="false")
     if runs_along != (number < 0):
         found.set("direction", "reversed")

@@ -1,7 +1,7 @@
 """An episode as ASAM OpenSCENARIO XML 1.2: everybody on a polyline with a time at each vertex, on an OpenDRIVE road.
 
-An entity's origin is SKD's reference point; its bounding box says where the body is around it. Vertices are the states at
-ticks and that at the contact, between which everybody moves uniformly, as here.
+An entity's origin is SKD's reference point; its bounding box says where the body is around it. Vertices are the states
+at ticks and that at the contact, between which everybody moves uniformly, as here.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ def openscenario(recorded: Recorded) -> Element:
     for actor in recorded.actors:
         x, y, heading, speed = actor.states[0].tolist()
         _add_start(begin, actor.name, x, y, heading, speed, moves=not actor.is_obstacle)
-    act = add(add(board, "Story", name="Story"), "Act", name="Act")
-    for actor in recorded.actors:
-        if not actor.stands:
+    moving = [actor for actor in recorded.actors if not actor.stands]
+    if moving:
+        act = add(add(board, "Story", name="Story"), "Act", name="Act")
+        for actor in moving:
             _add_way(act, actor)
-    _add_trigger(act, "StartTrigger", "begin", 0.0)
+        _add_trigger(act, "StartTrigger", "begin", 0.0)
     _add_trigger(board, "StopTrigger", "end", recorded.duration)
     return root
 
@@ -83,9 +84,7 @@ def _add_car(entities: Element, scenario: Scenario) -> None:
     add(_add_vehicle(found, EGO, "car", size, 0.5 * (car.front - car.rear)), "Properties")
 
 
-def _add_vehicle(
-    parent: Element, name: str, category: str, size: tuple[float, float, float], centre: float
-) -> Element:
+def _add_vehicle(parent: Element, name: str, category: str, size: tuple[float, float, float], centre: float) -> Element:
     """Add a vehicle; its axles are where those of most are, a fifth of its length from its ends."""
     length, width, _ = size
     vehicle = add(parent, "Vehicle", name=name, vehicleCategory=category)
@@ -105,7 +104,9 @@ def _add_box(body: Element, size: tuple[float, float, float], centre: float) -> 
     add(box, "Dimensions", length=length, width=width, height=height)
 
 
-def _add_start(begin: Element, name: str, x: float, y: float, heading: float, speed: float, *, moves: bool = True) -> None:
+def _add_start(
+    begin: Element, name: str, x: float, y: float, heading: float, speed: float, *, moves: bool = True
+) -> None:
     private = add(begin, "Private", entityRef=name)
     place = add(add(add(private, "PrivateAction"), "TeleportAction"), "Position")
     add(place, "WorldPosition", x=x, y=y, z=_NOTHING, h=heading)

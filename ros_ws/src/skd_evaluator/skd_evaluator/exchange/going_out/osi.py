@@ -84,7 +84,8 @@ def ground_truth(recorded: Recorded) -> list[Any]:
             found = standing.stationary_object.add()
             found.id.value = actor.number
             found.classification.type = found.classification.TYPE_OTHER
-            _set_base(found.base, actor, *actor.centres[0], float(actor.states[0, 2]))
+            x, y = actor.centres[0].tolist()
+            _set_base(found.base, actor, x, y, float(actor.states[0, 2]))
             _say_role(found, actor)
     users = [one for one in recorded.actors if not one.is_obstacle]
     times = max((one.times for one in users), key=len)
@@ -102,7 +103,7 @@ def ground_truth(recorded: Recorded) -> list[Any]:
 
 
 def _motion(actor: Actor, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return of an actor at each time the middle of its box and its heading, n × 3; velocity, acceleration, turn, n × 5.
+    """Return middle of the box and heading of an actor at each time, n × 3; velocity, acceleration, turning, n × 5.
 
     Between two times an actor moves as it does at the first; the last acceleration is that before it.
     """

@@ -26,7 +26,7 @@ class Actor:
     Attributes:
         name: what files call it.
         number: its id in formats that number objects.
-        body: says shape and kind; None of the car under test, which is a car, and of an obstacle, which is no road user.
+        body: says shape and kind; None of the car under test, and of an obstacle, which is no road user.
         size: length, width and height of its box, m; the box of a disc is as long as it is wide.
         centre: how far ahead of its reference point the middle of its box is, m.
         times: n times, s; one of what stands all the time.
@@ -170,4 +170,3 @@ def stretch(scenario: Scenario, recorded: Sequence[Recorded], lane: int = 0) -> 
 
 _BEYOND = 50.0
 """m of road before and behind everybody."""
-

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def number(value: float) -> str:
-    """Return a number's shortest text that is read back as it is, without an exponent, which decimals of XML have not."""
+    """Return the shortest text that is read back as a number is, without an exponent, which decimals of XML lack."""
     return str(np.format_float_positional(float(value), trim="0"))
 
 

@@ -16,12 +16,10 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.exchange.going_out.chosen import Going, chosen, going_out
 from skd_evaluator.exchange.going_out.formats import FORMATS, Format
 from skd_evaluator.exchange.going_out.opendrive import write_road
-from skd_evaluator.exchange.names import ROAD_FILE
+from skd_evaluator.exchange.names import EXPORT, ROAD_FILE
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.terminal import counted
 from skd_evaluator.version import version
-
-RESULT = "export.json"
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -57,7 +55,7 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
             write_road(folder / ROAD_FILE, [one.recorded for one in going])
         for one in going:
             kind.write(folder / kind.name(one.recorded), one.recorded)
-        write_json(folder / RESULT, content)
+        write_json(folder / EXPORT, content)
 
     problem = out.save(write)
     if arguments.json:
@@ -76,4 +74,4 @@ def _said(going: list[Going], name: str, folder: Path) -> str:
     """Return what was written, in a line."""
     episodes = [one for one in going if "episode_id" in one.entry]
     safe = len(going) - len(episodes)
-    return f"{safe} φ and {counted(len(episodes), 'episode')} as {name} in {folder}; {RESULT} says which file is which"
+    return f"{safe} φ and {counted(len(episodes), 'episode')} as {name} in {folder}; {EXPORT} says which file is which"
