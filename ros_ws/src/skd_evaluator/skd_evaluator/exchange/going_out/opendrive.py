@@ -12,7 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from skd_sim.encounter.road import ONCOMING, Road, road_pose
+from skd_sim.arrays import FloatArray
+from skd_sim.encounter.road import ONCOMING, Road, road_curvature, road_pose
 from skd_sim.encounter.scenario import Scenario
 
 from skd_evaluator.exchange.going_out.recorded import Recorded, stretch
@@ -45,15 +46,13 @@ def _add_road(root: Element, road: Road, number: int, lanes: Sequence[int], span
     found = add(root, "road", name=f"road {number}", length=high - low, id=str(number), junction="-1", rule="RHT")
     add(found, "type", s=0.0, type="town")
     plan, line = add(found, "planView"), road.line_of(lanes[0])
-    bounds = {low, high, *(s for row in line for s in (row[0], row[0] + row[5]) if low < s < high)}
-    for begin, end in pairwise(sorted(bounds)):
+    for begin, end, curvature in _pieces(line, low, high):
         x, y, heading = road_pose(line, begin)
         geometry = add(plan, "geometry", s=begin - low, x=x, y=y, hdg=heading, length=end - begin)
-        part = next((row for row in line if row[0] - _JOINT <= begin and end <= row[0] + row[5] + _JOINT), None)
-        if part is None or part[4] == 0.0:
+        if curvature == 0.0:
             add(geometry, "line")
         else:
-            add(geometry, "arc", curvature=float(part[4]))
+            add(geometry, "arc", curvature=curvature)
     left = [
         one for one in lanes if one < 0 and any(road.every_lane[n].direction == ONCOMING for n in lanes if one <= n < 0)
     ]
@@ -73,7 +72,17 @@ def _add_road(root: Element, road: Road, number: int, lanes: Sequence[int], span
         _add_lane(side, road, lane, -1 - place, runs_along=road.every_lane[lane].direction != ONCOMING)
 
 
-_JOINT = 1e-9  # m
+def _pieces(line: FloatArray, low: float, high: float) -> list[tuple[float, float, float]]:
+    """Return the stretches of a line of one curvature each: path coordinates of both ends (m), and curvature (1/m)."""
+    inner = {float(s) for row in line for s in (row[0], row[0] + row[5]) if low < s < high}
+    found: list[tuple[float, float, float]] = []
+    for begin, end in pairwise(sorted({low, high, *inner})):
+        curvature = float(road_curvature(line, 0.5 * (begin + end)))
+        if found and found[-1][2] == curvature:
+            found[-1] = (found[-1][0], end, curvature)
+        else:
+            found.append((begin, end, curvature))
+    return found
 
 
 def _add_lane(side: Element, road: Road, lane: int, number: int, *, runs_along: bool) -> None:

@@ -54,6 +54,8 @@ class Actor:
     @property
     def centres(self) -> FloatArray:
         """Middle of its box, n × 2, m."""
+        if self.centre == 0.0:
+            return self.states[:, :2]
         heading = self.states[:, 2]
         return np.asarray(self.states[:, :2] + self.centre * np.column_stack([np.cos(heading), np.sin(heading)]))
 
