@@ -30,6 +30,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd (replay skd_results/vendor|fit skd_results/probe)": "of a graph's recordings: the same",
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
     r"scripts/skd import drive": "needs a drive: tests/exchange/test_import.py writes such a bag",
+    r"scripts/test tests/exchange": "these tests themselves",
     r"scripts/exchange-readers": "needs the network, and takes 1 GB",
     r"scripts/skd .* roundabout_exit": "a package's: tests/examples/test_roundabout.py has it beside SKD",
     r"scripts/skd fit --simulator": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
