@@ -32,6 +32,9 @@ def test_import_of_an_export_gives_the_phi_that_went_out(result: Path, skd_here,
     phis = read_episodes(result).safe
     assert [Path(one["file"]).stem for one in content["files"]] == [f"phi_{index:03d}" for index in range(len(phis))]
     assert len(content["left_out"]) == 8  # kamikazes are no safe trajectories
+    kamikaze = next(path for path in sorted((tmp_path / "out").iterdir()) if "kamikaze" in path.name)
+    done = skd_here("import", kamikaze, "--out", "none")
+    assert (done.returncode, "it is no safe trajectory" in done.stderr) == (2, True)
     scenario = load_scenario("bystanders")
     found = load_safe_trajectories(tmp_path / "in" / "safe", scenario, len(phis))
     for one, phi in zip(found, phis, strict=True):

@@ -85,6 +85,9 @@ def files_in(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
         if not is_there(path):
             raise UsageError(f"{path}: no such file or folder")
         if not path.is_dir() or (path / METADATA).exists():
+            kept = _safe_in_export(path.parent)
+            if kept is not None and path.name not in kept:
+                raise UsageError(f"{path}: {EXPORT} beside it says that it is no safe trajectory; give one of its φ")
             found.append(path)
             continue
         inside = sorted(one for one in path.iterdir() if not one.name.startswith("."))

@@ -11,6 +11,7 @@ import numpy as np
 from skd_sim.arrays import IntArray
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.exchange.going_out.recorded import Recorded, actors_of, start_of
 from skd_evaluator.measure.surrogate.scenes import Course, course_of
@@ -88,7 +89,7 @@ def _phi(subject: Subject, index: int) -> Going:
     phi, step = subject.episodes.safe[index], subject.episodes.time_step
     course = Course(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 3), np.nan))
     name = _name(subject, index)
-    title = f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}"
+    title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}")
     recorded = Recorded(
         f"phi_{index:03d}",
         title,
@@ -113,8 +114,10 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
     who = f"kamikaze of objective {objective}" if objective else "run along φ"
     outcome = Outcome(int(episodes.outcome[number])).name.lower()
     name = _name(subject, index)
-    title = f"SKD: {who}, episode {id_}, φ {index} ({name}) of {subject.scenario.name}, {subject.label}: {outcome}"
-    stem = "_".join(filter(None, ("kamikaze" if objective else "along", objective, str(id_))))
+    of = f"φ {index} ({name}) of {subject.scenario.name}, {subject.label}"
+    title = one_line(f"SKD: {who}, episode {id_}, {of}: {outcome}")  # names are anybody's, and XML takes not all
+    kind = re.sub(r"\W", "-", objective, flags=re.ASCII)
+    stem = "_".join(filter(None, ("kamikaze" if objective else "along", kind, str(id_))))
     recorded = Recorded(
         stem,
         title,

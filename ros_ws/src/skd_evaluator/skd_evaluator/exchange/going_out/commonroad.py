@@ -30,7 +30,7 @@ def write_commonroad(path: Path, recorded: Recorded) -> None:
 
 def commonroad(recorded: Recorded) -> Element:
     """Return an episode as a document."""
-    name = "".join(one for one in recorded.scenario.name.title() if one.isalnum()) or "Skd"
+    name = "".join(one for one in recorded.scenario.name.title() if one.isascii() and one.isalnum()) or "Skd"
     root = Element("commonRoad")
     for key, value in (
         ("commonRoadVersion", "2020a"),

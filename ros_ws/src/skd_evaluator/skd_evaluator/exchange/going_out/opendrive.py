@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import ONCOMING, Road, road_curvature, road_pose
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.exchange.going_out.recorded import Recorded, stretch
 from skd_evaluator.exchange.going_out.xml_text import add, as_bytes
@@ -31,7 +32,8 @@ def write_road(path: Path, recorded: Sequence[Recorded]) -> None:
 def opendrive(scenario: Scenario, recorded: Sequence[Recorded]) -> Element:
     """Return the road of a scenario, as far as some episodes need it."""
     road, root = scenario.road, Element("OpenDRIVE")
-    add(root, "header", revMajor="1", revMinor=str(MINOR), name=scenario.name, version="1.00", date=recorded[0].date)
+    header = {"name": one_line(scenario.name), "version": "1.00", "date": recorded[0].date}
+    add(root, "header", revMajor="1", revMinor=str(MINOR), **header)
     beside = sorted(number for number, lane in road.every_lane.items() if lane.beside)
     _add_road(root, road, 0, beside, stretch(scenario, recorded))
     elsewhere = [number for number, lane in road.every_lane.items() if not lane.beside]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import ONCOMING
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.exchange.going_out.recorded import Actor, Recorded, stretch
 from skd_evaluator.exchange.names import EGO_ID, ROAD_FILE, SOURCE
@@ -50,7 +51,7 @@ def write_osi(path: Path, recorded: Recorded) -> None:
         "creation_time": recorded.date,
         "description": recorded.title,
         "authors": "SKD",
-        "data_sources": f"SKD, scenario {recorded.scenario.name}",
+        "data_sources": one_line(f"SKD, scenario {recorded.scenario.name}"),
     }
     channel = {
         "net.asam.osi.trace.channel.osi_version": version,
