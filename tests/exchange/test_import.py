@@ -15,6 +15,7 @@ from mcap.writer import Writer
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_evaluator.bags.types import complete, typestore
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.cli.exchange_options import EXPORT_FORMATS
 from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
 from skd_evaluator.exchange.coming_in.ways import UnusableError, way_of
 from skd_evaluator.exchange.going_out.formats import FORMATS
@@ -357,3 +358,7 @@ def test_folders_hold_files_by_name(tmp_path: Path):
     for name in ("b.xosc", "a.csv", "road.xodr", "00_tracksMeta.csv", "c.txt", ".d.csv"):
         (tmp_path / name).touch()
     assert [path.name for path in files_in([tmp_path])[0]] == ["a.csv", "b.xosc"]
+
+
+def test_the_command_offers_the_formats_that_there_are():
+    assert set(EXPORT_FORMATS) == set(FORMATS)
