@@ -127,12 +127,15 @@ def _add_recordings(parser: Any) -> Any:
     """Add how recordings of physical trials are read, and return the group."""
     recordings = parser.add_argument_group("recordings")
     recordings.add_argument(
-        "--car", metavar="NAME", help="topic of the car in bags, or its id in tables (default: /ego/odometry, car)"
+        "--car",
+        metavar="NAME",
+        help="topic of the car in bags, /tf:FRAME, or TOPIC:ID of tracked objects, or its id in tables (default: "
+        "/ego/odometry, car)",
     )
     recordings.add_argument(
         "--road-user",
         metavar="NAME",
-        help="topic of the road user in bags, or its id in tables (default: /adversary/odometry, other)",
+        help="topic of the road user in bags, or as --car; or its id in tables (default: /adversary/odometry, other)",
     )
     recordings.add_argument(
         "--frame",

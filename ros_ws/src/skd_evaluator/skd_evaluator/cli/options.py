@@ -29,6 +29,7 @@ from skd_evaluator.cli.arguments import (
     steps_of,
     whole_number,
 )
+from skd_evaluator.cli.exchange_options import add_exchange_commands
 from skd_evaluator.cli.gate import add_gate_arguments
 from skd_evaluator.cli.model_options import add_model_commands
 from skd_evaluator.cli.overview_options import add_overview_commands
@@ -367,6 +368,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     add_regulator_command(commands)
     add_model_commands(commands)
+    add_exchange_commands(commands)
     add_overview_commands(commands)
 
     completion = commands.add_parser(
