@@ -24,7 +24,7 @@ def _roll_out_template(
     discount: float,
     rng: np.random.Generator,
 ) -> tuple[float, int, int, bool]:
-    """Act by a rule from a state, which is overwritten.
+    """Act by a rule from a state, which is overwritten, as `moved` is.
 
     `notes` are the rule's own. Returns (return, number of the first action or −1, steps made, whether the episode
     ended).
@@ -44,8 +44,7 @@ def _roll_out_template(
         if terminal:
             break
         discounting *= discount
-        for k in range(state.shape[0]):
-            state[k] = moved[k]
+        state, moved = moved, state
     return value, first, made, terminal
 
 
