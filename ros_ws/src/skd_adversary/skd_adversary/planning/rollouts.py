@@ -24,7 +24,7 @@ def _roll_out_template(
     discount: float,
     rng: np.random.Generator,
 ) -> tuple[float, int, int, bool]:
-    """Act by a rule from a state, which is overwritten, as `moved` is.
+    """Act by a rule from a state, which is overwritten.
 
     `notes` are the rule's own. Returns (return, number of the first action or −1, steps made, whether the episode
     ended).
@@ -44,7 +44,8 @@ def _roll_out_template(
         if terminal:
             break
         discounting *= discount
-        state, moved = moved, state
+        for k in range(state.shape[0]):
+            state[k] = moved[k]
     return value, first, made, terminal
 
 

@@ -160,7 +160,8 @@ def _search_template(
             depth += 1
             if terminal:
                 break
-            state, moved = moved, state
+            for k in range(state.shape[0]):
+                state[k] = moved[k]
             _observe(parameters, state, taken, observation, rng)
             for k in range(seen.shape[0]):
                 seen[k] = observation[k]
@@ -237,17 +238,15 @@ def _search_template(
                 continue
             most = np.float32(0.0)
             best = np.float32(-np.inf)
-            if backup == _BEST:
-                for a in range(action_count):
-                    mean = statistics[node, a, VALUE] if statistics[node, a, VISITS] > 0.0 else np.float32(-np.inf)
-                    best = mean if mean > best else best
-            else:
-                for a in range(action_count):
-                    tried = statistics[node, a, VISITS]
-                    mean = statistics[node, a, VALUE]
-                    if tried > most or (tried == most and tried > 0.0 and mean > best):
-                        most = tried
+            for a in range(action_count):
+                tried = statistics[node, a, VISITS]
+                mean = statistics[node, a, VALUE]
+                if backup == _BEST:
+                    if tried > 0.0 and mean > best:
                         best = mean
+                elif tried > most or (tried == most and tried > 0.0 and mean > best):
+                    most = tried
+                    best = mean
             value = float(best)
         note_return(scratch.returns, log.action[i], log.value[i])
     return steps

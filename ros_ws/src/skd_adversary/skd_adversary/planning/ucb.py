@@ -94,11 +94,14 @@ def choose(tree: SearchTree, node: int, exploration: float, tables: Tables, rng:
     action = 0
     untried = 0
     for a in range(action_count):
-        visits = statistics[node, a, VISITS]
-        untried += visits == 0.0
-        count = min(max(int(visits), 1), last)
-        score = statistics[node, a, VALUE] + scale * tables.inverse_root[count]
-        if visits > 0.0 and score > best:  # below 0: it makes no sense here
+        count = int(statistics[node, a, VISITS])
+        if count < 0:  # makes no sense here
+            continue
+        if count == 0:
+            untried += 1
+            continue
+        score = statistics[node, a, VALUE] + scale * tables.inverse_root[min(count, last)]
+        if score > best:
             best = score
             action = a
     if untried > 0:
