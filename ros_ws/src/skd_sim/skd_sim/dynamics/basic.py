@@ -13,6 +13,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
+from skd_sim.kernels.stream import stream_of
 from skd_sim.state import CarState
 
 _SAGITTA = 1e-4  # m
@@ -88,7 +89,7 @@ class BasicCar:
 
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw both, so that a car that brakes and one that does not use up the same numbers."""
-        return Noise(*_draw(*self._noise, rng))
+        return Noise(*_draw(*self._noise, stream_of(rng)))
 
     def copy(self) -> BasicCar:
         """Return another one; what it keeps is replaced and never changed."""
