@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.node import Node
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
@@ -28,13 +29,27 @@ _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start ra
 class AdversaryNode(Node):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
-    def __init__(self) -> None:
-        """Declare parameters and topics."""
-        super().__init__("adversary")
-        seal = Seal(handed_secret())
+    def __init__(
+        self,
+        *,
+        context: Context | None = None,
+        seal: Seal | None = None,
+        make: Callable[[Episode], Adversary] | None = None,
+    ) -> None:
+        """Declare parameters and topics.
+
+        Args:
+            context: ROS context of the node; by default that of the process.
+            seal: opens what is announced; by default with the key that the process was handed.
+            make: makes the adversary of each episode; by default the one that the episode says, whose planner is
+                compiled first.
+        """
+        super().__init__("adversary", context=context)
+        seal = Seal(handed_secret()) if seal is None else seal
         settings = declare(self, _SETTINGS)
-        if settings["warm_up"]:
+        if make is None and settings["warm_up"]:
             warm_up()
+        self._make = make_adversary if make is None else make
         self._adversary: Adversary | None = None
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
@@ -46,7 +61,7 @@ class AdversaryNode(Node):
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:
-        self._adversary = make_adversary(episode)
+        self._adversary = self._make(episode)
         self._next_tick = 0
         self._answer = None
         self._receipts.send(episode, self._follower.announced)

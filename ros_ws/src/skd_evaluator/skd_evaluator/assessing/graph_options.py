@@ -91,6 +91,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could be another car in "
         "kamikaze episodes",
         launches=(),
+        commands=("assess", "episode", "probe"),
     )
 
     @property

@@ -246,6 +246,10 @@ class Evaluator(Node):
             elif repr(self._result[0]) != repr(result):
                 self._refused = abort_reason(AbortKind.SECOND_SENDER, "two different results came of the episode")
 
+    def give_up(self, reason: str) -> None:
+        """Abort the running episode, whose end nobody waits for; to be called while it waits."""
+        self._refuse(abort_reason(AbortKind.OTHER, reason))
+
     def _refuse(self, reason: str) -> None:
         self._refused = self._refused or reason
 

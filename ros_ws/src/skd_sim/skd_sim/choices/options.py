@@ -28,7 +28,7 @@ from skd_sim.inputs.outside import parse_json
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
-GRAPH_COMMANDS: Final = ("assess", "episode", "probe")
+GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
 """Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
 
@@ -213,7 +213,7 @@ class EpisodeOptions:
         "class of your own), or external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     multiplier: float = option(
@@ -224,7 +224,7 @@ class EpisodeOptions:
         high=100.0,
         metavar="C",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     simulator: str = option(

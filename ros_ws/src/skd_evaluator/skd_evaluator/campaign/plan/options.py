@@ -48,7 +48,7 @@ class CampaignOptions(EpisodeOptions):
         "trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",
-        commands=("assess", "episode"),
+        commands=("assess", "episode", "drive"),
     )
     safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(
@@ -71,5 +71,5 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe", "ncap", "reference"),
+        commands=("assess", "sweep", "episode", "probe", "ncap", "reference", "drive"),
     )
