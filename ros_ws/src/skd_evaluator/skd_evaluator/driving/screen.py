@@ -26,7 +26,7 @@ class Screen:
     """The picture of the last situation, drawn anew some times a second.
 
     Attributes:
-        waiting: what is said as long as there is no situation.
+        waiting: what is said as long as the car has not commanded anything.
         over: how the episode ended; empty while it runs.
     """
 
@@ -55,7 +55,8 @@ class Screen:
         if situation is None:
             return Group(title, Text(self.waiting), keys)
         figures = Text.assemble(*_figures(situation, width))
-        state = Text(self.over, "bold reverse", no_wrap=True, overflow="ellipsis")
+        silent = self.waiting if math.isnan(situation.command) else ""
+        state = Text(self.over or silent, "bold reverse" if self.over else "", no_wrap=True, overflow="ellipsis")
         picture = top_view(situation, width, max(_LEAST_HEIGHT, height - _BESIDE))
         return Group(title, picture, figures, state, keys)
 

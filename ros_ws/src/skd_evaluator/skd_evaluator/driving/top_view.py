@@ -91,7 +91,7 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
     low, high = car.y - _LANE_REACH, car.y + _LANE_REACH
     for left, right in scenario.road.surfaces(low, high):
         for edge in (left, right):
-            view.points(_between(edge, _HALF), _EDGE, palette.ROAD_EDGE)
+            view.points(_between(edge, 0.5 * _HALF), _EDGE, palette.ROAD_EDGE)
     view.points(_dashes(scenario.road.edge(0.0, low, high), low), _DASH, palette.ROAD_EDGE)
     if situation.phi is not None:
         view.points(_between(situation.phi, _HALF), _SAFE, palette.SKY)
@@ -136,7 +136,7 @@ def _between(way: FloatArray, step: float) -> FloatArray:
 
 def _dashes(line: FloatArray, begin: float) -> FloatArray:
     """Return the places of a broken line along a way: it lies still on the ground while the picture goes along."""
-    places = _between(line, _HALF)
+    places = _between(line, 0.5 * _HALF)
     passed = begin + np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     return np.asarray(places[passed % _DASH_EVERY < _DASH_LENGTH])
 

@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
+from skd_adversary.safe_trajectories import count_safe_trajectories
 from skd_sim.choices.graph_options import REAL_TIME
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.options import options_of, values_of
@@ -20,7 +21,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.assessing.asked import check_car, default_folder, plan_of, scenario_for
 from skd_evaluator.assessing.findings import episode_line
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import SYNTHETIC, CampaignOptions
+from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder, episode_summary
@@ -123,8 +124,12 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     """
     safe = arguments.safe or SYNTHETIC
     values: dict[str, Any] = {one.name: one.unsaid for one in options_of(GraphOptions)}
-    values |= {**vars(arguments), **_NOBODY_PLANS, "safe": safe, "safe_count": CampaignOptions.safe_count}
-    plan = plan_of(values, scenario_for(arguments.scenario, safe))
+    scenario = scenario_for(arguments.scenario, safe)
+    count = CampaignOptions.safe_count
+    if safe not in (SYNTHETIC, OWN):
+        count = max(1, min(count, count_safe_trajectories(safe, scenario)))
+    values |= {**vars(arguments), **_NOBODY_PLANS, "safe": safe, "safe_count": count}
+    plan = plan_of(values, scenario)
     both_ways = {} if arguments.graph else {"rate_factor": GraphOptions.rate_factor}
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
     if arguments.ticks is not None:
