@@ -26,7 +26,7 @@ def topics() -> set[str]:
     support = importlib.import_module("skd_sim.nodes.support")
     names = (
         *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
-        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT"),
+        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEFORMATION", "BELIEVED_CAR"),
     )
     return {f"/{getattr(support, name)}" for name in names}
 
@@ -67,6 +67,8 @@ def test_foxglove_layout():
     absolute = re.compile(r"/((skd|ego|adversary)/|robot_description)")
     named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
     assert named == topics()
+    following = [panel["followTf"] for panel in panels.values() if panel.get("followMode") == "follow-pose"]
+    assert following == ["base_link"]
 
 
 DOCUMENTS = sorted(
