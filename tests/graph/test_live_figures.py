@@ -10,7 +10,7 @@ import shapely
 from skd_adversary.adversary import BelievedCar
 from skd_adversary.nodes.adversary_node import belief_to_odometry
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.ros.live_figures import figures_of
+from skd_evaluator.driving.situation import figures_of
 from skd_sim.encounter.road import road_pose
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 

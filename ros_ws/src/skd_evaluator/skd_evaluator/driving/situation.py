@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.state import CarState, RoadUserState
 
 from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.surrogate.clearance import clearance_at
+from skd_evaluator.measure.surrogate.clearance import clearance_at, clearances
+from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
 
 
 @dataclass(frozen=True)
@@ -103,3 +104,22 @@ class Onlooker:
         return Situation(
             self._scenario, time, car, adversary, walked, self._phi, command, self._unit, age, apart, strayed
         )
+
+
+def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
+    """Return clearance and deformation so far at each tick of an episode, m; of the last one at the contact.
+
+    Without φ, or where the car was not seen, there are none.
+    """
+    step = log.episode.scenario.time_step
+    ended = log.impact_time if log.outcome == Outcome.COLLISION else None
+    apart: list[float] = []
+    if len(log.car) > 1 and np.isfinite(log.car).all():
+        apart = clearances(scene_of(log.episode.scenario, *course_of(log.adversary, log.car, step, ended))).tolist()
+    if log.episode.safe_trajectory is None:
+        return apart, []
+    phi, psi = log.episode.safe_trajectory.positions, log.trajectory.positions
+    whole = [float(count) for count in range(len(psi))]
+    if ended is not None:
+        whole[-1] = ended / step
+    return apart, [deformation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]

@@ -8,20 +8,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.episode.stamps import period_of, tick_stamp
 from skd_sim.nodes.support import CLEARANCE, DEFORMATION, STREAM
 from skd_sim.state import AdversaryState, CarState
 from std_msgs.msg import Float64
 
 from skd_evaluator.bags.writer import RecordedMessage
-from skd_evaluator.driving.situation import Onlooker
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.surrogate.clearance import clearances
-from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
+from skd_evaluator.driving.situation import Onlooker, figures_of
 
 
 class LiveFigures:
@@ -68,25 +64,6 @@ class LiveFigures:
         self._clearance.publish(Float64(data=seen.clearance))
         if self._with_phi and not math.isnan(seen.strayed):
             self._deformation.publish(Float64(data=seen.strayed))
-
-
-def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
-    """Return clearance and deformation so far at each tick of an episode, m; of the last one at the contact.
-
-    Without φ, or where the car was not seen, there are none.
-    """
-    step = log.episode.scenario.time_step
-    ended = log.impact_time if log.outcome == Outcome.COLLISION else None
-    apart: list[float] = []
-    if len(log.car) > 1 and np.isfinite(log.car).all():
-        apart = clearances(scene_of(log.episode.scenario, *course_of(log.adversary, log.car, step, ended))).tolist()
-    if log.episode.safe_trajectory is None:
-        return apart, []
-    phi, psi = log.episode.safe_trajectory.positions, log.trajectory.positions
-    whole = [float(count) for count in range(len(psi))]
-    if ended is not None:
-        whole[-1] = ended / step
-    return apart, [deformation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]
 
 
 def recorded_figures(log: EpisodeLog, start: int, names: dict[str, Any]) -> list[RecordedMessage]:
