@@ -118,6 +118,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
     add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
     add_max_aborted_argument(campaign)
+    campaign.add_argument(
+        "--live",
+        action="store_true",
+        help="show the figures of each cell as soon as it has ended: on a terminal as a table that grows, elsewhere as "
+        "a line on standard error",
+    )
     add_output_arguments(campaign)
 
     episode = commands.add_parser(

@@ -316,6 +316,17 @@ def narrow_table(title: str) -> Table:
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
 
 
+def one_line_cells(table: Table) -> Table:
+    """Return a table after all that would steer a terminal was made visible in it.
+
+    The console draws with escape sequences, which go around what keeps others' from the terminal.
+    """
+    table.title = table.title if table.title is None else one_line(str(table.title))
+    for column in table.columns:
+        column._cells = [one_line(cell) if isinstance(cell, str) else cell for cell in column._cells]
+    return table
+
+
 def print_table(table: Table) -> None:
     """Print to standard output, without trailing blanks; what is no terminal gets plain text, without a frame.
 
@@ -326,11 +337,7 @@ def print_table(table: Table) -> None:
         table.box, table.show_edge = _PLAIN, False
     width = None if terminal or os.environ.get("COLUMNS", "").isdigit() else 150
     console = Console(width=width, file=io.StringIO(), force_terminal=terminal, record=False)
-    table.title = table.title if table.title is None else one_line(str(table.title))
-    for column in table.columns:
-        # The console draws with escape sequences, which go around what keeps others' from the terminal.
-        column._cells = [one_line(cell) if isinstance(cell, str) else cell for cell in column._cells]
-    console.print(table)
+    console.print(one_line_cells(table))
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
         print(line.rstrip(), file=own(sys.stdout))
