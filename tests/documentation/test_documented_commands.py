@@ -47,6 +47,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
+    "drive": "--rate-factor 100",
 }
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--knowledge", "nothing"]

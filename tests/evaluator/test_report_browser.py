@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from axe import axe_source, serious_findings
 from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.measure.surrogate.braking import required_decelerations
@@ -33,6 +34,11 @@ def file(subjects, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(page.render(subjects), encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    return axe_source()
 
 
 @pytest.fixture(scope="module")
@@ -255,3 +261,19 @@ def test_words_stand_out_and_what_scrolls_is_reached_by_keyboard(browser, file, 
     scrolling = "[...document.querySelectorAll('.scroll')].filter((one) => one.scrollWidth > one.clientWidth)"
     reached = "(one) => one.tabIndex === 0 || one.querySelector('button, a')"
     assert page.evaluate(f"{scrolling}.every({reached})")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1200])
+def test_axe_finds_nothing_serious(browser, file, axe, width, scheme):
+    opened = open_page(browser, file, width, scheme)
+    assert serious_findings(opened.page, axe) == []
+    opened.page.context.close()
+
+
+def test_axe_finds_what_is_bad(browser, axe):
+    """Or the test above could not fail."""
+    page = browser.new_page()
+    page.set_content("<main><p style='color: #777; background: #666'>words</p><img src='data:,'></main>")
+    assert {"color-contrast", "image-alt"} <= {line.partition(":")[0] for line in serious_findings(page, axe)}
+    page.close()

@@ -91,6 +91,15 @@ def test_all_documents_are_looked_at():
     assert {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/decisions.md", "docs/your_controller.md"} <= found
 
 
+def test_each_page_begins_with_what_its_reader_can_do():
+    pages = sorted((ROOT / "docs").rglob("*.md"))
+    assert len(pages) > 30
+    begins = re.compile(
+        r"# [^\n]+\n\n(After|With) (reading )?this (page|hour) you (can|know|have) |# [^\n]+\n\nAfter this (page|hour)"
+    )
+    assert [str(page.relative_to(ROOT)) for page in pages if not begins.match(page.read_text(encoding="utf-8"))] == []
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_of_the_documents_lead_somewhere(document):
     text = document.read_text(encoding="utf-8")
