@@ -225,9 +225,9 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--floor",
         action="store_true",
-        help="also compute the floor of SKD, and how many times the floor SKD is. The floor is the least Fréchet "
-        "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
-        "exists for the basic controller only, since only there is known what the car would have done",
+        help="also compute the floor of SKD, and SKD divided by it. The floor is the least Fréchet distance that a "
+        "kamikaze could have reached in each episode if it had known all random draws of the car. Only the basic "
+        "controller has one, because only of that car is it known what it would have done",
     )
 
 

@@ -76,7 +76,7 @@ def add_overview_commands(commands: Any) -> None:
 def _add_drive(commands: Any) -> None:
     drive = commands.add_parser(
         "drive",
-        help="watch a car drive, and walk in front of it by keys",
+        help="watch a car drive, and step in front of it with the keyboard",
         description="Watch a car drive at the pace of the wall clock, in the terminal: as seen from above, with its "
         "speed, its commands and their age. The adversary goes where your keys send it, or follows a safe trajectory "
         "φ. The options are those of skd assess, so you can see your controller or node work before you rate it. With "

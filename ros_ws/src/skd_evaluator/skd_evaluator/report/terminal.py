@@ -281,6 +281,10 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     _kamikazes(table, objective, figures)
 
 
+_FEW = 5
+"""Below so many φ an interval says next to nothing."""
+
+
 def interval_notes(result: Mapping[str, Any]) -> list[str]:
     """Return what is to be known of the intervals of one assessment, a line each."""
     figures: dict[str, list[str]] = {}
@@ -288,6 +292,16 @@ def interval_notes(result: Mapping[str, Any]) -> list[str]:
         for note in clustering["notes"] if clustering else ():
             figures.setdefault(note, []).append(name.replace("_", " "))
     return [f"{', '.join(names)}: {note}" for note, names in figures.items()]
+
+
+def few_safe_trajectories(result: Mapping[str, Any]) -> str | None:
+    """Return what to know of intervals over hardly any φ, in one line; None where there are enough, or no interval."""
+    count = len(result["per_safe_trajectory"])
+    if not 1 < count < _FEW:
+        return None
+    return (
+        f"Intervals over {count} φ say little: they are wide, and rest on φ being of one kind. By default there are 20."
+    )
 
 
 def safe_trajectory_table(result: Mapping[str, Any]) -> Table:

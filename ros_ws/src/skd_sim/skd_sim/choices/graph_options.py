@@ -88,8 +88,9 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     slip_limit: float = graph_option(
         0.05,
-        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (half a "
-        "period where that is more). An episode in which it was later says nothing about the car and is aborted",
+        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (or half a "
+        "period, if that is more). An episode in which it begins one later is aborted, for it says nothing about the "
+        "car",
         low=0.001,
         high=3600.0,
         metavar="S",
