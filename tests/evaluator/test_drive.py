@@ -150,6 +150,14 @@ def test_the_picture_is_to_scale():
     assert max(line.count("█") for line in moved.splitlines()) <= 4  # it points down: 1.8 m wide
 
 
+@given(st.floats(-100.0, 100.0), st.floats(-20.0, 20.0))
+def test_both_are_in_the_picture(y, x):
+    """Up to the greatest scale: 4 m a letter, 320 m by 144 m."""
+    shown = top_view(situation(CarState(0.0, y, NORTH, 3.0), AdversaryState(x, 0.0, 0.0, 0.0)), 80, 18).plain
+    assert "●" in shown
+    assert set(shown) & set("█▀▄")
+
+
 @given(
     st.floats(-8.0, 8.0), st.floats(-30.0, 30.0), st.floats(-math.pi, math.pi), st.integers(1, 200), st.integers(1, 60)
 )

@@ -1,4 +1,4 @@
-"""An encounter as seen from above, drawn with letters: the car drives to the right.
+"""An encounter as seen from above, drawn with letters: the car drives to the right, and both are in the picture.
 
 A letter is twice as high as it is wide, so that each stands for a square of two halves, one above the other.
 """
@@ -18,24 +18,27 @@ from skd_sim.encounter.body import Body
 from skd_evaluator import palette
 from skd_evaluator.driving.situation import Situation
 
-_HALF: Final = 0.5  # m: width of a letter, and half of its height
+_SCALES: Final = (0.5, 1.0, 2.0, 4.0)  # m: width of a letter, and half of its height
+_ROOM: Final = 6.0  # m that car and adversary are to have to the picture's edge
 _UPPER, _LOWER, _BOTH = "▀", "▄", "█"
 _EDGE, _DASH, _WAY, _SAFE, _PERSON = "─", "╌", "∙", "·", "●"
-_LANE_REACH = 60.0  # m along each lane
+_LANE_REACH = 60.0  # m along each lane, at the least
 _DASH_EVERY, _DASH_LENGTH = 6.0, 3.0  # m
 
 
 class TopView:
     """A grid of letters over a part of the ground."""
 
-    def __init__(self, width: int, height: int, middle: tuple[float, float]) -> None:
+    def __init__(self, width: int, height: int, middle: tuple[float, float], half: float) -> None:
         """Begin with nothing.
 
         Args:
             width: in letters.
             height: in letters.
             middle: place (x, y) of the world in the middle of it, m.
+            half: width of a letter, and half of its height, m.
         """
+        self.half = half
         self._width, self._height = width, height
         self._middle = middle
         self._letters = [[" "] * width for _ in range(height)]
@@ -43,9 +46,9 @@ class TopView:
 
     def cells(self, places: FloatArray) -> FloatArray:
         """Return where places (n × 2, m) are in the grid: column and half row, n × 2, as real numbers."""
-        right = places[:, 1] - self._middle[1] + 0.5 * _HALF * self._width
-        down = places[:, 0] - self._middle[0] + _HALF * self._height
-        return np.column_stack([right, down]) / _HALF
+        right = places[:, 1] - self._middle[1] + 0.5 * self.half * self._width
+        down = places[:, 0] - self._middle[0] + self.half * self._height
+        return np.column_stack([right, down]) / self.half
 
     def points(self, places: FloatArray, letter: str, colour: str, *, over: bool = False) -> None:
         """Put a letter at each of some places (n × 2, m); with `over` also where there is another one."""
@@ -53,16 +56,20 @@ class TopView:
             self._put(column, half // 2, letter, colour, over=over)
 
     def polygon(self, corners: FloatArray, colour: str) -> None:
-        """Fill a convex polygon (k × 2, m), in halves of letters."""
+        """Fill a convex polygon (k × 2, m), in halves of letters; a small one has one half at the least."""
         placed = self.cells(corners)
         low, high = np.floor(placed.min(axis=0)).astype(int), np.ceil(placed.max(axis=0)).astype(int)
-        columns = range(max(low[0], 0), min(high[0], self._width))
+        columns, drawn = range(max(low[0], 0), min(high[0], self._width)), False
         for row in range(max(low[1] // 2, 0), min(high[1] // 2 + 1, self._height)):
             for column in columns:
                 halves = [_inside(placed, column + 0.5, 2 * row + half + 0.5) for half in (0, 1)]
                 if any(halves):
                     letter = _BOTH if all(halves) else _UPPER if halves[0] else _LOWER
                     self._put(column, row, letter, colour, over=True)
+                    drawn = True
+        if not drawn:
+            column, half = np.floor(placed.mean(axis=0)).astype(int).tolist()
+            self._put(column, half // 2, (_UPPER, _LOWER)[half % 2], colour, over=True)
 
     def _put(self, column: int, row: int, letter: str, colour: str, *, over: bool) -> None:
         if 0 <= row < self._height and 0 <= column < self._width and (over or self._letters[row][column] == " "):
@@ -87,15 +94,17 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
         height: in lines.
     """
     car, adversary, scenario = situation.car, situation.adversary, situation.scenario
-    view = TopView(width, height, _middle(situation, width))
-    low, high = car.y - _LANE_REACH, car.y + _LANE_REACH
+    half = _scale(situation, width, height)
+    view, fine = TopView(width, height, _middle(situation, width, half), half), 0.5 * half
+    reach = max(_LANE_REACH, half * width)
+    low, high = car.y - reach, car.y + reach
     for left, right in scenario.road.surfaces(low, high):
         for edge in (left, right):
-            view.points(_between(edge, 0.5 * _HALF), _EDGE, palette.ROAD_EDGE)
-    view.points(_dashes(scenario.road.edge(0.0, low, high), low), _DASH, palette.ROAD_EDGE)
+            view.points(_between(edge, fine), _EDGE, palette.ROAD_EDGE)
+    view.points(_dashes(scenario.road.edge(0.0, low, high), low, fine), _DASH, palette.ROAD_EDGE)
     if situation.phi is not None:
-        view.points(_between(situation.phi, _HALF), _SAFE, palette.SKY)
-    view.points(_between(situation.walked, _HALF), _WAY, palette.ORANGE)
+        view.points(_between(situation.phi, fine), _SAFE, palette.SKY)
+    view.points(_between(situation.walked, fine), _WAY, palette.ORANGE)
     view.polygon(_box((car.x, car.y), car.heading, scenario.car.front, scenario.car.rear, scenario.car.half_width),
                  palette.CAR)  # fmt: skip
     for other, state in zip(scenario.others, scenario.others_after(situation.time), strict=True):
@@ -104,10 +113,18 @@ def top_view(situation: Situation, width: int, height: int) -> Text:
     return view.text()
 
 
-def _middle(situation: Situation, width: int) -> tuple[float, float]:
+def _scale(situation: Situation, width: int, height: int) -> float:
+    """Return the least of the scales at which both are in the picture, else the greatest one."""
+    car, adversary = situation.car, situation.adversary
+    along = abs(car.y - adversary.y) + 2.0 * _ROOM
+    aside = max(abs(car.x), abs(adversary.x)) + 0.5 * _ROOM
+    return next((one for one in _SCALES if along <= one * width and aside <= one * height), _SCALES[-1])
+
+
+def _middle(situation: Situation, width: int, half: float) -> tuple[float, float]:
     """Return the place in the middle of the picture, m: between both, or, where that is too far, near the adversary."""
     car, adversary = situation.car, situation.adversary
-    reach = 0.5 * _HALF * width - 3.0
+    reach = 0.5 * half * width - _ROOM
     return 0.0, min(max(0.5 * (car.y + adversary.y), adversary.y - reach), adversary.y + reach)
 
 
@@ -134,9 +151,9 @@ def _between(way: FloatArray, step: float) -> FloatArray:
     return np.concatenate(found)
 
 
-def _dashes(line: FloatArray, begin: float) -> FloatArray:
+def _dashes(line: FloatArray, begin: float, step: float) -> FloatArray:
     """Return the places of a broken line along a way: it lies still on the ground while the picture goes along."""
-    places = _between(line, 0.5 * _HALF)
+    places = _between(line, step)
     passed = begin + np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
     return np.asarray(places[passed % _DASH_EVERY < _DASH_LENGTH])
 
