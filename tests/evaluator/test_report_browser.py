@@ -210,6 +210,10 @@ def test_it_fits_every_screen_and_paper(browser, file):
         other.assert_quiet(file)
         if width == 400:
             assert other.page.pdf().startswith(b"%PDF")
+            other.page.emulate_media(media="print")
+            other.page.set_viewport_size({"width": 688, "height": 900})  # A4 within margins of 14 mm
+            ends = "[...document.querySelectorAll('table')].map((one) => one.getBoundingClientRect().right)"
+            assert max(other.page.evaluate(ends)) <= 688
         other.page.context.close()
     assert len(backgrounds) == 2
 
