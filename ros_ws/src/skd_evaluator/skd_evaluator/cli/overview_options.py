@@ -80,8 +80,8 @@ def _add_drive(commands: Any) -> None:
         description="Watch a car drive at the pace of the wall clock, in the terminal: as seen from above, with its "
         "speed, its commands and their age. The adversary goes where your keys send it, or follows a safe trajectory "
         "φ. The options are those of skd assess, so you can see your controller or node work before you rate it. With "
-        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated or written. Without a terminal it prints "
-        "one line a second and ends with the first episode.",
+        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves something: its logs. Without "
+        "a terminal it prints one line a second and ends with the first episode.",
     )
     followed = (
         "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, regulatory, or a path, as "
