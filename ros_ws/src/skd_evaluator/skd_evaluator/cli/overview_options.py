@@ -80,8 +80,8 @@ def _add_drive(commands: Any) -> None:
         description="Watch a car drive at the pace of the wall clock, in the terminal: as seen from above, with its "
         "speed, its commands and their age. The adversary goes where your keys send it, or follows a safe trajectory "
         "φ. The options are those of skd assess, so you can see your controller or node work before you rate it. With "
-        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves something: its logs. Without "
-        "a terminal it prints one line a second and ends with the first episode.",
+        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves "
+        "something: its logs. Without a terminal it prints one line a second and ends with the first episode.",
     )
     followed = (
         "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, regulatory, or a path, as "
@@ -89,9 +89,7 @@ def _add_drive(commands: Any) -> None:
     )
     add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
     add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, from 0", default=0)
-    ticks = (
-        "end each episode after so many ticks at the latest, of 0.3 s in most scenarios (default: as the scenario says)"
-    )
+    ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
     add_count(drive, "--ticks", 1, 100_000, ticks)
     add_options(drive, "drive", "campaign")
     rate = "how many simulated seconds pass in a second of the wall clock; 0.5 is slow motion (default: 1)"
