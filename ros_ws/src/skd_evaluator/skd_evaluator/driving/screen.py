@@ -45,7 +45,7 @@ class Screen:
 
     def show(self, situation: Situation) -> None:
         """Take the situation that is to be seen next."""
-        self._situation, self.over = situation, ""
+        self._situation = situation
 
     def __rich__(self) -> Group:
         """Return what is to be seen now."""

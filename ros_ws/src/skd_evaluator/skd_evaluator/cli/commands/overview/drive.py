@@ -206,6 +206,7 @@ def _driven(drive: Drive, episode: Episode) -> EpisodeLog:
 def _watched(drive: Drive, episodes: _Episodes, controls: Controls, screen: Screen) -> Iterator[EpisodeLog]:
     """Drive one episode after another until somebody has seen enough; yield what happened in those that ended."""
     for number in itertools.count():
+        screen.over = ""
         try:
             log = _driven(drive, episodes.at(number))
             yield log
