@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import sys
@@ -12,6 +13,7 @@ import pytest
 from cli_support import CROSSING, one_line
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
@@ -20,7 +22,7 @@ from skd_evaluator.driving import paced
 from skd_evaluator.driving.hand import Controls, Hand, Wish
 from skd_evaluator.driving.keyboard import key_names
 from skd_evaluator.driving.paced import LeftError, driving_in_process
-from skd_evaluator.driving.screen import Lines
+from skd_evaluator.driving.screen import KEYS, Lines, Screen
 from skd_evaluator.driving.situation import Onlooker, Situation
 from skd_evaluator.driving.top_view import top_view
 from skd_evaluator.measure.surrogate.clearance import clearance_at
@@ -182,6 +184,25 @@ def test_a_line_is_said_for_each_second():
             onlooker.see(tick, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), 0.0, 0.1)
         )
     assert [line.partition(",")[0] for line in said] == ["time 0.0 s", "time 1.2 s", "time 2.1 s", "time 3.0 s"]
+
+
+def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():
+    console = Console(width=80, height=24, file=io.StringIO())
+    screen = Screen("mine", KEYS, console)
+    screen.waiting = "waiting for /ego/acceleration_command: nobody publishes on it, but messages arrive on /elsewhere"
+    awaited = Onlooker(of_keys()).see(
+        0, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), math.nan, math.nan
+    )
+    for said in ("arrive on /elsewhere", "hit. r: again"):
+        screen.show(awaited)
+        console.print(screen)
+        assert isinstance(console.file, io.StringIO)
+        lines = console.file.getvalue().splitlines()
+        assert 22 <= len(lines) <= 24
+        assert said in " ".join(line.strip() for line in lines)
+        assert KEYS in lines[-1]
+        console.file = io.StringIO()
+        screen.over = "hit. r: again"
 
 
 def test_without_a_terminal_it_says_what_it_needs(skd_here, here):

@@ -18,7 +18,7 @@ from skd_evaluator.driving.top_view import top_view
 KEYS = "arrows or w a s d: walk · space: stand · + −: pace · r: again · q: quit"
 KEYS_OF_ONLOOKER = "r: again · q: quit"
 _REFRESH = 10  # pictures a second
-_LEAST_HEIGHT, _BESIDE = 6, 5  # lines: of the picture; of all else
+_LEAST_HEIGHT, _BESIDE = 6, 4  # lines: of the picture; of title, figures and keys
 _LINE_EVERY = 1.0  # s of simulated time, of whole ones
 
 
@@ -56,8 +56,9 @@ class Screen:
             return Group(title, Text(self.waiting), keys)
         figures = Text.assemble(*_figures(situation, width))
         silent = self.waiting if math.isnan(situation.command) else ""
-        state = Text(self.over or silent, "bold reverse" if self.over else "", no_wrap=True, overflow="ellipsis")
-        picture = top_view(situation, width, max(_LEAST_HEIGHT, height - _BESIDE))
+        state = Text(self.over or silent, "bold reverse" if self.over else "")
+        lines = len(state.wrap(self._console, width)) or 1
+        picture = top_view(situation, width, max(_LEAST_HEIGHT, height - _BESIDE - lines))
         return Group(title, picture, figures, state, keys)
 
 

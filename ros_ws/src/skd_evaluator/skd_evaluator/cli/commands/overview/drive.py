@@ -17,6 +17,7 @@ from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.assessing.asked import check_car, default_folder, plan_of, scenario_for
 from skd_evaluator.assessing.findings import episode_line
@@ -53,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with ExitStack() as stack:
             if watched:
-                screen = stack.enter_context(_on_terminal(plan.car.label, controls, by_keys=episodes.by_keys))
+                title = one_line(options.controller_command or plan.car.label)
+                screen = stack.enter_context(_on_terminal(title, controls, by_keys=episodes.by_keys))
                 said.keep(screen)
                 drive = stack.enter_context(_driving(plan, options, episodes, controls, screen.show, said, arguments))
                 logs = list(_watched(drive, episodes, controls, screen))
@@ -107,7 +109,7 @@ class _Said:
         if self._screen is None:
             print(f"skd drive: {line}", file=sys.stderr, flush=True)
         else:
-            self._screen.waiting = line
+            self._screen.waiting = one_line(line)
             self._kept.append(line)
 
     def say_kept(self) -> None:
