@@ -86,6 +86,12 @@ def terminal() -> Console:
     return Console(file=own(sys.stdout))
 
 
+def can_draw() -> bool:
+    """Return whether standard output is a terminal that pictures can be drawn on, which TERM=dumb is not."""
+    console = terminal()
+    return console.is_terminal and not console.is_dumb_terminal
+
+
 class Lines:
     """Says a line for each simulated second."""
 

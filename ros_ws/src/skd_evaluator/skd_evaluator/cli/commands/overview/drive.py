@@ -29,7 +29,7 @@ from skd_evaluator.campaign.store.results import ResultFolder, episode_summary
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.driving.hand import Controls, Hand, Wish
 from skd_evaluator.driving.paced import Drive, LeftError, driving_in_process
-from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, drawing, terminal
+from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 
@@ -40,7 +40,7 @@ _NOBODY_PLANS = {"objective": "paper", "car_model": "", "knowledge": str(Knowled
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code: 1 where an episode was aborted."""
-    watched = sys.stdin.isatty() and sys.stdout.isatty() and not (arguments.json or arguments.quiet)
+    watched = sys.stdin.isatty() and can_draw() and not (arguments.json or arguments.quiet)
     if not watched and arguments.safe is None and arguments.ticks is None:
         raise UsageError(
             "the adversary is moved by the keys of a terminal, and here is none: with --safe synthetic it follows a "
