@@ -51,6 +51,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
 }
+QUICKER = {"drive": "--rate-factor 100"}  # of a command that writes no result
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--knowledge", "nothing"]
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
@@ -152,7 +153,7 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
         return
     command = call.words[0]
     words = list(call.words)
-    words += shlex.split((SHOWN if as_it_stands else SMALLER).get(command, ""))
+    words += shlex.split((SHOWN if as_it_stands else SMALLER | QUICKER).get(command, ""))
     if command == "assess" and not as_it_stands and learns(call):
         words += NO_LEARNING
     for option in ENOUGH.keys() & set(call.words):

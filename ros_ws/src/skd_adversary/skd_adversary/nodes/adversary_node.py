@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.node import Node
+from skd_sim.choices.frames import MAP_FRAME
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.road import HEADING_NORTH, road_pose
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
+from skd_sim.messages.to_messages import car_to_odometry
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
-from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
+from skd_sim.nodes.support import (
+    BELIEVED_CAR,
+    EGO_ODOMETRY,
+    STREAM,
+    VELOCITY_COMMAND,
+    Setting,
+    declare,
+    listen,
+    run_node,
+)
 from skd_sim.program.secret import handed_secret
 from skd_sim.state import CarState
 
-from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.warm_up import warm_up_episodes
 
 _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
@@ -28,17 +41,33 @@ _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start ra
 class AdversaryNode(Node):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
-    def __init__(self) -> None:
-        """Declare parameters and topics."""
-        super().__init__("adversary")
-        seal = Seal(handed_secret())
+    def __init__(
+        self,
+        *,
+        context: Context | None = None,
+        seal: Seal | None = None,
+        make: Callable[[Episode], Adversary] | None = None,
+    ) -> None:
+        """Declare parameters and topics.
+
+        Args:
+            context: ROS context of the node; by default that of the process.
+            seal: opens what is announced; by default with the key that the process was handed.
+            make: makes the adversary of each episode; by default the one that the episode says, whose planner is
+                compiled first.
+        """
+        super().__init__("adversary", context=context)
+        seal = Seal(handed_secret()) if seal is None else seal
         settings = declare(self, _SETTINGS)
-        if settings["warm_up"]:
+        if make is None and settings["warm_up"]:
             warm_up()
+        self._make = make_adversary if make is None else make
         self._adversary: Adversary | None = None
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
+        # A belief tells that somebody plans, so it is said only where everybody may know.
+        self._believed = self.create_publisher(Odometry, BELIEVED_CAR, STREAM) if seal.is_open else None
         self._receipts = Receipts(self, seal, "skd_adversary", "skd_sim")
         self._follower = EpisodeFollower(
             self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
@@ -46,7 +75,7 @@ class AdversaryNode(Node):
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
 
     def _on_begin(self, episode: Episode) -> None:
-        self._adversary = make_adversary(episode)
+        self._adversary = self._make(episode)
         self._next_tick = 0
         self._answer = None
         self._receipts.send(episode, self._follower.announced)
@@ -69,6 +98,27 @@ class AdversaryNode(Node):
         self._answer = (stamp, write_velocity(velocity, stamp))
         self._next_tick = tick + 1
         self._command.publish(self._answer[1])
+        self._say_belief(stamp)
+
+    def _say_belief(self, stamp: int) -> None:
+        """Publish where the adversary believes the car to be, if somebody listens and it believes anything."""
+        if self._believed is None or not isinstance(self._adversary, PlanningAdversary):
+            return
+        if self._believed.get_subscription_count():
+            assert self._follower.episode is not None
+            self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._follower.episode, stamp))
+
+
+def belief_to_odometry(believed: BelievedCar, episode: Episode, stamp: int) -> Odometry:
+    """Return a belief as odometry in `map`: means as pose and speed, variances along the road as covariances."""
+    x, y, heading = road_pose(episode.scenario.road.line, believed.position)
+    message = car_to_odometry(CarState(x, y, heading, believed.speed), stamp)
+    message.header.frame_id, message.child_frame_id = MAP_FRAME, ""
+    ahead = np.zeros(6)
+    ahead[:2] = np.cos(heading), np.sin(heading)
+    message.pose.covariance = (believed.position_deviation**2 * np.outer(ahead, ahead)).ravel()
+    message.twist.covariance = np.diag([believed.speed_deviation**2, 0.0, 0.0, 0.0, 0.0, 0.0]).ravel()
+    return message
 
 
 def warm_up() -> None:

@@ -21,7 +21,7 @@ class EvaluatorOptions(CommandOptions):
     control_period: float | None = graph_option(
         None,
         "time between two decisions of an external controller, s. The car's state is published, and a command taken, "
-        "once in this time. It must divide the time step of the scenario",
+        "once in each such period. It must divide the time step of the scenario",
         float,
         low=0.0,
         high=10.0,
@@ -88,9 +88,10 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     open_episodes: bool = graph_option(
         False,
         "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "
-        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could be another car in "
-        "kamikaze episodes",
+        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could behave differently "
+        "in kamikaze episodes",
         launches=(),
+        commands=("assess", "episode", "probe"),
     )
 
     @property

@@ -14,6 +14,7 @@ from skd_sim.messages.seal import KEY_SIZE, Seal
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
+from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs.contexts import context_of
 from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned
@@ -36,6 +37,7 @@ class GraphSetting:
         campaign: name of the campaign.
         record_to: folder for one bag per episode; none: do not record.
         say: called with each line for the user.
+        watched: who takes part as the adversary, and watches; by default SKD's own node is the adversary.
     """
 
     options: GraphOptions
@@ -43,6 +45,7 @@ class GraphSetting:
     campaign: str
     record_to: Path | None
     say: Callable[[str], None]
+    watched: Watched | None = None
 
 
 @contextmanager
@@ -70,9 +73,14 @@ def running_graph(
     commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
     programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)}, secret)
+    watched, seal = setting.watched, Seal(secret or None)
+    if watched is not None:
+        del programs[ADVERSARY]
 
     def check_processes() -> str | None:
         refuse_to_go_on()
+        if watched is not None:
+            watched.check()
         return supervisor.check()
 
     def replace_silent(reason: str) -> None:
@@ -89,6 +97,8 @@ def running_graph(
         context, done = stack.enter_context(context_of(domain))
         evaluator = Evaluator(context, name)
         done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
+        if watched is not None:
+            done.append(stack.enter_context(watched.adversary(context, seal)))
         reset = stack.enter_context(
             resetting(
                 context,
@@ -107,7 +117,7 @@ def running_graph(
             commands=options,
             own_world=True,
             receipts_of=(SIMULATOR, ADVERSARY),
-            seal=Seal(secret or None),
+            seal=seal,
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             say=setting.say,

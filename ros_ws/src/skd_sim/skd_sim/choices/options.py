@@ -28,7 +28,7 @@ from skd_sim.inputs.outside import parse_json
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
-GRAPH_COMMANDS: Final = ("assess", "episode", "probe")
+GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
 """Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
 
@@ -213,7 +213,7 @@ class EpisodeOptions:
         "class of your own), or external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     multiplier: float = option(
@@ -224,7 +224,7 @@ class EpisodeOptions:
         high=100.0,
         metavar="C",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     simulator: str = option(
@@ -246,7 +246,8 @@ class EpisodeOptions:
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (it plans with the "
+        "what the adversary knows about the car: nothing (it takes every car for a basic one), learned (it plans "
+        "with the "
         "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
         "time), known (it knows C of the basic controller), itself (it plans with copies of the car)",
         str,
@@ -315,7 +316,7 @@ class EpisodeOptions:
     )
     particles: int | None = option(
         None,
-        "how many particles (guesses of the car's state) make up what the adversary believes of the car",
+        "how many particles (guesses of the car's state) make up what the adversary believes about the car",
         int,
         low=0,
         high=1_000_000,

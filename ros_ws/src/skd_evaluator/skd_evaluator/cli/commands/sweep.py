@@ -169,7 +169,7 @@ def run(arguments: argparse.Namespace) -> int:
             if known:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if "recorded" not in kinds:
-            print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
+            print("Recorded safe trajectories were not asked for: add --safe PATH (docs/start/research.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, rating in ratings:
