@@ -51,9 +51,9 @@ def expert_weights() -> Weights:
         UsageError: MetaDrive is not installed.
     """
     require_metadrive()
-    found = importlib.util.find_spec(f"{NAME}.examples.ppo_expert")
+    found = importlib.util.find_spec(NAME)  # which imports nothing
     folders = [] if found is None else list(found.submodule_search_locations or ())
-    file = Path(folders[0]) / "expert_weights.npz"
+    file = Path(folders[0]) / "examples" / "ppo_expert" / "expert_weights.npz"
     with np.load(file, allow_pickle=False) as arrays:
         return tuple(
             (arrays[f"default_policy/{layer}/kernel"], arrays[f"default_policy/{layer}/bias"]) for layer in _LAYERS

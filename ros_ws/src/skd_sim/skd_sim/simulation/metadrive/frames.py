@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Final
 
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.aborts import AbortKind
 from skd_sim.geometry.heading import on_grid
 from skd_sim.simulation.framed_simulator import States
 from skd_sim.simulation.metadrive.bodies import Placed
 from skd_sim.simulation.metadrive.stage import START, Stage, pedals_of, stage_for, step_of
+from skd_sim.simulation.simulator import SimulatorError
 from skd_sim.state import AdversaryState, CarState, RoadUserState
+
+_APART: Final = 0.01  # m
 
 
 class MetaDriveFrames:
@@ -20,6 +26,8 @@ class MetaDriveFrames:
     Attributes:
         frame_step: time between frames, s.
         limits: least and greatest acceleration of the car, as measured.
+        apart: greatest distance in this episode between where MetaDrive has the adversary and where it was commanded
+            to be, m.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -32,6 +40,7 @@ class MetaDriveFrames:
         self._pedals = pedals_of(self._stage, scenario)
         self.frame_step: float = self._stage.step
         self.limits: CommandLimits = self._pedals.limits
+        self.apart = 0.0
 
     def prepare(self, scenario: Scenario) -> None:
         """Bring everybody else of a scenario on."""
@@ -104,6 +113,19 @@ class MetaDriveFrames:
             float(x) - self._ahead - self._middle * float(ahead),
         )
         heading = float(on_grid(float(car.heading_theta) + HEADING_NORTH))
-        there = self._cast.adversary.position
-        adversary = self._at._replace(x=self._stage.across - float(there[1]), y=float(there[0]) - self._ahead)
-        return CarState(*reference, heading, max(0.0, self._stage.speed)), adversary
+        self._check_adversary()
+        return CarState(*reference, heading, max(0.0, self._stage.speed)), self._at
+
+    def _check_adversary(self) -> None:
+        """Hold MetaDrive's place of the adversary against where it is to be: its numbers have 24 bits, ours 53.
+
+        Raises:
+            SimulatorError: MetaDrive has it elsewhere.
+        """
+        x, y = self._cast.adversary.position
+        apart = math.hypot(self._stage.across - float(y) - self._at.x, float(x) - self._ahead - self._at.y)
+        self.apart = max(self.apart, apart)
+        if not apart <= _APART:
+            raise SimulatorError(
+                AbortKind.FAILED, f"MetaDrive has the adversary {apart:.3g} m from where it was commanded to be"
+            )

@@ -19,6 +19,9 @@ class MetaDriveSimulator:
     places_others: Final = True
     """Whether the others of a scenario are there: they are, as bodies that are put in their places."""
 
+    repeats_itself: Final = True
+    """Whether the same commands lead to the same states: to a rounding of its numbers, which have 24 bits."""
+
     def __init__(self) -> None:
         """Look that MetaDrive is installed.
 
@@ -63,6 +66,7 @@ class MetaDriveSimulator:
             "physics_step": stage.step,
             "mass": vehicle.mass,
             "wheel_friction": vehicle.friction,
+            "limits": list(pedals_of(stage, scenario).limits),
             "pedals": pedals_of(stage, scenario).as_dict(),
         }
 
