@@ -129,10 +129,14 @@ class Cast:
         """Return whether these are the bodies of a scenario, wherever they are."""
         return self._of == _who(scenario)
 
+    @property
+    def everybody(self) -> tuple[Placed, ...]:
+        """All bodies."""
+        return (self.adversary, *self.others, *self.standing)
+
     def close(self) -> None:
         """Take them out of the world."""
-        gone = [body.id for body in (self.adversary, *self.others, *self.standing)]
-        self._engine.clear_objects(gone, force_destroy=True)
+        self._engine.clear_objects([body.id for body in self.everybody], force_destroy=True)
 
 
 def _who(scenario: Scenario) -> tuple[Any, ...]:

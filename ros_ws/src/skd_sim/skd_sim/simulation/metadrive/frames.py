@@ -60,6 +60,8 @@ class MetaDriveFrames:
         for body, one in zip(self._cast.standing, self._scenario.obstacles, strict=True):
             self._put(body, one.x, one.y, one.heading)
         self._put_moving()
+        self._stage.show_anew(self._cast)
+        self.apart = 0.0
         return self._states()
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:

@@ -31,6 +31,7 @@ PHYSICS_STEP: Final = 0.02
 """MetaDrive's own step of the physics, s; the longest that is taken."""
 START: Final = 20.0
 """How far along MetaDrive's road the car starts, m."""
+_AHEAD: Final = -90.0  # degrees about the vertical, of a car of MetaDrive that points along its road
 _SETTLING: Final = 4.0  # s in which a car that was dropped comes to rest on its springs
 _SHORTEST_BLOCK: Final = 40.0  # m of MetaDrive's blocks of straight road
 _FIRST_BLOCK: Final = 50.0  # m
@@ -192,10 +193,20 @@ class Stage:
         """Put the car at its start, at rest on its springs and at a speed (m/s)."""
         car = self.car
         car.reset(position=[START, self.across], heading=0.0)
-        car.origin.setZ(self._rest[0])
-        car.origin.setP(self._rest[1])
+        # All at once: angles that are set one by one keep a rounding of what they were before.
+        car.origin.setPosHpr(START, self.across, self._rest[0], _AHEAD, self._rest[1], 0.0)
+        for wheel in (car.system.getWheel(number) for number in range(4)):
+            wheel.setRotation(0.0)
+            wheel.setDeltaRotation(0.0)
         car.body.setLinearVelocity(Vec3(speed, 0.0, 0.0))
         car.last_velocity, car.last_speed = car.velocity, car.speed
+
+    def show_anew(self, cast: Cast) -> None:
+        """Have rays find bodies where they are: without a step of the physics they look where these were before."""
+        world = self.engine.physics_world.dynamic_world
+        for body in cast.everybody:
+            world.remove(body.body)
+            world.attach(body.body)
 
     def drive(self, steering: float, pedal: float) -> None:
         """Turn the wheel and press a pedal, both in [−1, 1], from the next step on, as MetaDrive's drivers do."""
