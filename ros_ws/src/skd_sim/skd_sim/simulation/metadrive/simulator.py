@@ -37,8 +37,8 @@ class MetaDriveSimulator:
         Raises:
             UsageError: the road has curves, or this process cannot have an engine.
         """
-        frames = _frames(episode.scenario)
-        self._inner = FramedSimulator(frames)
+        self._frames = _frames(episode.scenario)
+        self._inner = FramedSimulator(self._frames)
         return self._inner.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
@@ -54,6 +54,11 @@ class MetaDriveSimulator:
     def own_contact(self) -> float | None:
         """Time of the first contact by MetaDrive's own shapes (s); nan without one."""
         return self._running.own_contact
+
+    @property
+    def apart(self) -> float:
+        """Greatest distance in this episode between MetaDrive's place of the adversary and the commanded one, m."""
+        return float(self._frames.apart)
 
     def described(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return, as plain data, what MetaDrive makes of a scenario's car: what its pedals do, as measured."""
