@@ -33,7 +33,7 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.framed_simulator import FramedSimulator
 from skd_sim.simulation.metadrive.expert import CONTROL_PERIOD, MetaDriveExpert
-from skd_sim.simulation.metadrive.installed import NAME, require_metadrive
+from skd_sim.simulation.metadrive.installed import METADRIVE, require_metadrive
 
 CARS = {"basic": None, "cal": 0.05, "carla": None, "metadrive_expert": CONTROL_PERIOD}
 _SPEED = 25.0 / 3.0
@@ -45,7 +45,7 @@ _TICKS = 20
 def episode(number: int, car: str, phi: Trajectory) -> Episode:
     """Return a run of a car along φ in MetaDrive."""
     scenario = replace(load_scenario("crossing"), control_period=CARS[car])
-    return Episode(scenario, Mode.REPLAY, 0, number, controller=car, safe_trajectory=phi, simulator=NAME)
+    return Episode(scenario, Mode.REPLAY, 0, number, controller=car, safe_trajectory=phi, simulator=METADRIVE)
 
 
 def crossing(number: int) -> Trajectory:
@@ -133,7 +133,7 @@ def repeats(count: int) -> dict[str, Any]:
     order = np.random.default_rng(0).permutation(len(wanted)).tolist()
     again = {index: run_episode(wanted[index]) for index in order}
     other = replace(load_scenario("crossing"), car=replace(load_scenario("crossing").car, mass=2000.0))
-    run_episode(Episode(other, Mode.REPLAY, 0, 0, safe_trajectory=nobody(), simulator=NAME))
+    run_episode(Episode(other, Mode.REPLAY, 0, 0, safe_trajectory=nobody(), simulator=METADRIVE))
     rebuilt = [run_episode(one) for one in wanted]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "states.npy"
