@@ -91,7 +91,7 @@ def stops() -> dict[str, Any]:
     vehicles = {
         "crossing": crossing_car,
         "crossing, 20 decisions a second": replace(crossing_car, control_period=0.05),
-        "crossing, mass 2200 kg": replace(crossing_car, car=replace(crossing_car.car, mass=2200.0)),
+        "crossing, mass 1800 kg": replace(crossing_car, car=replace(crossing_car.car, mass=1800.0)),
         "crossing_multi_body, friction 0.65": replace(wet, road=replace(wet.road, friction=0.65)),
         "citr_crossing": replace(cart, car=replace(cart.car, start_speed=_SPEED, meet_safe_trajectory=False)),
     }

@@ -18,8 +18,8 @@ MODEL: Final = "skd"
 """Name under which MetaDrive finds `ScenarioVehicle`."""
 MASS: Final = 1100.0
 """Mass of MetaDrive's default vehicle, kg."""
-HEAVIEST: Final = 2300.0
-"""Greatest mass, kg: Bullet's springs press with 6 kN a wheel at most, which bear 2446 kg at rest."""
+HEAVIEST: Final = 2000.0
+"""Greatest mass, kg: Bullet's springs press with 6 kN a wheel at most: 2446 kg at rest, and less where it brakes."""
 _DRY: Final = 0.9  # wheel friction of MetaDrive's default vehicle: what `road.friction` of 1 means
 _ENGINE_FORCE: Final = 800.0  # N a wheel at full throttle, the middle of what MetaDrive draws for its default vehicle
 _BRAKE_FORCE: Final = 130.0  # N s a wheel and physics step at full brake, the middle of what it draws
