@@ -164,17 +164,15 @@ class Overheard(MetaDriveExpert):
         return found
 
 
-def own_loop(scenario: Scenario) -> Any:
-    """Return what runs an episode in MetaDrive's own loop: `MetaDriveEnv` with `ExpertPolicy`, one after the other."""
+def own_loop(scenario: Scenario) -> tuple[Any, Any]:
+    """Return what runs an episode in MetaDrive's own loop, `MetaDriveEnv` with `ExpertPolicy`, and what ends it."""
     from metadrive.component.traffic_participants.pedestrian import Pedestrian
     from metadrive.examples.ppo_expert import numpy_expert
     from metadrive.manager.base_manager import BaseManager
     from metadrive.policy import expert_policy
     from skd_sim.simulation.metadrive import stage as stages
 
-    running = stages.running()
-    assert running is not None
-    running.close()
+    stages.end()
     spec = stages.StageSpec.of(scenario)
     expert_policy.expert = numpy_expert.expert  # where PyTorch is installed, MetaDrive would compute by that
     config = {**stages.environment_config(spec), "agent_policy": expert_policy.ExpertPolicy}
@@ -221,7 +219,7 @@ def own_loop(scenario: Scenario) -> Any:
         walk.body = None
         return found
 
-    return run
+    return run, stage.close
 
 
 def expert(count: int) -> dict[str, Any]:
@@ -233,7 +231,7 @@ def expert(count: int) -> dict[str, Any]:
             driver = Overheard()
             log = run_episode(episode(number, "metadrive_expert", phi), controller=driver)
             kept.append((name, log, driver.decisions))
-    loop = own_loop(kept[0][1].episode.scenario)
+    loop, close = own_loop(kept[0][1].episode.scenario)
     for name, log, decisions in kept:
         own = loop(log, len(decisions))
         row = found.setdefault(name, {"episodes": 0, "decisions": 0, "apart": 0.0, "collisions": 0, "hits": 0})
@@ -242,6 +240,7 @@ def expert(count: int) -> dict[str, Any]:
         row["apart"] = max(row["apart"], float(np.abs(np.array(own) - np.array(decisions)).max()))
         row["collisions"] += log.outcome == Outcome.COLLISION
         row["hits"] += log.hit
+    close()
     return found
 
 
@@ -267,7 +266,7 @@ def main() -> None:
     for name in arguments.parts or measures:
         found = measures[name]() if name == "stops" else measures[name](arguments.episodes)
         if arguments.json:
-            print(json.dumps({name: found}))
+            print(json.dumps({name: found}), flush=True)
             continue
         print(name)
         for key, value in found.items():
