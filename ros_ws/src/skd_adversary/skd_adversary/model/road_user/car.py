@@ -13,6 +13,7 @@ ROAD_USER: Final = replace(
     wheeled("car", LIMITS, fastest=70.0, height=1.5),
     called={
         "carla": "vehicle.tesla.model3",
+        "metadrive": "VEHICLE",
         "openscenario": "car",
         "osi": "TYPE_MEDIUM_CAR",
         "commonroad": "car",

@@ -14,6 +14,7 @@ ROAD_USER: Final = replace(
     wheeled("cyclist", LIMITS, fastest=20.0, height=1.8),
     called={
         "carla": "vehicle.diamondback.century",
+        "metadrive": "CYCLIST",
         "openscenario": "bicycle",
         "osi": "TYPE_BICYCLE",
         "commonroad": "bicycle",

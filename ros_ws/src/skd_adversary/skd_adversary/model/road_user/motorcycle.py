@@ -14,6 +14,7 @@ ROAD_USER: Final = replace(
     wheeled("motorcycle", LIMITS, fastest=85.0, height=1.5),
     called={
         "carla": "vehicle.kawasaki.ninja",
+        "metadrive": "CYCLIST",
         "openscenario": "motorbike",
         "osi": "TYPE_MOTORBIKE",
         "commonroad": "motorcycle",

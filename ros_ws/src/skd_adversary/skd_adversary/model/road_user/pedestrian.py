@@ -155,6 +155,7 @@ ROAD_USER = RoadUserModel(
     "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,
     called={
         "carla": "walker.pedestrian.0001",
+        "metadrive": "PEDESTRIAN",
         "openscenario": "pedestrian",
         "osi": "TYPE_PEDESTRIAN",
         "commonroad": "pedestrian",
