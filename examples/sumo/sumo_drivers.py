@@ -93,24 +93,18 @@ class Sumo:
         libsumo.simulationStep()
         self._told = ()
 
-    def tell(self, setup: Setup, told: tuple[Moment, ...], *, anew: bool) -> None:
-        """Have its driver know this and nothing else.
-
-        Args:
-            setup: who meets.
-            told: what the driver is to know.
-            anew: whether whatever else the driver knows would count.
-        """
+    def tell(self, setup: Setup, told: tuple[Moment, ...]) -> None:
+        """Have its driver know this, in this order, and nothing else."""
         if setup == self._setup and told is self._told:
             return
-        if anew or setup != self._setup or self._told is None:
-            self.begin(setup)
+        self.begin(setup)
         for moment in told:
             self.step(moment)
         self._told = told
 
     def decide(self, now: Moment, told: tuple[Moment, ...]) -> float:
         """Return the speed (m/s) that the driver wants a step later, who then knows `told`."""
+        self._told = None  # as long as it is not known what came of the step
         speed = self.step(now)
         self._told = told
         return speed
@@ -150,15 +144,14 @@ class SumoDriver:
     """A driver of SUMO's, in the simulation that all drivers of a process share.
 
     A driver is what they have been told, and that is kept here. Where the simulation's driver knows something else, as
-    after a copy of this object was asked, SUMO is told all of it again: so copies of this object are copies of the driver.
+    after a copy of this object was asked, SUMO begins anew and is told all of it again. So copies of this object are
+    copies of the driver. (EIDM has a memory by its law, and near standstill SUMO's IDM goes by more than the last moment.)
     """
 
     control_period = STEP
     model: ClassVar[str]
     attention: ClassVar[str]
     """Attributes by which SUMO's driver errs at random; all are 0 here."""
-    forgets = False
-    """Whether SUMO's model keeps nothing from one decision to the next: then only the person's place is old."""
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Take measures and speed from the scenario; the driver draws nothing.
@@ -182,22 +175,22 @@ class SumoDriver:
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) with which the car has, a step later, the speed that SUMO's driver wants."""
-        SUMO.tell(self._setup, self._told, anew=not self.forgets)
+        SUMO.tell(self._setup, self._told)
         now = Moment(LANE_END + car.y + self._front, car.speed, adversary.x, adversary.y + self._radius)
-        self._told = (now,) if self.forgets else (*self._told, now)
+        self._told = (*self._told, now)
         return (SUMO.decide(now, self._told) - car.speed) / STEP
 
 
 class Krauss(SumoDriver):
     """SUMO's default driver (Krauß 1998): drives so that they could stop if whoever is ahead braked."""
 
-    model, attention, forgets = "Krauss", 'sigma="0"', True
+    model, attention = "Krauss", 'sigma="0"'
 
 
 class Idm(SumoDriver):
     """SUMO's Intelligent Driver Model (Treiber, Hennecke and Helbing 2000)."""
 
-    model, attention, forgets = "IDM", "", True
+    model, attention = "IDM", ""
 
 
 class Eidm(SumoDriver):
