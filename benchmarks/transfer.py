@@ -6,8 +6,8 @@ same safe trajectories φ, which are planned in SKD's own world and then handed 
 car in every world (--knowledge, by default nothing), for otherwise planned figures would not compare.
 
 Printed are, for each car, margin, planned deformation, SKD and the equivalent multiplier in each world: the C of the
-basic car with the same margin in that world, read off the basic cars of the list. Then, for each two worlds, Kendall's τ
-of each figure, with the intervals of rank_agreement.py.
+basic car with the same margin in that world, read off the basic cars of the list. Then, for each two worlds, Kendall's
+τ of each figure, with the intervals of rank_agreement.py.
 
     python benchmarks/transfer.py --out DIR [--worlds NAME ...] [--cars LABEL ...] [--safe-count N]
         [--kamikaze-count N] [--knowledge KIND] [--margin-limit N] [--seed N] [--workers N] [--json]

@@ -1,7 +1,7 @@
 """CommonRoad's reactive planner as the car under test: it samples ways of driving on, and the best free one is driven.
 
-Nothing of the planner is here. In each tick it is told the car's state and where the adversary is predicted to be, and of
-the plan that comes back that tick is driven. It plans along the lane only, for SKD's car does not steer.
+Nothing of the planner is here. In each tick it is told the car's state and where the adversary is predicted to be, and
+of its plan that tick is driven. It plans along the lane only, for SKD's car does not steer.
 """
 
 from __future__ import annotations

@@ -86,7 +86,6 @@ class Sumo:
             state.write_text(self._empty, encoding="utf-8")
             libsumo.simulation.loadState(str(state))
         libsumo.vehicle.add(EGO, "along", EGO, departPos="100", departSpeed=str(setup.speed))
-        # Whoever comes from the end of the lane counts as oncoming, and is then a length nearer or further away.
         libsumo.person.add(PERSON, "road", 1.0, typeID="person")
         libsumo.person.appendWalkingStage(PERSON, ["road"], 2 * LANE_END)
         libsumo.person.setSpeed(PERSON, 0.0)  # they walk in SKD, and not in SUMO
@@ -112,12 +111,13 @@ class Sumo:
     def step(self, now: Moment) -> float:
         """Tell the driver where everybody is; return the speed (m/s) that they want to have a step later.
 
-        SUMO moves the person at the end of a step, so this decision goes by where they were at the one before.
+        SUMO moves the person at the end of a step, so this decision goes by where they were at the one before. Their
+        angle is said (North), or it would follow from where they were: who faces the car is a length nearer or further.
 
         Raises:
             RuntimeError: SUMO has taken the vehicle away.
         """
-        libsumo.person.moveToXY(PERSON, "road", now.x, now.y, keepRoute=2)
+        libsumo.person.moveToXY(PERSON, "road", now.x, now.y, angle=0.0, keepRoute=2)
         libsumo.vehicle.moveTo(EGO, LANE, now.along)
         libsumo.vehicle.setPreviousSpeed(EGO, now.speed)
         libsumo.simulationStep()
@@ -145,7 +145,7 @@ class SumoDriver:
 
     A driver is what they have been told, and that is kept here. Where the simulation's driver knows something else, as
     after a copy of this object was asked, SUMO begins anew and is told all of it again. So copies of this object are
-    copies of the driver. (EIDM has a memory by its law, and near standstill SUMO's IDM goes by more than the last moment.)
+    copies of the driver. (EIDM has a memory by its law.)
     """
 
     control_period = STEP
