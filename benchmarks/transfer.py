@@ -34,6 +34,7 @@ from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
 from skd_evaluator.measure.statistics.clustered import clustered_mean
@@ -112,7 +113,7 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
         SystemExit: it cannot be assessed there.
     """
     out: Path = arguments.out / where.file_name / car.label.replace(" ", "_").replace("/", "-")
-    if not out.exists():
+    if not (out / ASSESSMENT).exists():  # the folder alone may be of a run that was ended
         words = ["--controller", car.controller, *where.options, "--safe", str(arguments.out / "phi")]
         words += ["--multiplier", str(car.multiplier)] if car.controller == "basic" else []
         words += ["--safe-count", str(arguments.safe_count), "--kamikaze-count", str(arguments.kamikaze_count)]
@@ -124,8 +125,10 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
         command = [sys.executable, "-m", "skd_evaluator", "assess", *words, "--out", str(out)]
         print(f"{where.name}: {car.label}", file=sys.stderr, flush=True)
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if not out.exists():
+        if not (out / ASSESSMENT).exists():
             raise SystemExit(f"{' '.join(command)}\n{done.stderr.strip()[-2000:]}")
+        if done.returncode != 0:
+            print(done.stderr.strip()[-500:], file=sys.stderr, flush=True)
     return read_result(out)
 
 
