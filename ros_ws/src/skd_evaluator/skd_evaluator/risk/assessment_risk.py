@@ -16,6 +16,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import EpisodeLog
 from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.named_simulator import repeats_itself
 
 from skd_evaluator.campaign.judge.failures import Walkers, failures_of
 from skd_evaluator.campaign.judge.rating import Rating
@@ -46,7 +47,7 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     scenario = plan.scenario
     if behaviour is None:
         return NOT_ASKED
-    if not is_own_world(plan.simulator):
+    if not repeats_itself(plan.simulator):
         return f"the risk needs SKD's own world: crossings in simulator {plan.simulator} are not run"
     kind = road_user_named(scenario.adversary.kind).name
     if kind != behaviour.kind:
@@ -56,11 +57,16 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     return ""
 
 
+def _foretold(plan: Plan) -> bool:
+    """Return whether kernels say what a plan's car does: one that is known, in SKD's own world."""
+    return is_own_world(plan.simulator) and foretold(plan.car, plan.scenario)
+
+
 def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     """Return how many crude crossings there are at each scale: at most four for each run along φ, by default."""
     if asked.runs is not None:
         return asked.runs
-    most = GRAPH_RUNS if graph else RUNS if foretold(plan.car, plan.scenario) else OTHER_RUNS
+    most = GRAPH_RUNS if graph else RUNS if _foretold(plan) else OTHER_RUNS
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
@@ -113,7 +119,7 @@ def _do(job: _Job) -> Replicate:
 
 def warm_up_risk(plan: Plan) -> None:
     """Compile what crossings of a known car need, before it is timed or forked."""
-    if not foretold(plan.car, plan.scenario):
+    if not _foretold(plan):
         return
     from skd_adversary.warm_up import warm_up_episodes
     from skd_sim.episode.episode import Mode
@@ -180,7 +186,7 @@ def _scales(
 ) -> Iterator[ScaleRisk]:
     """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
     plan = encounter.plan
-    known = KnownCar(encounter) if foretold(plan.car, plan.scenario) else None
+    known = KnownCar(encounter) if _foretold(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
     draws = None if known is None else draws_of(encounter, crossings)
     other = AnyCar(encounter, by_whom)

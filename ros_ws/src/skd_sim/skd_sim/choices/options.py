@@ -209,8 +209,9 @@ class EpisodeOptions:
     controller: str = option(
         DEFAULT,
         "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
-        "driving rules of CARLA 0.8), a name that an installed package has registered, package.module:Class (a Python "
-        "class of your own), or external (a ROS node of your own, which needs the node graph)",
+        "driving rules of CARLA 0.8), metadrive_expert (MetaDrive's own trained driver; in simulator metadrive only), "
+        "a name that an installed package has registered, package.module:Class (a Python class of your own), or "
+        "external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
         commands=("assess", "episode", "probe", "ncap"),
@@ -229,11 +230,11 @@ class EpisodeOptions:
     )
     simulator: str = option(
         WORLD,
-        "what moves car and adversary: world (SKD's own simulator), or a simulator that an installed package has "
-        "registered",
+        "what moves car and adversary: world (SKD's own simulator), metadrive (MetaDrive, which has to be installed: "
+        "extra metadrive), or a simulator that an installed package has registered",
         choices=Names((), SIMULATORS),
         group="car and test",
-        commands=("assess", "episode"),
+        commands=("assess", "episode", "probe"),
     )
     car_model: str = option(
         "",

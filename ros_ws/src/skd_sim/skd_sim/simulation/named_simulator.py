@@ -32,6 +32,15 @@ def make_simulator(name: str) -> Simulator:
     return cast("Simulator", found)
 
 
+def repeats_itself(name: str) -> bool:
+    """Return whether in a simulator the same commands lead to the same states: in SKD's world, and where one says so.
+
+    Raises:
+        UsageError: there is no such simulator, or it cannot be made.
+    """
+    return is_own_world(name) or bool(getattr(make_simulator(name), "repeats_itself", False))
+
+
 class NamedSimulator:
     """The simulator that an episode names, kept from one episode to the next; see `Simulator`."""
 
@@ -59,6 +68,11 @@ class NamedSimulator:
     def world(self) -> World | None:
         """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
         return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
+
+    @property
+    def own_contact(self) -> float | None:
+        """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
+        return getattr(self._simulator, "own_contact", None)
 
     @property
     def clipped(self) -> int:

@@ -289,6 +289,10 @@ FIGURES = (
     Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
     Figure("aborted_reasons", _each(ref("aborted_reason"))),
     Figure("commands_clipped", Kind(ref("commands_clipped"))),
+    Figure("simulator_contacts", Kind(ref("simulator_contacts")), "contacts by the shapes of a simulator that has its "
+           "own, beside those by SKD's geometry, which count", optional=True, newer=True),
+    Figure("simulation", Kind({"type": "object"}), "what a simulator other than SKD's own world says of the car in "
+           "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True, newer=True),
     Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
            "command to its use, or from a state to its answer", told=Told.GRAPH),
     Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,

@@ -86,6 +86,7 @@ def _run(
         adversary.depletions,
         clipped=simulator.clipped,
         belief=_belief(believed, len(frames)),
+        own_contact=getattr(simulator, "own_contact", None),
     )
 
 

@@ -56,6 +56,9 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     if any(log.belief is not None for log in logs):
         nothing = np.full((int(safe["offsets"][-1]), _BELIEVED), np.nan, np.float32)
         columns["belief"] = np.concatenate([nothing, *map(_belief, logs)])
+    own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
+    if any(log.own_contact is not None for log in logs):
+        columns["own_contact"] = np.array([*[math.nan] * count, *own])
     if any(assessment.floors is not None for assessment in rating.assessments):
         columns["floor"] = np.array([*[math.nan] * count, *floor_column])
     np.savez_compressed(

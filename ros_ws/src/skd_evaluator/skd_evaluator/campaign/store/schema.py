@@ -59,6 +59,12 @@ def _definitions() -> dict[str, Any]:
         "speeds": _object(mean=_NUMBER, p90=_NUMBER),
         "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
         "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
+        "simulator_contacts": _object(
+            both=_said(_COUNT, "episodes in which both say that the car touched somebody"),
+            geometry_alone=_said(_COUNT, "in which SKD's geometry alone says so"),
+            simulator_alone=_said(_COUNT, "in which the simulator's shapes alone say so"),
+            episodes=_said(_COUNT, "episodes in which both were asked; aborted ones left out"),
+            greatest_gap=_said(_FIGURE, "greatest time between the two, where both say so, s")),
         "command_age": _object(
             **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
             control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
