@@ -92,18 +92,11 @@ class Sumo:
         libsumo.simulationStep()
         self._told = ()
 
-    def tell(self, setup: Setup, told: tuple[Moment, ...], *, anew: bool) -> None:
-        """Have its driver know this, in this order.
-
-        Args:
-            setup: who meets.
-            told: what the driver is to know.
-            anew: whether anything else that the driver was told before would count.
-        """
+    def tell(self, setup: Setup, told: tuple[Moment, ...]) -> None:
+        """Have its driver know this, in this order, and nothing else."""
         if setup == self._setup and told is self._told:
             return
-        if anew or setup != self._setup:
-            self.begin(setup)
+        self.begin(setup)
         for moment in told:
             self.step(moment)
         self._told = told
@@ -151,16 +144,14 @@ class SumoDriver:
     """A driver of SUMO's, in the simulation that all drivers of a process share.
 
     A driver is what they have been told, and that is kept here. Where the simulation's driver knows something else, as
-    after a copy of this object was asked, SUMO is told again. So copies of this object are copies of the
-    driver.
+    after a copy of this object was asked, SUMO begins anew and is told all of it again. So copies of this object are
+    copies of the driver. (EIDM has a memory by its law, but SUMO's other vehicles, too, carry more than their speed.)
     """
 
     control_period = STEP
     model: ClassVar[str]
     attention: ClassVar[str]
     """Attributes by which SUMO's driver errs at random; all are 0 here."""
-    remembers = False
-    """Whether the model has a memory; without one only the person's last place counts, which SUMO shows a step late."""
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Take measures and speed from the scenario; the driver draws nothing.
@@ -184,9 +175,9 @@ class SumoDriver:
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) with which the car has, a step later, the speed that SUMO's driver wants."""
-        SUMO.tell(self._setup, self._told, anew=self.remembers)
+        SUMO.tell(self._setup, self._told)
         now = Moment(LANE_END + car.y + self._front, car.speed, adversary.x, adversary.y + self._radius)
-        self._told = (*self._told, now) if self.remembers else (now,)
+        self._told = (*self._told, now)
         return (SUMO.decide(now, self._told) - car.speed) / STEP
 
 
@@ -206,4 +197,3 @@ class Eidm(SumoDriver):
     """SUMO's Extended Intelligent Driver Model (Salles, Kaufmann and Reuss 2020), with its memory."""
 
     model, attention = "EIDM", 'sigmaleader="0" sigmagap="0" sigmaerror="0"'
-    remembers = True
