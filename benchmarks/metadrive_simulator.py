@@ -33,7 +33,7 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.framed_simulator import FramedSimulator
 from skd_sim.simulation.metadrive.expert import CONTROL_PERIOD, MetaDriveExpert
-from skd_sim.simulation.metadrive.installed import NAME, require_metadrive
+from skd_sim.simulation.metadrive.installed import METADRIVE, require_metadrive
 
 CARS = {"basic": None, "cal": 0.05, "carla": None, "metadrive_expert": CONTROL_PERIOD}
 _SPEED = 25.0 / 3.0
@@ -45,7 +45,7 @@ _TICKS = 20
 def episode(number: int, car: str, phi: Trajectory) -> Episode:
     """Return a run of a car along φ in MetaDrive."""
     scenario = replace(load_scenario("crossing"), control_period=CARS[car])
-    return Episode(scenario, Mode.REPLAY, 0, number, controller=car, safe_trajectory=phi, simulator=NAME)
+    return Episode(scenario, Mode.REPLAY, 0, number, controller=car, safe_trajectory=phi, simulator=METADRIVE)
 
 
 def crossing(number: int) -> Trajectory:
@@ -91,7 +91,7 @@ def stops() -> dict[str, Any]:
     vehicles = {
         "crossing": crossing_car,
         "crossing, 20 decisions a second": replace(crossing_car, control_period=0.05),
-        "crossing, mass 2200 kg": replace(crossing_car, car=replace(crossing_car.car, mass=2200.0)),
+        "crossing, mass 1800 kg": replace(crossing_car, car=replace(crossing_car.car, mass=1800.0)),
         "crossing_multi_body, friction 0.65": replace(wet, road=replace(wet.road, friction=0.65)),
         "citr_crossing": replace(cart, car=replace(cart.car, start_speed=_SPEED, meet_safe_trajectory=False)),
     }
@@ -133,7 +133,7 @@ def repeats(count: int) -> dict[str, Any]:
     order = np.random.default_rng(0).permutation(len(wanted)).tolist()
     again = {index: run_episode(wanted[index]) for index in order}
     other = replace(load_scenario("crossing"), car=replace(load_scenario("crossing").car, mass=2000.0))
-    run_episode(Episode(other, Mode.REPLAY, 0, 0, safe_trajectory=nobody(), simulator=NAME))
+    run_episode(Episode(other, Mode.REPLAY, 0, 0, safe_trajectory=nobody(), simulator=METADRIVE))
     rebuilt = [run_episode(one) for one in wanted]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "states.npy"
@@ -164,17 +164,15 @@ class Overheard(MetaDriveExpert):
         return found
 
 
-def own_loop(scenario: Scenario) -> Any:
-    """Return what runs an episode in MetaDrive's own loop: `MetaDriveEnv` with `ExpertPolicy`, one after the other."""
+def own_loop(scenario: Scenario) -> tuple[Any, Any]:
+    """Return what runs an episode in MetaDrive's own loop, `MetaDriveEnv` with `ExpertPolicy`, and what ends it."""
     from metadrive.component.traffic_participants.pedestrian import Pedestrian
     from metadrive.examples.ppo_expert import numpy_expert
     from metadrive.manager.base_manager import BaseManager
     from metadrive.policy import expert_policy
     from skd_sim.simulation.metadrive import stage as stages
 
-    running = stages.running()
-    assert running is not None
-    running.close()
+    stages.end()
     spec = stages.StageSpec.of(scenario)
     expert_policy.expert = numpy_expert.expert  # where PyTorch is installed, MetaDrive would compute by that
     config = {**stages.environment_config(spec), "agent_policy": expert_policy.ExpertPolicy}
@@ -221,7 +219,7 @@ def own_loop(scenario: Scenario) -> Any:
         walk.body = None
         return found
 
-    return run
+    return run, stage.close
 
 
 def expert(count: int) -> dict[str, Any]:
@@ -233,7 +231,7 @@ def expert(count: int) -> dict[str, Any]:
             driver = Overheard()
             log = run_episode(episode(number, "metadrive_expert", phi), controller=driver)
             kept.append((name, log, driver.decisions))
-    loop = own_loop(kept[0][1].episode.scenario)
+    loop, close = own_loop(kept[0][1].episode.scenario)
     for name, log, decisions in kept:
         own = loop(log, len(decisions))
         row = found.setdefault(name, {"episodes": 0, "decisions": 0, "apart": 0.0, "collisions": 0, "hits": 0})
@@ -242,6 +240,7 @@ def expert(count: int) -> dict[str, Any]:
         row["apart"] = max(row["apart"], float(np.abs(np.array(own) - np.array(decisions)).max()))
         row["collisions"] += log.outcome == Outcome.COLLISION
         row["hits"] += log.hit
+    close()
     return found
 
 
@@ -267,7 +266,7 @@ def main() -> None:
     for name in arguments.parts or measures:
         found = measures[name]() if name == "stops" else measures[name](arguments.episodes)
         if arguments.json:
-            print(json.dumps({name: found}))
+            print(json.dumps({name: found}), flush=True)
             continue
         print(name)
         for key, value in found.items():

@@ -15,7 +15,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
-from skd_sim.choices.simulators import WORLD, is_own_world
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.checks import check_control_period
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
@@ -72,9 +72,11 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     car = CarUnderTest(values["controller"], values["multiplier"])
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
-    simulator = values.get("simulator", WORLD)
+    simulator = values.get("simulator")
     if car.only_simulator and (graph or simulator != car.only_simulator):
         instead = "leave out --graph" if simulator == car.only_simulator else f"add --simulator {car.only_simulator}"
+        if simulator is None:  # the command has no such option
+            instead = f"skd assess --simulator {car.only_simulator} runs it"
         raise UsageError(
             f"--controller {car.controller} decides within simulator {car.only_simulator}, in the same process: "
             f"{instead}"

@@ -24,6 +24,8 @@ def make_simulator(name: str) -> Simulator:
     factory = SIMULATORS.find(name)
     try:
         found = factory()
+    except UsageError:
+        raise
     except Exception as error:
         raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
     missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]

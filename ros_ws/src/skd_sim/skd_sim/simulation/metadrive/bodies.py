@@ -17,7 +17,7 @@ from panda3d.core import Vec3
 from skd_sim.encounter.body import Body
 from skd_sim.encounter.kinds import called, height_of
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.simulation.metadrive.installed import NAME
+from skd_sim.simulation.metadrive.installed import METADRIVE
 
 Shape = tuple[float, float, float]
 
@@ -119,7 +119,7 @@ class Cast:
 
     def _put(self, shape: Shape, height: float, who: Body | None = None) -> Placed:
         """Return a body that stands in the engine's world: somebody's, or an obstacle's."""
-        type_name = MetaDriveType.TRAFFIC_OBJECT if who is None else called(who, NAME)
+        type_name = MetaDriveType.TRAFFIC_OBJECT if who is None else called(who, METADRIVE)
         body: Placed = self._engine.spawn_object(
             Placed, force_spawn=True, shape=shape, height=height, type_name=type_name
         )

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.simulation.metadrive.installed import NAME, require_metadrive
+from skd_sim.simulation.metadrive.installed import METADRIVE, require_metadrive
 from skd_sim.state import AdversaryState, CarState
 
 CONTROL_PERIOD: Final = 0.1
@@ -51,7 +51,7 @@ def expert_weights() -> Weights:
         UsageError: MetaDrive is not installed.
     """
     require_metadrive()
-    found = importlib.util.find_spec(NAME)  # which imports nothing
+    found = importlib.util.find_spec(METADRIVE)  # which imports nothing
     folders = [] if found is None else list(found.submodule_search_locations or ())
     file = Path(folders[0]) / "examples" / "ppo_expert" / "expert_weights.npz"
     with np.load(file, allow_pickle=False) as arrays:
@@ -104,7 +104,7 @@ class MetaDriveExpert:
         if stage is None or stage.cast is None or not stage.cast.fits(scenario):
             raise UsageError(
                 "controller metadrive_expert decides within the MetaDrive that simulates: use it with --simulator "
-                f"{NAME}, in process"
+                f"{METADRIVE}, in process"
             )
         from metadrive.obs.state_obs import LidarStateObservation
 

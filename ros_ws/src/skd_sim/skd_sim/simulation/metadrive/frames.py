@@ -92,11 +92,11 @@ class MetaDriveFrames:
         return any(self._stage.touches(body) for body in (self._cast.adversary, *self._cast.others))
 
     def _hold(self) -> None:
-        """Ease the brake where the car comes to stand: MetaDrive's trembles under a full one, and creeps."""
-        speed = self._stage.speed
-        if speed < -self._acceleration * self.frame_step:
-            needed = max(speed, 0.0) / self.frame_step
-            self._stage.press(self._pedals.pedal(-needed) if needed > -self._pedals.coasting else 0.0)
+        """Brake as much as it takes to stand, where the car comes to: under more, MetaDrive's trembles and creeps."""
+        needed = abs(self._stage.speed) / self.frame_step
+        if needed < -self._acceleration or self._stage.speed < 0.0:
+            brakes = min(needed, -self._acceleration)
+            self._stage.press(self._pedals.pedal(-brakes) if brakes > -self._pedals.coasting else 0.0)
 
     def _put_moving(self) -> None:
         self._put(self._cast.adversary, self._at.x, self._at.y, self._at.heading)
@@ -108,13 +108,12 @@ class MetaDriveFrames:
 
     def _states(self) -> States:
         """Return where MetaDrive has car and adversary, in the world's frame."""
-        car = self._stage.car
-        (ahead, left), (x, y) = car.heading, car.position
+        x, y, heading = self._stage.pose
         reference = (
-            self._stage.across - float(y) + self._middle * float(left),
-            float(x) - self._ahead - self._middle * float(ahead),
+            self._stage.across - y + self._middle * math.sin(heading),
+            x - self._ahead - self._middle * math.cos(heading),
         )
-        heading = float(on_grid(float(car.heading_theta) + HEADING_NORTH))
+        heading = float(on_grid(heading + HEADING_NORTH))
         self._check_adversary()
         return CarState(*reference, heading, max(0.0, self._stage.speed)), self._at
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from skd_sim.errors import UsageError
 
-NAME: Final = "metadrive"
+METADRIVE: Final = "metadrive"
 """What the simulator is called on the command line."""
 VERSION: Final = "0.4.3"
 _DISTRIBUTION: Final = "metadrive-simulator"
@@ -27,6 +27,6 @@ def require_metadrive() -> None:
     if found != VERSION or importlib.util.find_spec("metadrive") is None:
         there = f"version {found} is installed" if found else "it is not installed"
         raise UsageError(
-            f"simulator {NAME} needs MetaDrive {VERSION}, and {there}: in the folder of SKD, "
+            f"simulator {METADRIVE} needs MetaDrive {VERSION}, and {there}: in the folder of SKD, "
             '.venv/bin/python -m pip install -e ".[metadrive]" (Python 3.11)'
         )

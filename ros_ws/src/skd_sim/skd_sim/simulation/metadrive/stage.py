@@ -200,6 +200,7 @@ class Stage:
             wheel.setDeltaRotation(0.0)
         car.body.setLinearVelocity(Vec3(speed, 0.0, 0.0))
         car.last_velocity, car.last_speed = car.velocity, car.speed
+        self._behind = 0.0, 0.0, 0.0
 
     def show_anew(self, cast: Cast) -> None:
         """Have rays find bodies where they are: without a step of the physics they look where these were before."""
@@ -218,8 +219,20 @@ class Stage:
 
     def advance(self) -> None:
         """Take one step of the physics."""
+        velocity, turning = self.car.body.getLinearVelocity(), self.car.body.getAngularVelocity()
+        self._behind = velocity[0] * self.step, velocity[1] * self.step, turning[2] * self.step
         self.engine.global_config["physics_world_step_size"] = self.step
         self.engine.step_physics_world()
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Where the centre of the car's body is now (x, y; m), and its heading, rad.
+
+        Bullet tells where bodies were a step of the physics ago (`btDiscreteDynamicsWorld` interpolates with latency).
+        In that step they went on at the velocity that they had before it.
+        """
+        (x, y), (dx, dy, turn) = self.car.position, self._behind
+        return float(x) + dx, float(y) + dy, float(self.car.heading_theta) + turn
 
     @property
     def speed(self) -> float:
@@ -258,10 +271,10 @@ class Stage:
         """Return the mean acceleration of a stop, by its distance, m/s²."""
         self.place(speed)
         self.drive(0.0, -brake)
-        begin, first = float(self.car.position[0]), self.speed
+        begin, first = self.pose[0], self.speed
         while self.speed > LEAST_SPEED:
             self.advance()
-        return (self.speed**2 - first**2) / (2.0 * (float(self.car.position[0]) - begin))
+        return (self.speed**2 - first**2) / (2.0 * (self.pose[0] - begin))
 
     def _pushed(self, throttle: float) -> float:
         """Return the mean acceleration of half a second, m/s²."""
@@ -305,6 +318,13 @@ def stage_for(scenario: Scenario, step: float) -> Stage:
         _Running.stage = stage = Stage(spec)
     stage.step = step
     return stage
+
+
+def end() -> None:
+    """End the engine of this process, if it has one."""
+    if (stage := running()) is not None:
+        _Running.stage = None
+        stage.close()
 
 
 def step_of(scenario: Scenario) -> float:

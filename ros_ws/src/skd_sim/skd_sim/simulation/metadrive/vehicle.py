@@ -12,11 +12,14 @@ from typing import Any, Final
 from metadrive.component.vehicle.vehicle_type import VaryingDynamicsVehicle, vehicle_class_to_type, vehicle_type
 
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.errors import UsageError
 
 MODEL: Final = "skd"
 """Name under which MetaDrive finds `ScenarioVehicle`."""
 MASS: Final = 1100.0
 """Mass of MetaDrive's default vehicle, kg."""
+HEAVIEST: Final = 2000.0
+"""Greatest mass, kg: Bullet's springs press with 6 kN a wheel at most: 2446 kg at rest, and less where it brakes."""
 _DRY: Final = 0.9  # wheel friction of MetaDrive's default vehicle: what `road.friction` of 1 means
 _ENGINE_FORCE: Final = 800.0  # N a wheel at full throttle, the middle of what MetaDrive draws for its default vehicle
 _BRAKE_FORCE: Final = 130.0  # N s a wheel and physics step at full brake, the middle of what it draws
@@ -68,12 +71,22 @@ class VehicleSpec:
 
     @classmethod
     def of(cls, scenario: Scenario) -> VehicleSpec:
-        """Return that of a scenario."""
+        """Return that of a scenario.
+
+        Raises:
+            UsageError: the car is too heavy for MetaDrive's springs.
+        """
         car = scenario.car
+        mass = MASS if car.mass is None else car.mass
+        if mass > HEAVIEST:
+            raise UsageError(
+                f"scenario {scenario.name}: car.mass {mass:g} kg is more than the springs of MetaDrive's car bear; it "
+                f"may be at most {HEAVIEST:g} kg there"
+            )
         return cls(
             length=car.front + car.rear,
             width=car.width,
-            mass=MASS if car.mass is None else car.mass,
+            mass=mass,
             friction=_DRY * scenario.road.friction,
             top_speed=max(_TOP_SPEED, math.ceil(3.6 * car.start_speed + _SPARE)),
         )
