@@ -24,12 +24,13 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
@@ -39,7 +40,7 @@ from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.encounter.scenario import Scenario, load_scenario
 
 TEN = (
     "basic, C = 0.5",
@@ -68,10 +69,18 @@ class TestWorld:
     name: str
 
     @property
-    def options(self) -> tuple[str, ...]:
-        """The options of `skd assess` that choose it."""
-        simulator, _, dynamics = self.name.partition("/")
-        return "--simulator", simulator, "--scenario", DYNAMICS[dynamics or BASIC].scenario
+    def simulator(self) -> str:
+        """Name of the simulator."""
+        return self.name.partition("/")[0]
+
+    @property
+    def scenario(self) -> Scenario:
+        """The crossing with its car, which has the laser that cars of SKD's own world have."""
+        found = load_scenario(DYNAMICS[self.name.partition("/")[2] or BASIC].scenario)
+        if found.sensor is not None:
+            return found
+        sensor = load_scenario(DYNAMICS[BASIC].scenario).sensor
+        return replace(found, sensor=sensor and replace(sensor, mount_ahead=found.car.front))
 
     @property
     def file_name(self) -> str:
@@ -114,7 +123,10 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
     """
     out: Path = arguments.out / where.file_name / car.label.replace(" ", "_").replace("/", "-")
     if not (out / ASSESSMENT).exists():  # the folder alone may be of a run that was ended
-        words = ["--controller", car.controller, *where.options, "--safe", str(arguments.out / "phi")]
+        scenario: Path = arguments.out / f"{where.file_name}.yaml"
+        scenario.write_text(yaml.safe_dump(where.scenario.as_dict(), sort_keys=False), encoding="utf-8")
+        words = ["--controller", car.controller, "--simulator", where.simulator, "--scenario", str(scenario)]
+        words += ["--safe", str(arguments.out / "phi")]
         words += ["--multiplier", str(car.multiplier)] if car.controller == "basic" else []
         words += ["--safe-count", str(arguments.safe_count), "--kamikaze-count", str(arguments.kamikaze_count)]
         words += ["--collision-runs", str(arguments.safe_count), "--behaviour", "none", "--objective", "both"]
