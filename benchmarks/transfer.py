@@ -127,7 +127,7 @@ def assess(car: Car, where: TestWorld, arguments: argparse.Namespace) -> StoredR
         scenario.write_text(yaml.safe_dump(where.scenario.as_dict(), sort_keys=False), encoding="utf-8")
         words = ["--controller", car.controller, "--simulator", where.simulator, "--scenario", str(scenario)]
         words += ["--safe", str(arguments.out / "phi")]
-        words += ["--multiplier", str(car.multiplier)] if car.controller == "basic" else []
+        words += ["--multiplier", str(car.multiplier)] if car.has_multiplier else []
         words += ["--safe-count", str(arguments.safe_count), "--kamikaze-count", str(arguments.kamikaze_count)]
         words += ["--collision-runs", str(arguments.safe_count), "--behaviour", "none", "--objective", "both"]
         words += ["--knowledge", arguments.knowledge, "--margin-limit", str(arguments.margin_limit)]
@@ -190,7 +190,7 @@ def rated(cars: Sequence[Car], worlds: Sequence[TestWorld], arguments: argparse.
         basic = {
             car.multiplier: results[car.label].groups["margin"]
             for car in cars
-            if car.controller == "basic" and "margin" in results[car.label].groups
+            if car.has_multiplier and "margin" in results[car.label].groups
         }
         table[where.name] = {
             label: Found(
@@ -255,9 +255,12 @@ def show(table: Table, alike: Mapping[tuple[str, str], Mapping[str, Agreement]])
                 cells.append("–" if np.isnan(found.mean(figure)) else f"{found.mean(figure):.2f}{star}")
             print(f"| {label} | {' | '.join(cells)} |")
     print(f"\n| C with the same margin there | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
-    for label in next(iter(table.values())):
+    for label, one in next(iter(table.values())).items():
+        if one.result.figures["multiplier"] is not None:
+            continue  # the yardstick itself
         multipliers = [table[name][label].multiplier for name in names]
-        print(f"| {label} | {' | '.join('–' if one is None else _with_interval(one) for one in multipliers)} |")
+        cells = ["–" if found is None else _with_interval(found) for found in multipliers]
+        print(f"| {label} | {' | '.join(cells)} |")
     print("\n| worlds | figure | cars | Kendall's τ | 95 % over φ | 95 % over cars |\n|---|---|---|---|---|---|")
     for (first, second), figures in alike.items():
         for figure, one in figures.items():

@@ -40,6 +40,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
     r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
+    r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
 _POLICY = ROOT / "docs" / "start" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
