@@ -43,6 +43,9 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
     r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
+    r".* sumo_drivers:Krauss --knowledge": "examples/sumo/README.md has it in fewer words",
+    r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",
+    r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
 _POLICY = ROOT / "docs" / "start" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
