@@ -6,17 +6,18 @@ import math
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors import Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, Scene
 
 _Result = TypeVar("_Result")
 
@@ -54,6 +55,25 @@ class GuardedController(WrappedController):
             got = shown(answer, repr, 80)
             raise NoNumberError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
         return acceleration
+
+    def commands(self, cars: CarState, adversaries: AdversaryState) -> FloatArray:
+        """Pass the call on and check the answer; see `BatchController.commands`."""
+        inner: Any = self._controller
+        scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
+        answer = self._call("commands", lambda: inner.commands(cars, scenes))
+        count = np.shape(cars.x)
+        try:
+            found = np.asarray(answer)
+            numbers = found.dtype.kind in "fiu" and found.shape == count  # a yes or no is no acceleration
+            accelerations = found.astype(np.float64)
+        except BaseException:  # an array of a user's own kind, too
+            numbers = False
+        if not numbers or not np.isfinite(accelerations).all():
+            got = shown(answer, repr, 80)
+            raise NoNumberError(
+                f"controller {self._name}: commands must return an array of {count[0]} finite numbers (m/s²), got {got}"
+            )
+        return accelerations
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         try:

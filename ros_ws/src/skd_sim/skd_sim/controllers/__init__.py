@@ -5,18 +5,21 @@ from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
 from skd_sim.controllers.factory import make_controller
 from skd_sim.controllers.protocol import (
+    BatchController,
     Controller,
     SensingController,
     control_period_of,
     require_control_period,
     require_sensor,
     sight_of,
+    takes_batches,
     takes_scene,
     with_control_period,
 )
 
 __all__ = [
     "PAPER_MULTIPLIERS",
+    "BatchController",
     "BasicController",
     "CalController",
     "CarlaAgent",
@@ -28,6 +31,7 @@ __all__ = [
     "require_control_period",
     "require_sensor",
     "sight_of",
+    "takes_batches",
     "takes_scene",
     "with_control_period",
 ]
