@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import ApartController, apart
-from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.apart.apart import ApartController, apart, takes_batches
 from skd_sim.encounter.road import road_pose
 
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
@@ -36,13 +35,8 @@ def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | No
     one = Crossings(np.array([0]), np.zeros((1, encounter.walker_normals)), np.empty((1, 0)), np.array([0]))
     if why_not_side_by_side(AnyCar(encounter, runner).episodes(one, 1.0)[0]):
         return None
-    (takes,) = runner.map(_takes_batches, [car])
+    (takes,) = runner.map(takes_batches, [car])
     return BatchedCar(encounter, runner) if takes else None
-
-
-def _takes_batches(car: CarUnderTest) -> bool:
-    controller = apart(car)
-    return controller.takes_batches
 
 
 class BatchedCar:

@@ -358,6 +358,15 @@ def controller_of(car: CarUnderTest) -> Controller:
     return make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
 
 
+def takes_batches(car: CarUnderTest) -> bool:
+    """Tell whether a user's controller answers many episodes at once.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    return apart(car).takes_batches
+
+
 def have_sent(name: str, module: SentModule) -> None:
     """Have controllers find a module in memory; those that had another one of this name begin anew."""
     if _Kept.modules.get(name) != module:

@@ -24,7 +24,7 @@ from skd_sim.episode.episode import Episode, Mode
 from skd_sim.episode.randomness import Role, controller_generator, controller_seed, generator
 from skd_sim.geometry.contact import sweep
 from skd_sim.kernels.compilation import kernel
-from skd_sim.simulation.world import make_world
+from skd_sim.simulation.world import first_car_state
 from skd_sim.state import AdversaryState, CarState, Scene
 
 from skd_evaluator.errors import AssessmentError
@@ -160,8 +160,8 @@ def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -
     for row, one in enumerate(episodes):
         assert one.safe_trajectory is not None
         velocities[row] = path_velocities(one.safe_trajectory.positions, most, scenario.time_step)
-        world = make_world(one)
-        cars[row], users[row] = world.car, world.adversary
+        cars[row] = first_car_state(one.scenario, one.start_gap, generator(one.seed, one.episode_id, Role.START))
+        users[row] = scenario.adversary.first_state(*one.start)
         draws = generator(one.seed, one.episode_id, Role.CAR).random((most, 2))
         noise[row] = np.multiply(scales, 2.0 * draws - 1.0)
     found = Replayed(
