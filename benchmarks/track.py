@@ -245,7 +245,9 @@ def machine() -> str:
     model = platform.processor() or platform.machine()
     cpus = Path("/proc/cpuinfo")
     if cpus.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpus.read_text().splitlines() if line.startswith("model name")]
+        names = [
+            line.split(":", 1)[1].strip() for line in cpus.read_text().splitlines() if line.startswith("model name")
+        ]
         model = names[0] if names else model
     return f"{model}; Python {platform.python_version()}, numpy {np.__version__}, numba {numba.__version__}"
 
@@ -288,13 +290,17 @@ def draw(records: Sequence[Record], path: Path) -> None:
         having = [(place, one) for place, one in enumerate(mine) if name in one.figures]
         first = having[0][1].median(name)
         for place, one in having:
-            panel.plot([place] * len(one.figures[name]), [ratio / first for ratio in one.figures[name]], ".", color="0.7")
+            panel.plot(
+                [place] * len(one.figures[name]), [ratio / first for ratio in one.figures[name]], ".", color="0.7"
+            )
         panel.plot([place for place, _ in having], [one.median(name) / first for _, one in having], "-o", markersize=3)
         panel.axhline(1.0, color="0.85", linewidth=0.8, zorder=0)
         panel.set_title(name, fontsize=9, loc="left")
         low, high = panel.get_ylim()
         panel.set_ylim(min(low, 0.85), max(high, 1.15))
-        panel.set_xticks(range(len(mine)), [one.revision[:8] + "*" * one.changed for one in mine], rotation=60, fontsize=7)
+        panel.set_xticks(
+            range(len(mine)), [one.revision[:8] + "*" * one.changed for one in mine], rotation=60, fontsize=7
+        )
         panel.tick_params(axis="y", labelsize=8)
     for panel in axes[len(names) :]:
         panel.set_axis_off()
@@ -315,7 +321,9 @@ def _say(changes: Sequence[Change], before: Record, limit: float) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, keep, compare and draw; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--file", type=Path, default=FILE, help=f"where figures are kept (default {FILE.name} beside it)")
+    parser.add_argument(
+        "--file", type=Path, default=FILE, help=f"where figures are kept (default {FILE.name} beside it)"
+    )
     parser.add_argument("--check", action="store_true", help="fail where a figure has grown")
     parser.add_argument("--against", default="", metavar="REVISION", help="compare with this one, not with the last")
     parser.add_argument("--loss", type=float, default=LOSS, help=f"share by which a figure may grow (default {LOSS})")

@@ -204,7 +204,9 @@ def _scales(
             ends = Ends.together(parts)
         subsets = None
         if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
-            subsets = _subsets(encounter, scale, effort, runner, None if known is not None else together or other, progress)
+            subsets = _subsets(
+                encounter, scale, effort, runner, None if known is not None else together or other, progress
+            )
         yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
 
 

@@ -99,7 +99,10 @@ class _Car:
                 place += COMMANDS.size
                 states = np.frombuffer(message, np.float64, 9 * count, place).reshape(9, count).copy()
                 place += states.nbytes
-                answer = Kind.NUMBERS, self._controllers[number].commands(CarState(*states[:4]), RoadUserState(*states[4:]))
+                answer = (
+                    Kind.NUMBERS,
+                    self._controllers[number].commands(CarState(*states[:4]), RoadUserState(*states[4:])),
+                )
             elif operation == _COPY:
                 _, number, other = COPY.unpack_from(message, place)
                 place += COPY.size
@@ -166,7 +169,8 @@ class _Car:
 
     def _copied(self, number: int) -> GuardedController:
         try:
-            copied: GuardedController = self._copier.copy(self._controllers[number])
+            controller = self._controllers[number]
+            copied: GuardedController = controller.own_copy() or self._copier.copy(controller)
         except (UsageError, AssessmentError):
             raise
         except BaseException as error:  # a user's class may raise anything

@@ -61,19 +61,36 @@ class GuardedController(WrappedController):
         inner: Any = self._controller
         scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
         answer = self._call("commands", lambda: inner.commands(cars, scenes))
-        count = np.shape(cars.x)
+        count = np.size(cars.x)
         try:
             found = np.asarray(answer)
-            numbers = found.dtype.kind in "fiu" and found.shape == count  # a yes or no is no acceleration
+            numbers = found.dtype.kind in "fiu" and found.shape == (count,)  # a yes or no is no acceleration
             accelerations = found.astype(np.float64)
         except BaseException:  # an array of a user's own kind, too
             numbers = False
         if not numbers or not np.isfinite(accelerations).all():
             got = shown(answer, repr, 80)
             raise NoNumberError(
-                f"controller {self._name}: commands must return an array of {count[0]} finite numbers (m/s²), got {got}"
+                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got {got}"
             )
         return accelerations
+
+    def own_copy(self) -> GuardedController | None:
+        """Return a guard around a copy that the controller's own method `copy` makes; None if it has none.
+
+        Raises:
+            AssessmentError: it fails, or gives no controller of the same class, or itself.
+        """
+        inner: Any = self._controller
+        if not callable(getattr(inner, "copy", None)):
+            return None
+        made = self._call("copy", lambda: inner.copy())
+        if made is inner or type(made) is not type(inner):
+            raise AssessmentError(
+                f"controller {self._name}: copy must return another {type(inner).__name__}, got "
+                f"{'itself' if made is inner else shown(made, repr, 80)}"
+            )
+        return guard(made, self._name)
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         try:

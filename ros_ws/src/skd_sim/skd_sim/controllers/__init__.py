@@ -19,8 +19,8 @@ from skd_sim.controllers.protocol import (
 
 __all__ = [
     "PAPER_MULTIPLIERS",
-    "BatchController",
     "BasicController",
+    "BatchController",
     "CalController",
     "CarlaAgent",
     "Controller",

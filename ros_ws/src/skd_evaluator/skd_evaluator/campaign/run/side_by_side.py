@@ -184,7 +184,7 @@ def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -
                 numbers, tick, period, asked, commands, velocities, noise, cars, users, origins, found.shares,
                 found.impacts, over,
             )  # fmt: skip
-        found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[np.ix_(rows, (0, 1, 3))]
+        found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[rows][:, [0, 1, 3]]
         found.ticks[rows[over[rows]]] = tick + 1
     return found
 
