@@ -1,25 +1,22 @@
 """How much faster the risk and the margin of a policy are that answers many episodes at once: `commands`.
 
 The same crossings and the same attempts are run one by one and side by side, in turns, in one worker: processor time of
-the worker and of the policy's process, and the wall clock. Policies are those of `examples/batches`, and two that think
-longer: `Thoughtful` takes some milliseconds for a call, whether of one episode or of many, as a network on the edge of
-a graphics card does. Results of both are compared: of policies that compute each number apart, they are the same bits.
+the worker and of the policy's process, and the wall clock. Policies are those of `examples/batches`, and
+`cars/thoughtful.py`, a wide network that takes a millisecond for a call, whether of one episode or of many. Results of
+both are compared: of policies that compute each number apart, they are the same bits.
 
-    PYTHONPATH=benchmarks .venv/bin/python benchmarks/batches.py [--crossings 1000] [--attempts 32] [--turns 3]
+    OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/batches.py [--crossings 1000] [--attempts 32] [--turns 3]
 """
 
 from __future__ import annotations
 
-import os
-
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # before numpy; the policy's process inherits them
-    os.environ.setdefault(_name, "1")
-
 import argparse
+import os
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -37,6 +34,7 @@ from skd_evaluator.risk.crossings import Encounter
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
+from skd_sim.geometry.trajectory import Trajectory
 
 _EXAMPLES = str(Path(__file__).resolve().parents[1] / "examples" / "batches")
 _HERE = str(Path(__file__).resolve().parent)
@@ -84,36 +82,45 @@ def main() -> int:
     sys.path[:0] = [_EXAMPLES, _HERE]
     plan = Plan(load_scenario("crossing"), safe_count=4, knowledge=Knowledge.NOTHING, controller=POLICIES[0])
     safe = tuple(safe_trajectories(plan, InProcessRunner(1)))
-    behaviour = load_behaviour("walkers")
     print(f"load {os.getloadavg()[0]:.1f}; processor time one by one and side by side; ratios: processor, wall clock")
     for policy in arguments.policy:
-        mine = Plan(plan.scenario, safe_count=4, knowledge=Knowledge.NOTHING, controller=policy)
-        here = Encounter(mine, safe, behaviour.values)
-        crossings = crude_crossings(here, arguments.crossings)
-        episodes = [mine.episode(Mode.KAMIKAZE, k % 4, k // 4, safe[k % 4]) for k in range(arguments.attempts)]
-        with InProcessRunner(1, isolated=True) as runner:
-            runner.start()
-            together = batched_car(here, runner)
-            if together is None:
-                print(f"{policy}: answers one by one")
-                continue
-            one, many, said = in_turns(
-                lambda: AnyCar(here, runner).run(crossings, 1.0), lambda: together.run(crossings, 1.0), arguments.turns
-            )
-            same = np.array_equal(one.touch, many.touch) and np.array_equal(one.clearance, many.clearance)
-            print(f"{policy:30}{f'risk, {len(crossings)} crossings':26}{said}  same bits: {'yes' if same else 'no'}", flush=True)
-
-            def margins() -> Any:
-                return attempts.searched_margins(episodes, [()] * len(episodes), runner, lambda *_told: None, 256, 256)
-
-            def one_by_one() -> Any:
-                with mock.patch.object(attempts, "can_be_together", lambda _episode: False):
-                    return margins()
-
-            one, many, said = in_turns(one_by_one, margins, arguments.turns)
-            same = all(np.array_equal(a.trace, b.trace) for a, b in zip(one.results, many.results, strict=True))
-            print(f"{'':30}{f'margin, {len(episodes)} attempts':26}{said}  same bits: {'yes' if same else 'no'}", flush=True)
+        _measure(replace(plan, controller=policy), safe, arguments)
     return 0
+
+
+def _measure(plan: Plan, safe: tuple[Trajectory, ...], arguments: argparse.Namespace) -> None:
+    """Measure one policy, and print what was found."""
+    here = Encounter(plan, safe, load_behaviour("walkers").values)
+    crossings = crude_crossings(here, arguments.crossings)
+    phis = len(safe)
+    episodes = [plan.episode(Mode.KAMIKAZE, k % phis, k // phis, safe[k % phis]) for k in range(arguments.attempts)]
+    with InProcessRunner(1, isolated=True) as runner:
+        runner.start()
+        together = batched_car(here, runner)
+        if together is None:
+            print(f"{plan.controller}: answers one by one")
+            return
+        single = AnyCar(here, runner)
+        one, many, said = in_turns(
+            lambda: single.run(crossings, 1.0), lambda: together.run(crossings, 1.0), arguments.turns
+        )
+        same = np.array_equal(one.touch, many.touch) and np.array_equal(one.clearance, many.clearance)
+        _say(plan.controller, f"risk, {len(crossings)} crossings", said, same)
+
+        def margins() -> Any:
+            return attempts.searched_margins(episodes, [()] * len(episodes), runner, lambda *_told: None, 256, 256)
+
+        def one_by_one() -> Any:
+            with mock.patch.object(attempts, "can_be_together", return_value=False):
+                return margins()
+
+        one, many, said = in_turns(one_by_one, margins, arguments.turns)
+        same = all(np.array_equal(a.trace, b.trace) for a, b in zip(one.results, many.results, strict=True))
+        _say("", f"margin, {len(episodes)} attempts", said, same)
+
+
+def _say(policy: str, what: str, said: str, same: bool) -> None:
+    print(f"{policy:30}{what:26}{said}  same bits: {'yes' if same else 'no'}", flush=True)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ class Thoughtful:
         """Draw the weights."""
         rng = np.random.default_rng(1)
         sizes = (9, _WIDTH, _WIDTH, 1)
-        self._layers = [rng.normal(size=(a, b)) / np.sqrt(a) for a, b in zip(sizes, sizes[1:])]
+        self._layers = [rng.normal(size=(a, b)) / np.sqrt(a) for a, b in itertools.pairwise(sizes)]
 
     def reset(self, scenario: Any, rng: Any) -> None:
         """Do nothing: the network has no memory."""

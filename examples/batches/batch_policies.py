@@ -5,6 +5,7 @@ Both forms of each are the same lines: what `command` is given as numbers, `comm
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -35,12 +36,12 @@ class Anticipating:
 
 
 class SmallNetwork:
-    """A multilayer perceptron with two hidden layers of 64 whose weights nobody has trained: it is here for its speed."""
+    """A perceptron with two hidden layers of 64 whose weights nobody has trained: it is here for its speed."""
 
     def __init__(self) -> None:
         rng = np.random.default_rng(1)
         sizes = (7, 64, 64, 1)
-        self._layers = [(rng.normal(size=(a, b)) / np.sqrt(a), np.zeros(b)) for a, b in zip(sizes, sizes[1:])]
+        self._layers = [(rng.normal(size=(a, b)) / np.sqrt(a), np.zeros(b)) for a, b in itertools.pairwise(sizes)]
 
     def reset(self, scenario: Any, rng: Any) -> None:
         """Do nothing: the network has no memory."""

@@ -229,7 +229,8 @@ def _failures(
         missed = [row for row, log in logs.items() if end_of(log)[0] != Touch.FRONT]
         if missed:
             raise AssessmentError(
-                f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: both have to be the same car"
+                f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: "
+                "both have to be the same car"
             )
     return found.as_dict({row: log.impact_speed for row, log in logs.items()}), logs
 

@@ -147,7 +147,8 @@ def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -
         AssessmentError: the controller fails, or its two forms differ.
     """
     first = episodes[0]
-    assert first.mode == Mode.REPLAY and not why_not_side_by_side(first)
+    assert first.mode == Mode.REPLAY, first.mode
+    assert not why_not_side_by_side(first), why_not_side_by_side(first)
     policy = _made(make, first)
     checks = {row: _made(make, episodes[row]) for row in _by_lot(episodes)}
     numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
