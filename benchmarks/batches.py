@@ -2,7 +2,7 @@
 
 The same crossings and the same attempts are run one by one and side by side, in turns, in one worker: processor time of
 the worker and of the policy's process, and the wall clock. Policies are those of `examples/batches`, and
-`cars/thoughtful.py`, a wide network that takes a millisecond for a call, whether of one episode or of many. Results of
+`cars/thoughtful.py`, a wide network that takes milliseconds for a call, whether of one episode or of many. Results of
 both are compared: of policies that compute each number apart, they are the same bits.
 
     OPENBLAS_NUM_THREADS=1 .venv/bin/python benchmarks/batches.py [--crossings 1000] [--attempts 32] [--turns 3]

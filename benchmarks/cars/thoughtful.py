@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-_WIDTH = 1400
+_WIDTH = 3500
 
 
 class Thoughtful:
-    """A network whose two hidden layers are 1,400 wide: 2 million weights are read for a call of any size."""
+    """A network whose two hidden layers are 3,500 wide: 12 million weights are read for a call of any size."""
 
     def __init__(self) -> None:
         """Draw the weights."""
@@ -21,6 +21,12 @@ class Thoughtful:
 
     def reset(self, scenario: Any, rng: Any) -> None:
         """Do nothing: the network has no memory."""
+
+    def copy(self) -> Thoughtful:
+        """Return another one with the same weights, which nobody changes: they are 98 MB."""
+        again = Thoughtful.__new__(Thoughtful)
+        again._layers = self._layers
+        return again
 
     def command(self, car: Any, adversary: Any) -> float:
         """Return the acceleration, m/s²: a batch of one."""
