@@ -26,8 +26,9 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.behaviour.model import Behaviour
 from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
-from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
+from skd_evaluator.risk.batched_car import batched_car
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
@@ -189,11 +190,15 @@ def _scales(
     known = KnownCar(encounter) if _foretold(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
     draws = None if known is None else draws_of(encounter, crossings)
+    together = None if known is not None else batched_car(encounter, runner)
     other = AnyCar(encounter, by_whom)
     effort = Effort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
             ends = known.run_drawn(crossings, draws, scale)
+            progress(LABEL, (number + 1) * runs, total)
+        elif together is not None:
+            ends = together.run(crossings, scale)
             progress(LABEL, (number + 1) * runs, total)
         else:
             parts, mine = [], hits.setdefault(scale, {})
@@ -205,7 +210,9 @@ def _scales(
             ends = Ends.together(parts)
         subsets = None
         if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
-            subsets = _subsets(encounter, scale, effort, runner, None if known is not None else other, progress)
+            subsets = _subsets(
+                encounter, scale, effort, runner, None if known is not None else together or other, progress
+            )
         yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
 
 
@@ -225,6 +232,12 @@ def _failures(
     else:
         chosen = crude_crossings(encounter, rows[-1] + 1).of(np.array(rows))
         logs = dict(zip(rows, runner.run(AnyCar(encounter, runner).episodes(chosen, found.scale)), strict=True))
+        missed = [row for row, log in logs.items() if end_of(log)[0] != Touch.FRONT]
+        if missed:
+            raise AssessmentError(
+                f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: "
+                "both have to be the same car"
+            )
     return found.as_dict({row: log.impact_speed for row, log in logs.items()}), logs
 
 

@@ -5,6 +5,7 @@ from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
 from skd_sim.controllers.factory import make_controller
 from skd_sim.controllers.protocol import (
+    BatchController,
     Controller,
     SensingController,
     control_period_of,
@@ -12,6 +13,7 @@ from skd_sim.controllers.protocol import (
     require_control_period,
     require_sensor,
     sight_of,
+    takes_batches,
     takes_scene,
     with_control_period,
 )
@@ -19,6 +21,7 @@ from skd_sim.controllers.protocol import (
 __all__ = [
     "PAPER_MULTIPLIERS",
     "BasicController",
+    "BatchController",
     "CalController",
     "CarlaAgent",
     "Controller",
@@ -30,6 +33,7 @@ __all__ = [
     "require_control_period",
     "require_sensor",
     "sight_of",
+    "takes_batches",
     "takes_scene",
     "with_control_period",
 ]

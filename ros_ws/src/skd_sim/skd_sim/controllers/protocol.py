@@ -49,6 +49,30 @@ def is_sensing(controller: object) -> TypeGuard[SensingController]:
     return all(getattr(controller, method, None) is not None for method in ("reset", "command", "sense"))
 
 
+@runtime_checkable
+class BatchController(Controller, Protocol):
+    """A controller that also answers many episodes at once: it keeps nothing from one command to the next."""
+
+    def commands(self, cars: CarState, scenes: Any) -> Any:
+        """Return the accelerations (m/s²) of n episodes, an array of n; each is what `command` would return there.
+
+        Args:
+            cars: a `CarState` each field of which is an array of n numbers.
+            scenes: what `command` gets as its second argument, with arrays of n numbers for numbers.
+        """
+
+
+def takes_batches(controller: object) -> bool:
+    """Tell whether a controller answers many episodes at once; it, or who wraps it, says so.
+
+    One that takes scans does not: it is told them one by one.
+    """
+    said = getattr(controller, "takes_batches", None)
+    if isinstance(said, bool):
+        return said
+    return isinstance(controller, BatchController) and not is_sensing(controller)
+
+
 def takes_scene(controller: object) -> bool:
     """Tell whether a controller wants to see everybody, not only the adversary; it, or who wraps it, says so."""
     said = getattr(controller, "takes_scene", None)
