@@ -72,7 +72,7 @@ def built_packages() -> list[MessagePackage]:
 
 
 def packages_without_wheel() -> list[MessagePackage]:
-    """Return the messages of others that SKD uses and that have no wheel: the fields, and type hashes, of the originals.
+    """Return the messages of others that have no wheel and that SKD uses, with the type hashes of the originals.
 
     Where SKD is installed in a workspace of ROS 2 they are in its prefixes, and not here.
     """
