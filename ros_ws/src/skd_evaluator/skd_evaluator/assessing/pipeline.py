@@ -28,7 +28,8 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.learning.lesson import learned, needs_learning
-from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
+from skd_evaluator.margin.ahead import margins_compiled_beside
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
 from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
 
@@ -197,13 +198,12 @@ def assess_in_process(
         # Recorded ones are read first: bad input is said before anything is compiled.
         if plan.safe not in (SYNTHETIC, OWN) and not further.until_width:
             safe.extend(safe_trajectories(plan, runner))
-        if further.floor:
-            warm_up_floor()
-        if further.margin_limit:
-            warm_up_margins()
-        if further.risk.behaviour is not None:
-            warm_up_risk(plan)
-        runner.start(planners_of(plan, objectives))
+        with margins_compiled_beside(wanted=further.margin_limit > 0) as load_margins:
+            if further.floor:
+                warm_up_floor()
+            if further.risk.behaviour is not None:
+                warm_up_risk(plan)
+            runner.start(planners_of(plan, objectives), inherited=load_margins)
         plan = learned_plan(plan, runner, progress, say)
         known = origin(plan)
         return replace(assessed(plan, objectives, runners, progress, further, safe), provenance=known)

@@ -27,7 +27,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program
 from skd_evaluator.report.side_by_side import LiveTable, campaign_table, cell_line, equal_remarks, plan_table
@@ -106,14 +106,13 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above |
             answer_limit=max(cell.answer_limit for cell in in_process),
         )
         with runner:
-            if any(cell.floor for cell in in_process):
-                warm_up_floor()
-            if any(cell.margin_limit for cell in in_process):
-                warm_up_margins()
-            for cell in in_process:
-                if cell.risk.behaviour is not None:
-                    warm_up_risk(cell.plan)
-            runner.start(_planners(in_process))
+            with margins_compiled_beside(wanted=any(cell.margin_limit for cell in in_process)) as load_margins:
+                if any(cell.floor for cell in in_process):
+                    warm_up_floor()
+                for cell in in_process:
+                    if cell.risk.behaviour is not None:
+                        warm_up_risk(cell.plan)
+                runner.start(_planners(in_process), inherited=load_margins)
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
             with progress_bar(quiet=arguments.quiet, above=above) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
