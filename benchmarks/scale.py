@@ -5,6 +5,7 @@ results are compared to the bit. What is not the workers' is measured by itself:
 what an episode costs the process of the campaign and the scheduler, what it takes to judge it, and the memory of the
 campaign's process while 10,000 episodes run. From these follows what a million episodes take (docs/scale.md). What one
 episode costs the campaign's process and the scheduler is measured with replays, which take the workers next to no time.
+What a start takes counts as well: scheduler and worker processes, until each has run its first episodes.
 
     python benchmarks/scale.py [--episodes N] [--turns N] [--tasks N] [--memory-episodes N] [--json]
 
@@ -221,26 +222,36 @@ def extrapolate(found: dict[str, Any]) -> list[dict[str, Any]]:
                 "scheduler_s": scheduler,
                 "judge_s": judge,
                 "write_s": write,
-                "total_s": max(workers, parent, scheduler) + judge + write,
+                "start_s": found["start_s"][name],
+                "total_s": found["start_s"][name] + max(workers, parent, scheduler) + judge + write,
             }
         )
     return rows
 
 
-def measure(arguments: argparse.Namespace, cluster: LocalCluster) -> dict[str, Any]:
-    """Measure everything."""
+def measure_start(runner: ExecutorRunner, begin: Callable[[], None], episodes: Sequence[Episode]) -> float:
+    """Return how long workers take to start and to run their first episodes, s; their kernels have been compiled."""
+    started = time.perf_counter()
+    begin()
+    list(runner.run(episodes))
+    return time.perf_counter() - started
+
+
+def measure(arguments: argparse.Namespace, cluster: LocalCluster, cluster_start: float) -> dict[str, Any]:
+    """Measure everything; a cluster's scheduler and workers took `cluster_start` seconds to come up."""
     plan = Plan(load_scenario("crossing"), safe_count=5, objective=Objective.DEFORMATION)
     warm_up = planners_of(plan, [Objective.DEFORMATION])
     scheduler = psutil.Process(cluster.scheduler.pid)
     with InProcessRunner(1) as one, make_runner(None, 2) as two, make_runner(cluster.address, 2) as dask:
         one.start(warm_up)
-        two.start()
-        dask.start(warm_up)
         safe = safe_trajectories(plan, one)
         warm = _episodes(plan, safe, 40)
-        for runner in (one, two, dask):
-            list(runner.run(warm))
+        list(one.run(warm))  # compiles what has not been compiled yet
         found: dict[str, Any] = {"cores": available_workers(), "load_before": list(psutil.getloadavg())}
+        found["start_s"] = {
+            TWO: measure_start(two, two.start, warm),
+            CLUSTER: cluster_start + measure_start(dask, lambda: dask.start(warm_up), warm),
+        }
         episodes = _episodes(plan, safe, arguments.episodes)
         found["turns"] = measure_turns({ONE: one, TWO: two, CLUSTER: dask}, episodes, arguments.turns)
         found["tasks"] = {
@@ -293,10 +304,13 @@ def _print(found: dict[str, Any]) -> None:
         f" {1e3 * memory['write_s_per_episode']:.2f} ms, {memory['bytes_per_episode'] / 1e3:.1f} kB on disk"
     )
     print("\nA million episodes, from these figures")
-    print(f"{'':34}{'workers':>10}{'parent':>10}{'scheduler':>10}{'judge':>10}{'write':>10}{'in all':>10}")
+    print(f"{'':34}{'start':>8}{'workers':>10}{'parent':>10}{'scheduler':>10}{'judge':>10}{'write':>10}{'in all':>10}")
     for row in found["million"]:
-        times = (row[f"{name}_s"] for name in ("workers", "parent", "scheduler", "judge", "write", "total"))
-        print(f"{row['where']:34}" + "".join(f"{_duration(seconds):>10}" for seconds in times))
+        times = [row[f"{name}_s"] for name in ("workers", "parent", "scheduler", "judge", "write", "total")]
+        print(
+            f"{row['where']:34}{_duration(row['start_s']):>8}"
+            + "".join(f"{_duration(seconds):>10}" for seconds in times)
+        )
 
 
 def main() -> int:
@@ -310,8 +324,9 @@ def main() -> int:
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
+    begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, local_cluster(2, Path(folder)) as cluster:
-        found = measure(arguments, cluster)
+        found = measure(arguments, cluster, time.perf_counter() - begin)
     if arguments.json:
         print(json.dumps(found, indent=2))
     else:

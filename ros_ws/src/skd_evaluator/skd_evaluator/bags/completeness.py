@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Iterable, Mapping, Sequence, Set, Sized
+from itertools import accumulate, islice
 from pathlib import Path
 
 import numpy as np
@@ -56,14 +58,14 @@ def missing_episodes(
             attempts[stage].setdefault(index, set()).add(attempt)
     lines = []
     known = {index for of_stage in attempts.values() for index in of_stage}
-    absent = set(range(max(known, default=-1) + 1)) - known
+    absent = _gaps(known)
     if absent:
-        lines.append(f"no recording has an episode of safe trajectory {_some(absent)}")
+        lines.append(f"no recording has an episode of safe trajectory {absent}")
     for stage, of_stage in attempts.items():
         for index, numbers in sorted(of_stage.items()):
-            gaps = set(range(max(numbers) + 1)) - numbers
+            gaps = _gaps(numbers)
             if gaps:
-                lines.append(f"no recording has {names[stage]} {_some(gaps)} of safe trajectory {index}")
+                lines.append(f"no recording has {names[stage]} {gaps} of safe trajectory {index}")
     for index, count in sorted(reached.items()):
         tried = len(attempts[Stage.KAMIKAZE].get(index, ()))
         if not left_out and count < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
@@ -71,12 +73,18 @@ def missing_episodes(
                 f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
                 f"collided in {tried}, of another {wanted}"
             )
-    runs = attempts[Stage.COLLISION_RATE]
-    counts = [len(runs.get(index, ())) for index in range(max(runs, default=-1) + 1)]
-    uneven = [index for index, count in enumerate(counts) if count < max(counts) - 1 or count < max(counts[index:])]
-    if uneven and not absent:
-        lines.append(f"the last runs along safe trajectory {_some(set(uneven))} were not recorded: others have more")
+    uneven = [] if absent else _with_fewer_runs(attempts[Stage.COLLISION_RATE])
+    if uneven:
+        lines.append(f"the last runs along safe trajectory {_some(uneven)} were not recorded: others have more")
     return lines
+
+
+def _with_fewer_runs(runs: Mapping[int, Sized]) -> list[int]:
+    """Return the numbers of φ with fewer runs than φ after them, or fewer than one less than the most."""
+    counts = [len(runs.get(index, ())) for index in range(max(runs, default=-1) + 1)]
+    most_after = list(accumulate(reversed(counts), max))[::-1]
+    most = max(counts, default=0)
+    return [index for index, count in enumerate(counts) if count < max(most - 1, most_after[index])]
 
 
 def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
@@ -131,7 +139,21 @@ def _said_in(file: Path) -> tuple[int, int] | None:
         return None
 
 
-def _some(numbers: set[int]) -> str:
-    """Return the first few of some numbers, and how many there are."""
-    first = ", ".join(str(number) for number in sorted(numbers)[:5])
-    return first if len(numbers) <= 5 else f"{first}, … ({len(numbers)} in all)"
+def _gaps(numbers: Set[int]) -> str:
+    """Return in words which numbers from 0 to the greatest are not among some; empty if all are.
+
+    They are not listed first: a forged recording may number its only episode 2³¹ - 1.
+    """
+    count = max(numbers, default=-1) + 1 - len(numbers)
+    missing = (number for number in itertools.count() if number not in numbers)
+    return _in_words(list(islice(missing, min(count, 5))), count)
+
+
+def _some(numbers: Sequence[int]) -> str:
+    """Return in words the first few of some numbers in order, and how many there are."""
+    return _in_words(numbers[:5], len(numbers))
+
+
+def _in_words(first: Sequence[int], count: int) -> str:
+    said = ", ".join(str(number) for number in first)
+    return said if count <= len(first) else f"{said}, … ({count} in all)"
