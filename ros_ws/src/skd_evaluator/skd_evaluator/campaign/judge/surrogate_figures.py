@@ -7,11 +7,10 @@ put together.
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -54,17 +53,15 @@ class Surrogates:
             KAMIKAZES: {name: self._group(objectives == name, KAMIKAZES) for name in names},
         }
 
-    def as_csv(self) -> str:
-        """Return the content of surrogate_measures.csv: a row an episode, blank where not defined."""
-        text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
+    def write_csv(self, file: TextIO) -> None:
+        """Write the content of surrogate_measures.csv, row by row: an episode each, blank where not defined."""
+        rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["objective", "episode_id", "phi", "attempt", "outcome", *self.values])
-        columns = [[f"{one:.9g}" if math.isfinite(one) else "" for one in row.tolist()] for row in self.values.values()]
-        for log, objective, *values in zip(self.logs, self.objectives, *columns, strict=True):
+        for log, objective, *values in zip(self.logs, self.objectives, *self.values.values(), strict=True):
             number = log.episode.episode_id
             _, phi, attempt = split_episode_id(number)
-            rows.writerow([objective, number, phi, attempt, log.outcome.name.lower(), *values])
-        return text.getvalue()
+            told = [f"{one:.9g}" if math.isfinite(one) else "" for one in values]
+            rows.writerow([objective, number, phi, attempt, log.outcome.name.lower(), *told])
 
     def _group(self, rows: Any, who: str) -> dict[str, Any]:
         found: dict[str, Any] = {"depends_on": DEPENDS_ON[who], "episodes": int(np.count_nonzero(rows))}

@@ -24,6 +24,8 @@ from skd_evaluator.campaign.run.workers import warm_up_with
 from skd_evaluator.likeness import likeness
 from skd_evaluator.provenance import controller_files
 
+_PROTOCOL = 4
+"""Of pickled answers. From 5 on a small array comes back as a view of a view of bytes, which takes twice the memory."""
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
 
 
@@ -122,8 +124,8 @@ def work_on(setting: Setting, task: bytes) -> bytes:
         raise UsageError(f"worker on {platform.node()} has {different}: all need the same")
     with _alone:
         if setting.controllers:
-            return pickle.dumps(_pool().work_on(setting, task), protocol=pickle.HIGHEST_PROTOCOL)
-        return pickle.dumps(answers(*pickle.loads(task)), protocol=pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps(_pool().work_on(setting, task), protocol=_PROTOCOL)
+        return pickle.dumps(answers(*pickle.loads(task)), protocol=_PROTOCOL)
 
 
 @functools.cache

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 import numpy as np
@@ -46,15 +47,12 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
         logs.append(log)
         rows.append((index, "", math.nan))
     safe = _columns_of_safe(rating)
-    of_logs = episode_columns(logs)
-    offsets = np.concatenate([safe["offsets"], safe["offsets"][-1] + of_logs.pop("offsets")[1:]])
-    # One by one: of a hundred thousand episodes each array twice would be the most that an assessment ever holds.
-    columns: Columns = {name: np.concatenate([safe[name], of_logs.pop(name)]) for name in list(of_logs)}
+    columns = episode_columns(logs, safe)
+    offsets = columns.pop("offsets")
     indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
     count = len(rating.safe)
     if any(log.belief is not None for log in logs):
-        nothing = np.full((int(safe["offsets"][-1]), _BELIEVED), np.nan, np.float32)
-        columns["belief"] = np.concatenate([nothing, *map(_belief, logs)])
+        columns["belief"] = _beliefs(logs, offsets[len(rating.safe) :])
     own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
     if any(log.own_contact is not None for log in logs):
         columns["own_contact"] = np.array([*[math.nan] * count, *own])
@@ -73,12 +71,16 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     )
 
 
-def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
-    """Return the arrays of episodes.npz that follow from logs alone, in their order."""
-    return {
-        "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
-        "car": np.concatenate([np.empty((0, 3)), *(log.car for log in logs)]),
-        "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
+def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = MappingProxyType({})) -> Columns:
+    """Return the arrays of episodes.npz that follow from logs alone, in their order.
+
+    Args:
+        logs: the episodes.
+        before: such arrays of what stands before them.
+    """
+    # Of a hundred thousand episodes an array that is joined twice would be the most that an assessment ever holds.
+    offsets, lengths = before.get("offsets", np.zeros(1, np.int64)), [len(log.adversary) for log in logs]
+    own = {
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
         "outcome": np.array([int(log.outcome) for log in logs], np.int8),
         "episode_id": np.array([log.episode.episode_id for log in logs], np.int64),
@@ -87,6 +89,12 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
         "contact": np.array([_contact(log) for log in logs], np.float64).reshape(-1, 2),
         "clipped": np.array([log.clipped for log in logs], np.int64),
         "reason": _texts([log.reason for log in logs]),
+    }
+    return {
+        "positions": np.concatenate([before.get("positions", np.empty((0, 2))), *(log.adversary for log in logs)]),
+        "car": np.concatenate([before.get("car", np.empty((0, 3))), *(log.car for log in logs)]),
+        "offsets": np.concatenate([offsets, offsets[-1] + np.cumsum(lengths, dtype=np.int64)]),
+        **{name: np.concatenate([before[name], column]) if before else column for name, column in own.items()},
     }
 
 
@@ -145,14 +153,17 @@ def _contact(log: EpisodeLog) -> tuple[float, float]:
     return x, y
 
 
-def _belief(log: EpisodeLog) -> npt.NDArray[np.float32]:
+def _beliefs(logs: Sequence[EpisodeLog], offsets: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
     """Return what was believed of the car at each state; nan where nothing was, or it is not known.
 
-    In millimetres, which is finer than anybody looks, a file of them is half as large.
+    In millimetres, which is finer than anybody looks, a file of them is half as large. Logs begin at `offsets`, of
+    which the last is the number of all states.
     """
-    if log.belief is None:
-        return np.full((len(log.adversary), _BELIEVED), np.nan, np.float32)
-    return np.round(log.belief, 3).astype(np.float32)
+    believed = np.full((int(offsets[-1]), _BELIEVED), np.nan, np.float32)
+    for log, begin in zip(logs, offsets.tolist(), strict=False):
+        if log.belief is not None:
+            believed[begin : begin + len(log.adversary)] = np.round(log.belief, 3)
+    return believed
 
 
 def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:

@@ -311,7 +311,8 @@ def write_assessment(folder: Path, rating: Rating) -> None:
     """Write assessment.json, episodes.npz and surrogate_measures.csv."""
     write_json(folder / "assessment.json", rating.as_dict())
     write_episodes(folder / "episodes.npz", rating)
-    (folder / SURROGATES).write_text(rating.surrogates.as_csv(), encoding="utf-8")
+    with (folder / SURROGATES).open("w", encoding="utf-8") as file:
+        rating.surrogates.write_csv(file)
 
 
 def episode_summary(log: EpisodeLog) -> dict[str, Any]:
