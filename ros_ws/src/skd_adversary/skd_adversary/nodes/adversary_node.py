@@ -6,17 +6,16 @@ from collections.abc import Sequence
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
+from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
-from skd_sim.program.secret import handed_secret
 from skd_sim.state import CarState
 
 from skd_adversary.adversary import Adversary, make_adversary
@@ -25,13 +24,14 @@ from skd_adversary.warm_up import warm_up_episodes
 _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
 
 
-class AdversaryNode(Node):
+class AdversaryNode(ComposableNode):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
-    def __init__(self) -> None:
-        """Declare parameters and topics."""
-        super().__init__("adversary")
-        seal = Seal(handed_secret())
+    def __init__(self, place: Place | None = None) -> None:
+        """Declare parameters and topics, at a place, by default in a process of its own."""
+        place = place or Place.alone()
+        super().__init__("adversary", place)
+        seal = Seal(place.secret)
         settings = declare(self, _SETTINGS)
         if settings["warm_up"]:
             warm_up()

@@ -85,6 +85,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         launches=(),
     )
 
+    composed: bool = graph_option(
+        False,
+        "simulator and adversary run in the process of the command itself, so that no message between them goes through "
+        "the network; only the controller under test has a process of its own. Otherwise each node has one",
+        launches=(),
+    )
     open_episodes: bool = graph_option(
         False,
         "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "

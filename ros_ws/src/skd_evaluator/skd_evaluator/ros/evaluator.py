@@ -12,7 +12,6 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
@@ -29,6 +28,7 @@ from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.command_search import kind_name
+from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.support import (
     ADVERSARY_ODOMETRY,
@@ -51,6 +51,7 @@ from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, abo
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
+from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness.failures import Failures
 from skd_evaluator.ros.readiness.one_evaluator import OneEvaluator
@@ -78,7 +79,7 @@ def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
     return command[0] or 0, command[1]
 
 
-class Evaluator(Node):
+class Evaluator(ComposableNode):
     """Runs episodes through the graph; an `EpisodeRunner`.
 
     Attributes:
@@ -86,14 +87,17 @@ class Evaluator(Node):
         readiness: whether the stack is ready for the next episode, from `begin_campaign` on.
     """
 
-    def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
+    def __init__(
+        self, context: Context | None = None, name: str = "evaluator", composed: Composed | None = None
+    ) -> None:
         """Make the topics on which it speaks; it listens from `begin_campaign` on.
 
         Args:
             context: ROS context of the graph; by default that of the process.
             name: name of the node; several nodes in one process need different names.
+            composed: the nodes with which it shares its process, if there are any.
         """
-        super().__init__(name, context=context)
+        super().__init__(name, Place(context=context, exchange=composed.exchange if composed else None))
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
@@ -102,7 +106,9 @@ class Evaluator(Node):
         self._recorder: BagRecorder | None = None
         self._looked = 0.0
         self._streams: list[Any] = []
-        self._spinner = LockstepExecutor(self)
+        self._spinner = LockstepExecutor(self, composed.exchange.deliver) if composed else LockstepExecutor(self)
+        for other in composed.nodes if composed else ():
+            self._spinner.add_node(other)
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)

@@ -14,6 +14,7 @@ from skd_sim.messages.seal import KEY_SIZE, Seal
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
+from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs.contexts import context_of
 from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned
@@ -71,9 +72,12 @@ def running_graph(
     secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
     programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)}, secret)
 
+    composed: Composed | None = None
+
     def check_processes() -> str | None:
         refuse_to_go_on()
-        return supervisor.check()
+        problems = (supervisor.check(), composed.check() if composed else None)
+        return " and ".join(filter(None, problems)) or None
 
     def replace_silent(reason: str) -> None:
         for name in concerned(reason):
@@ -87,7 +91,10 @@ def running_graph(
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
         context, done = stack.enter_context(context_of(domain))
-        evaluator = Evaluator(context, name)
+        if options.composed:
+            composed = Composed(context, options, secret, log_folder)
+            done += composed.nodes
+        evaluator = Evaluator(context, name, composed)
         done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
         reset = stack.enter_context(
             resetting(

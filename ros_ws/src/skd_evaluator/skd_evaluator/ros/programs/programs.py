@@ -33,10 +33,11 @@ def graph_programs(
     """
     simulator = options.simulator_parameters()
     ours = node_variables(environment)
-    programs = {
-        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours, secret),
-        ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours, secret),
-    }
+    programs = {}
+    if not options.composed:
+        command = python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator))
+        programs[SIMULATOR] = Program(command, ours, secret)
+        programs[ADVERSARY] = Program(python_node("skd_adversary.start", "adversary"), ours, secret)
     if not CarUnderTest(controller).is_external:
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
     elif options.controller_command:
