@@ -7,10 +7,14 @@ from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
-from skd_sim.choices.options import Lists, options_of
+from skd_sim.choices.options import Lists, Names, options_of
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.errors import UsageError
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
+COMPOSED, SEPARATE = "composed", "separate"
+OF_NO_RESULT = frozenset({"graphs", "nodes"})
+"""Options that change how long it takes, and no number of what comes out."""
 RESETS = (JUMP, INITIAL_POSE, LIFECYCLE, RESTART)
 
 
@@ -85,10 +89,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         launches=(),
     )
 
-    composed: bool = graph_option(
-        False,
-        "simulator and adversary run in the process of the command itself, so that no message between them goes through "
-        "the network; only the controller under test has a process of its own. Otherwise each node has one",
+    nodes: str = graph_option(
+        COMPOSED,
+        "where simulator and adversary run: composed (in the process of the command, so that what they say to each "
+        "other does not go through the network), or separate (each in a process of its own). They are separate anyway "
+        "in real time, with a quiet time, with several graphs and with a simulator that is not SKD's own",
+        choices=Names((COMPOSED, SEPARATE)),
         launches=(),
     )
     open_episodes: bool = graph_option(
@@ -108,6 +114,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     def answers_each_state(self) -> bool:
         """Whether every state certainly gets a command of its own."""
         return self.pacing == LOCKSTEP and self.quiet_time is None
+
+    def composes(self, simulator: str) -> bool:
+        """Return whether simulator and adversary share the evaluator's process, if that is a simulator's name."""
+        # Planning would keep a clock waiting, one graph another, and nobody knows what code of others does.
+        alone = self.graphs == 1 and is_own_world(simulator)
+        return self.nodes == COMPOSED and self.answers_each_state and alone
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""

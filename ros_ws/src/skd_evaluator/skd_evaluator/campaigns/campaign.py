@@ -238,6 +238,7 @@ class Campaign:
             session = graphs_session(
                 replace(graph, graphs=graphs),
                 controller=cell.plan.controller,
+                simulator=cell.plan.simulator,
                 campaign=campaign_name(cell.plan.car),
                 log_folder=logs,
                 record_to=None,

@@ -57,9 +57,7 @@ class Composed:
         """
         self.exchange = Exchange([f"/{topic.lstrip('/')}" for topic in _BY_CALL])  # its nodes have no namespace
         self._problems: list[str] = []
-        place = partial(
-            Place, context=context, secret=secret or None, exchange=self.exchange, failed=self._failed
-        )
+        place = partial(Place, context=context, secret=secret or None, exchange=self.exchange, failed=self._failed)
         self.nodes: tuple[Node, ...] = (
             VehicleSimulator(
                 place(values=options.simulator_parameters(), log=LogFile(log_folder / f"{SIMULATOR}.log", SIMULATOR))

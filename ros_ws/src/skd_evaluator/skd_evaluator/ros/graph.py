@@ -34,6 +34,7 @@ class GraphSetting:
     Attributes:
         options: how to run it.
         controller: name of the car under test, as in `Plan`.
+        simulator: name of the simulator.
         campaign: name of the campaign.
         record_to: folder for one bag per episode; none: do not record.
         say: called with each line for the user.
@@ -41,6 +42,7 @@ class GraphSetting:
 
     options: GraphOptions
     controller: str
+    simulator: str
     campaign: str
     record_to: Path | None
     say: Callable[[str], None]
@@ -70,7 +72,9 @@ def running_graph(
     options = setting.options
     commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
-    programs = graph_programs(options, setting.controller, {**os.environ, "ROS_DOMAIN_ID": str(domain)}, secret)
+    together = options.composes(setting.simulator)
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    programs = graph_programs(options, setting.controller, environment, None if together else secret)
 
     composed: Composed | None = None
 
@@ -91,7 +95,7 @@ def running_graph(
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
         context, done = stack.enter_context(context_of(domain))
-        if options.composed:
+        if together:
             composed = Composed(context, options, secret, log_folder)
             done += composed.nodes
         evaluator = Evaluator(context, name, composed)
