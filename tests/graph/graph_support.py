@@ -70,7 +70,7 @@ def assert_all_gone(token: str, timeout: float = 10.0) -> None:
     assert not left, f"left behind: {left}"
 
 
-_OF_A_BUSY_MACHINE = re.compile(r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within )")
+_OF_A_BUSY_MACHINE = re.compile(r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, )")
 
 
 @dataclass

@@ -59,6 +59,7 @@ from skd_evaluator.ros.readiness.readiness import Readiness
 from skd_evaluator.ros.readiness.receipts import ReceivedReceipts
 from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
+from skd_evaluator.ros.recording import Recording, write_recording
 
 _PLAIN = CommandOptions()
 _OPEN = Seal()
@@ -128,6 +129,7 @@ class Evaluator(ComposableNode):
         seal: Seal = _OPEN,
         anew: bool = False,
         settle: float = SETTLE,
+        write: Callable[[Recording], None] = write_recording,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
         patience: float = math.inf,
@@ -148,6 +150,7 @@ class Evaluator(ComposableNode):
             anew: whether the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
+            write: writes what was recorded of an episode, now or behind it.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
             patience: s after which a stack that sends its commands elsewhere, or so that they are not taken, ends the
@@ -179,7 +182,9 @@ class Evaluator(ComposableNode):
             self._listen(CLOCK, Clock, read_clock)
             self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
             self._listen(walk_topic, TwistStamped, read_linear)
-            self._recorder = BagRecorder(self, record_to, drive_topic, walk_topic, own_world=own_world, patience=settle)
+            self._recorder = BagRecorder(
+                self, record_to, drive_topic, walk_topic, own_world=own_world, patience=settle, write=write
+            )
             if own_world:  # another simulator need not publish any
                 self._streams.append(self._recorder.scenery.transforms)
 

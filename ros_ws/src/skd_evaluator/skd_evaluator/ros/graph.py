@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from skd_sim.messages.seal import KEY_SIZE, Seal
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
+from skd_evaluator.ros.bags_behind import BagsBehind
 from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs.contexts import context_of
@@ -108,6 +109,7 @@ def running_graph(
                 check_processes=check_processes,
             )
         )
+        bags = stack.enter_context(closing(BagsBehind()))
         evaluator.begin_campaign(
             setting.campaign,
             record_to=setting.record_to,
@@ -121,9 +123,11 @@ def running_graph(
             seal=Seal(secret or None),
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
+            write=bags.write,
             say=setting.say,
             log_folder=log_folder,
             # Who has not started the stack here may be mending it in another terminal.
             patience=_CERTAIN * options.startup_timeout if options.controller_command else math.inf,
         )
         yield evaluator
+        bags.finish()  # an error ends the graph as if it had come at once
