@@ -298,11 +298,11 @@ class Evaluator(ComposableNode):
         message = self._seal.shut(specification)
         self._heard = self._published = time.monotonic()
         if hindrance is None:
-            self._announcer.announce(message)
+            announcement = self._announcer.announce(message)
             self._receipts.begin(episode, self._campaign, start)
-            self._episode_publisher.publish(message)
+            self._episode_publisher.publish(announcement)
             self._first_commands.begin(start)
-            problem = self._wait(episode, start, message)
+            problem = self._wait(episode, start, announcement)
             self._first_commands.end()
         else:
             problem = hindrance
@@ -350,7 +350,7 @@ class Evaluator(ComposableNode):
             ticks += 1
         return ticks
 
-    def _wait(self, episode: Episode, start: int, message: Any) -> str:
+    def _wait(self, episode: Episode, start: int, announcement: bytes) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         self._simulator.require()
         self._require_one_evaluator()
@@ -373,7 +373,7 @@ class Evaluator(ComposableNode):
                 self._first_commands.look(state_came=bool(self._samples.car))
                 if now - self._published > _REPEAT:
                     self._published = now
-                    self._episode_publisher.publish(message)
+                    self._episode_publisher.publish(announcement)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
             if problem is None and self._result is not None and now - max(self._heard, self._ended) > _LOST:

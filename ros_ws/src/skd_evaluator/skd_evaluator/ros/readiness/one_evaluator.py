@@ -41,10 +41,15 @@ class OneEvaluator:
         self._foreign: deque[Any] = deque(maxlen=_REMEMBERED)
         self.subscription = node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED, raw=True)
 
-    def announce(self, message: Any) -> None:
-        """Note what the evaluator is about to announce."""
+    def announce(self, message: Any) -> bytes:
+        """Note what the evaluator is about to announce, and return the bytes that it has to publish for that.
+
+        What is between fields is left to chance by whoever makes bytes of a message.
+        """
+        data = bytes(serialize_message(message))
         self._own.append(message)
-        self._own_bytes.append(serialize_message(message))
+        self._own_bytes.append(data)
+        return data
 
     def _on_episode(self, data: bytes) -> None:
         if bytes(data) in self._own_bytes:
