@@ -223,11 +223,11 @@ def test_an_adversary_that_fails(
 
     with monkeypatch.context() as patch:
         patch.setattr(adversary_node, "make_adversary", make)
-        log = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=next(IDS)))
+        log = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS)))
     assert log.outcome == Outcome.ABORTED
     assert log.reason == "failed: adversary: ZeroDivisionError: of"
     assert "Traceback" in (graph.folder / "adversary.log").read_text()
-    again = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=next(IDS)))
+    again = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS)))
     assert_same_log(again, run_episode(again.episode))
     assert expected.outcome != Outcome.ABORTED
 
@@ -256,7 +256,9 @@ def test_somebody_else_who_speaks(graph: Graph, episode: Episode) -> None:
 def run_until_aborted(evaluator: Any, episode: Episode) -> EpisodeLog:
     """Run episodes until one is aborted: somebody else is not found at once."""
     for _ in range(500):
-        log = evaluator.run_episode(dataclasses.replace(episode, episode_id=next(IDS), simulations=10))
+        log = evaluator.run_episode(
+            dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS), simulations=10)
+        )
         if log.outcome == Outcome.ABORTED:
             return log
     raise AssertionError("nobody noticed")

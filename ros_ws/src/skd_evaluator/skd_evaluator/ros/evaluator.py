@@ -289,6 +289,7 @@ class Evaluator(ComposableNode):
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
         latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
+        self._next_start = next_start(latest_end)  # also where an error ends this one
         self._episode = episode
         self._samples.clear()
         self._result = self._refused = None
