@@ -32,6 +32,7 @@ from skd_msgs.msg import EpisodeReceipt, EpisodeResult
 from skd_sim.choices.simulators import WORLD
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.stamps import NANOSECONDS
 from skd_sim.messages.command_messages import message_class
 from skd_sim.messages.from_messages import from_stamp
 from skd_sim.nodes import support
@@ -123,27 +124,35 @@ class Ran(NamedTuple):
     bags: list[Told]
 
 
-def run(evaluator: Any, domain: int, bags: Path, episodes: list[Episode]) -> Ran:
-    """Run episodes with a listener, but for the first two, in which all nodes find each other, and the last."""
+def has_come(told: Told, stamp: int) -> bool:
+    """Return whether something from a stamp (ns) on has come on each topic."""
+    return all(any(time >= stamp for time, _ in [*told[topic]]) for topic in HEARD)
+
+
+def run(evaluator: Any, domain: int, bags: Path, episodes: list[Episode], begin: int) -> Ran:
+    """Run episodes with a listener, who hears all topics by then, from a stamp (ns) on; the last is not looked at."""
     with listening(domain) as told:
-        logs, starts = [], []
-        for episode in episodes:
-            logs.append(evaluator.run_episode(episode))
-            starts.append(evaluator._key.start)
-        for topic in HEARD:  # each is heard in its order: who has heard of the last has heard all of those before
-            wait_until(lambda topic=topic: told[topic] and max(told[topic])[0] >= starts[-1], topic)
-        heard = {
-            topic: [one for one in messages if starts[2] <= one[0] < starts[-1]] for topic, messages in told.items()
-        }
+
+        def all_heard() -> bool:
+            evaluator.run_episode(dataclasses.replace(episodes[0], episode_id=episodes[0].episode_id + next(IDS)))
+            return has_come(told, evaluator._key.start)
+
+        wait_until(all_heard, "all publishers")
+        evaluator._next_start = begin
+        logs = [evaluator.run_episode(one) for one in episodes]
+        last = evaluator._key.start
+        # Each topic is heard in its order: who has heard of the last episode has heard all of those before.
+        wait_until(lambda: has_come(told, last), "the last messages")
+        heard = {topic: [one for one in messages if begin <= one[0] < last] for topic, messages in told.items()}
     contents: list[Told] = []
-    for log in logs[2:-1]:
+    for log in logs[:-1]:
         (path,) = bags.glob(f"*_{log.episode.episode_id:016x}")
         content: Told = defaultdict(list)
         for item in read_items(path.glob("*.mcap")):
             message = deserialize_message(item.data, message_class(item.type_name))
             content[item.topic].append((item.log_time, timeless(message)))
         contents.append(content)
-    return Ran(logs[2:-1], heard, contents)
+    return Ran(logs[:-1], heard, contents)
 
 
 def answers(told: Told, topic: str) -> set[tuple[int, str]]:
@@ -192,17 +201,18 @@ def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: Episode, 
     assert not any(name in lines for name in ("vehicle_simulator", "adversary"))
     periods = dataclasses.replace(replay.scenario, control_period=0.1)  # the car decides between ticks, too
     third = dataclasses.replace(replay, scenario=periods, episode_id=replay.episode_id + 1)
-    run_of_all = 100 * next(RUNS)  # a bag's name is taken, if this test is run again
+    number_of_run = next(RUNS)  # if this test is run again, names of bags and stamps are taken
+    begin = (number_of_run + 1) * 10_000 * NANOSECONDS
     episodes = [
-        dataclasses.replace(one, episode_id=one.episode_id + run_of_all + number)
-        for number, one in enumerate((episode, episode, episode, replay, third, episode))
+        dataclasses.replace(one, episode_id=one.episode_id + 100 * number_of_run + number)
+        for number, one in enumerate((episode, replay, third, episode))
     ]
-    composed = run(graph.evaluator, graph.domain, graph.folder / "bags", episodes)
+    composed = run(graph.evaluator, graph.domain, graph.folder / "bags", episodes, begin)
     domain, options = new_domain(), GraphOptions(open_episodes=True, nodes="separate")
     with whole_graph(tmp_path, options, record_to=tmp_path / "bags", domain=domain) as (evaluator, token):
         assert all(name in " ".join(pids_with(token).values()) for name in ("vehicle_simulator", "adversary"))
-        separate = run(evaluator, domain, tmp_path / "bags", episodes)
-    for one, left, right in zip(episodes[2:-1], composed.logs, separate.logs, strict=True):
+        separate = run(evaluator, domain, tmp_path / "bags", episodes, begin)
+    for one, left, right in zip(episodes[:-1], composed.logs, separate.logs, strict=True):
         assert left.outcome != Outcome.ABORTED
         assert_same_log(left, right)
         assert_same_log(left, run_episode(one))

@@ -54,6 +54,24 @@ def test_messages_come_in_their_order_and_none_within_another() -> None:
     assert not exchange.deliver()
 
 
+def test_what_takes_long_waits_until_all_is_heard() -> None:
+    exchange, node = Exchange(["/one"]), Member()
+    publisher = exchange.publisher(Member(), Wire("/one"), STREAM)
+    said: list[str] = []
+
+    def hear(data: bytes) -> None:
+        said.append(data.decode())
+        if data == b"state":
+            exchange.later(lambda: said.append("plan"))
+
+    exchange.subscription(node, String, "/one", hear, raw=True)
+    for data in (b"state", b"over"):
+        publisher.publish(data)
+    exchange.later(lambda: publisher.publish(b"answer"))
+    exchange.deliver()
+    assert said == ["state", "over", "answer", "plan"]
+
+
 def test_each_hears_bytes_or_an_object_as_it_wants() -> None:
     exchange, node = Exchange(["/one"]), Member()
     publisher = exchange.publisher(Member(), Wire("/one"), STREAM)

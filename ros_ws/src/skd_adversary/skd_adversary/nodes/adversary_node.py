@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from skd_msgs.msg import EpisodeResult
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.episode.episode import Episode
@@ -15,7 +18,16 @@ from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
-from skd_sim.nodes.support import EGO_ODOMETRY, STREAM, VELOCITY_COMMAND, Setting, declare, listen, run_node
+from skd_sim.nodes.support import (
+    EGO_ODOMETRY,
+    EPISODE_RESULT,
+    STREAM,
+    VELOCITY_COMMAND,
+    Setting,
+    declare,
+    listen,
+    run_node,
+)
 from skd_sim.state import CarState
 
 from skd_adversary.adversary import Adversary, make_adversary
@@ -36,6 +48,7 @@ class AdversaryNode(ComposableNode):
         if settings["warm_up"]:
             warm_up()
         self._adversary: Adversary | None = None
+        self._over = False
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
@@ -44,16 +57,28 @@ class AdversaryNode(ComposableNode):
             self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
         )
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
+        if place.exchange is not None:  # on the wire a result comes when the last state is answered already
+            self.create_subscription(EpisodeResult, EPISODE_RESULT, self._on_result, STREAM)
 
     def _on_begin(self, episode: Episode) -> None:
         self._adversary = make_adversary(episode)
         self._next_tick = 0
         self._answer = None
+        self._over = False
         self._receipts.send(episode, self._follower.announced)
 
+    def _on_result(self, result: Any) -> None:
+        start = self._follower.announced
+        if start is not None and (result.campaign, result.start) == (start.campaign, start.header.stamp):
+            self._over = True
+
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
-        if period:
-            return  # the car decides in between, the adversary does not
+        if not period:  # the car decides in between, the adversary does not
+            self.later(partial(self._decide, tick, stamp, car))
+
+    def _decide(self, tick: int, stamp: int, car: CarState) -> None:
+        if self._over:
+            return  # nobody waits for an answer to the last state
         if self._answer is not None and self._answer[0] == stamp:
             self._command.publish(self._answer[1])  # a tick repeated while other nodes start
             return

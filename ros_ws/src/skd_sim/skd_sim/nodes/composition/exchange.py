@@ -91,6 +91,7 @@ class Exchange:
         self._speakers: dict[str, set[Node]] = {topic: set() for topic in topics}
         self._joined: dict[str, _Joined] = {}
         self._queue: deque[_Call] = deque()
+        self._later: deque[Callable[[], None]] = deque()
 
     def publisher(self, node: Node, real: Any, qos: Any) -> Any:
         """Return what a node publishes with, in place of a publisher of its own if the topic is one of the exchange."""
@@ -155,12 +156,19 @@ class Exchange:
         """Say nothing more to a listener."""
         self._listeners[subscription.topic_name].remove(subscription)
 
+    def later(self, work: Callable[[], None]) -> None:
+        """Have work done that takes long, when all that was said has been heard."""
+        self._later.append(work)
+
     def deliver(self) -> bool:
-        """Hand over all that was said, and what is said meanwhile; return whether there was anything."""
-        queue = self._queue
-        if not queue:
+        """Hand over all that was said, and do what was put off, until nothing is left; return whether there was any."""
+        queue, later = self._queue, self._later
+        if not (queue or later):
             return False
-        while queue:
-            listener, message = queue.popleft()
-            listener.callback(listener.heard(message))
+        while queue or later:
+            if queue:
+                listener, message = queue.popleft()
+                listener.callback(listener.heard(message))
+            else:
+                later.popleft()()
         return True

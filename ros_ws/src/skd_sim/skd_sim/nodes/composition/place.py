@@ -129,6 +129,13 @@ class ComposableNode(Node):
         """As a node's."""
         return super().create_timer(timer_period_sec, self._guarded(callback), *args, **more)
 
+    def later(self, work: Callable[[], None]) -> None:
+        """Do work that takes long: now, or when the nodes of its process have heard what was said by now."""
+        if self._place.exchange is None:
+            work()
+        else:
+            self._place.exchange.later(self._guarded(work))
+
     def _guarded(self, callback: Any) -> Any:
         """Return a callback whose errors are told, where somebody is to be told."""
         failed = self._place.failed
