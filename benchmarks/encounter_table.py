@@ -9,7 +9,8 @@ of its road user by an oracle of its own (road_user_limits.py).
 
 Of the first attempts on each φ also the margin, exact where it can be, else found by search: closeness is the planned
 deformation of these attempts over it. With --graph two kamikazes and two runs along φ of the first row of each
-encounter also run through the node graph, are recorded, and are compared with those in process to the last bit.
+encounter and of every row of a driver that others have written also run through the node graph, are recorded, and are
+compared with those in process to the last bit.
 
     .venv/bin/python benchmarks/encounter_table.py --graph --out encounter_table.json
     .venv/bin/python benchmarks/encounter_table.py --encounters cpna cpfa --cars C=1 --attempts 20
@@ -25,6 +26,7 @@ import argparse
 import dataclasses
 import json
 import math
+import os
 import resource
 import sys
 import tempfile
@@ -70,6 +72,8 @@ CARS: Mapping[str, Mapping[str, Any]] = {
 }
 FOR_PEOPLE = {"cal": "CAL knows", "carla": "CARLA's agent looks for", "highway-env": "highway-env's driver follows"}
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+THIRD_PARTY = ("carla", "highway-env")
+"""Cars whose drivers others have written; their rows, too, are compared with the graph."""
 ON_FOOT = ("pedestrian", "runner", "child")
 OF_THE_PAPER = ("crossing", "citr_crossing", "crossing_multi_body")
 _ROUNDING = 1e-6
@@ -274,7 +278,9 @@ def main() -> None:
     parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
     parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
     arguments = parser.parse_args()
-    sys.path.append(str(EXAMPLES / "idm"))
+    for folder in (EXAMPLES / "idm", Path(__file__).parent):  # nodes are processes of their own
+        sys.path.append(str(folder))
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(folder))))
     if arguments.graph:
         prepare_ros(GraphOptions())
     there = arguments.out is not None and arguments.out.is_file()
@@ -300,13 +306,13 @@ def shown_name(source: str) -> str:
 
 
 def computed(source: str, car: str, others: Mapping[str, Any], arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return one row, computed; the first of its encounter is the one that is compared with the graph."""
+    """Return one row, computed; the first of its encounter and those of third parties are compared with the graph."""
     try:
         plan = plan_for(source, car, arguments)
         if isinstance(plan, str):
             return {"refused": plan}
         row, some = row_of(plan, arguments)
-        if arguments.graph and not any("graph" in one for one in others.values()):
+        if arguments.graph and (car in THIRD_PARTY or not any("graph" in one for one in others.values())):
             row["graph"] = same_in_graph_and_recording(plan.controller, some)
     except UsageError as error:
         return {"refused": str(error)}

@@ -20,6 +20,7 @@ MODULES = sorted(path for path in SOURCE.glob("*/*/**/*.py") if path.parts[-2] !
 REGISTRIES = {
     "skd_sim/choices/car_under_test.py",
     "skd_sim/choices/objective.py",
+    "skd_sim/choices/simulators.py",
 }  # each knows its own names, and no others
 NAMES = {*CONTROLLERS.own, EXTERNAL, *DYNAMICS, *OBJECTIVES.own, BOTH, *SCENARIOS.own, *MEASURES.own, *SIMULATORS.own}
 CLASSES = {"Objective"}  # whose members are such names

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import control_period_of, make_controller, with_control_period
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
@@ -51,6 +52,11 @@ class Car:
         changed = replace(loaded, road=replace(loaded.road, friction=self.friction))
         made = make_controller(self.controller, self.multiplier)
         return with_control_period(changed, control_period_of(made, self.controller), self.controller)
+
+    @property
+    def has_multiplier(self) -> bool:
+        """Whether its controller has a multiplier C."""
+        return CarUnderTest(self.controller).has_multiplier
 
     @property
     def is_basic(self) -> bool:

@@ -102,6 +102,30 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     assert 20 < collisions < 200  # both kinds of episode were seen
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_nobody_counts_on_a_contact_that_rounding_decides(side: float) -> None:
+    """Disc and side just touch: who is hit in the model is hit in the world, and who stands 2 nm nearer is in both."""
+    scenario = _scenario(0.0, 0.0)
+    model = _model(scenario, known_basic_car(0.0))
+    move = transition_parts(KERNELS, PEDESTRIAN, straight.ROAD)["move"]
+    edge = scenario.car.half_width + scenario.adversary.radius
+    for x, sure in [*((edge + ulps * np.spacing(edge), False) for ulps in range(-12, 13)), (edge - 2e-9, True)]:
+        start = replace(scenario, adversary=replace(scenario.adversary, start_x=side * x))
+        rng = np.random.default_rng(0)
+        world = World(start, gap=20.0, start_rng=rng, car_rng=rng)
+        state, after = np.empty(model.state_dim), np.empty(model.state_dim)
+        model.initial(model.parameters, state, rng)
+        foreseen = met = False
+        for _ in range(14):
+            state[:STATE_DIM] = _state_of(world, 0.0)
+            foreseen |= move(model.parameters, state, 0.0, 0.0, after, rng) <= 1.0
+            if world.step(0.0, (0.0, 0.0)) is not None:
+                met = True
+                break
+        assert met or not foreseen, f"{x - edge:g} m from the edge"
+        assert foreseen or not sure
+
+
 @pytest.mark.parametrize("car_y", [-20.0, -8.0])
 def test_transition_is_the_world_in_distribution(car_y: float) -> None:
     """Speed and place of the car after one tick: coasting, and braking (acceleration noise off in both)."""

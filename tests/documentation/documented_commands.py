@@ -18,7 +18,10 @@ ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
 FOREIGN = ("colcon", "docker", "git", "python", "python3", "ros2", "rosdep", "sudo")
 """Programs that the documentation calls and that do not lie in the checkout."""
-_INTERPRETERS = (".venv/bin/python", ".venv-jazzy/bin/python", ".venv/bin/pip")
+_INTERPRETERS = (
+    *(".venv/bin/python", ".venv-jazzy/bin/python", ".venv/bin/pip"),
+    *(".venv-commonroad/bin/python", ".venv-commonroad/bin/skd"),
+)
 _SOURCED = ("ros_ws/install/setup.bash", ".venv-jazzy/bin/activate")
 _RECORDER = """#!/bin/sh
 { printf 'PYTHONPATH=%s\\0' "$PYTHONPATH"; pwd | tr '\\n' '\\0'; printf '%s\\0' "$0" "$@"; printf '\\036'; } >>"$CALLS"

@@ -29,9 +29,13 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/(run-node|assess-controller|replay-logs)": "the same",
     r"scripts/skd (replay skd_results/vendor|fit skd_results/probe)": "of a graph's recordings: the same",
     r"scripts/skd assess --controller careful": "tests/evaluator/test_users_package.py runs it",
+    r"scripts/skd import drive": "needs a drive: tests/exchange/test_import.py writes such a bag",
+    r"scripts/test tests/exchange": "these tests themselves",
+    r"scripts/exchange-readers": "needs the network, and takes 1 GB",
     r"scripts/skd .* roundabout_exit": "a package's: tests/examples/test_roundabout.py has it beside SKD",
     r"scripts/skd fit --simulator": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
     r"scripts/skd behaviour fit": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
+    r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd encounters reference": "minutes: tests/evaluator/test_reference_sweep.py has smaller ones",
     r"scripts/skd encounters check": "tests/evaluator/test_encounters_command.py checks files of one's own",
@@ -39,6 +43,9 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd (assess --sign|verify signed)": "needs a key: tests/evaluator/test_signatures.py makes one",
     r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
+    r".* sumo_drivers:Krauss --knowledge": "examples/sumo/README.md has it in fewer words",
+    r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",
+    r".*\.venv-commonroad": "an environment of its own: tests/examples/test_commonroad_planner.py runs there",
 }
 _POLICY = ROOT / "docs" / "start" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
@@ -48,6 +55,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
 }
+QUICKER = {"drive": "--rate-factor 100"}  # of a command that writes no result
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--knowledge", "nothing"]
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon
@@ -149,7 +157,7 @@ def run(call: Call, checkout: Path, results: dict[str, Path], as_it_stands: bool
         return
     command = call.words[0]
     words = list(call.words)
-    words += shlex.split((SHOWN if as_it_stands else SMALLER).get(command, ""))
+    words += shlex.split((SHOWN if as_it_stands else SMALLER | QUICKER).get(command, ""))
     if command == "assess" and not as_it_stands and learns(call):
         words += NO_LEARNING
     for option in ENOUGH.keys() & set(call.words):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import signal
 import sqlite3
@@ -49,6 +50,17 @@ def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
     )
 
 
+@pytest.mark.parametrize("own", [None, math.nan, 1.25])
+def test_what_a_simulator_says_of_its_own_contact_is_kept(own: float | None):
+    log = dataclasses.replace(log_of(episode(3)), reason="später", own_contact=own)
+    again = from_bytes(to_bytes(log), log.episode)
+    np.testing.assert_equal(again.own_contact, own)
+    assert bits(again) == bits(log)
+    if own is not None:
+        with pytest.raises(ValueError, match="length"):
+            from_bytes(to_bytes(log)[:-1], log.episode)
+
+
 def bits(log: EpisodeLog) -> list[bytes | str]:
     numbers = (log.impact_time, log.impact_speed, log.timing.delay, *log.timing.ages)
     whole = (log.outcome, log.depletions, log.clipped, log.timing.held, log.adversary.shape, log.car.shape)
@@ -56,6 +68,7 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
         log.adversary.tobytes(),
         log.car.tobytes(),
         "nothing believed" if log.belief is None else log.belief.tobytes(),
+        "nothing said" if log.own_contact is None else struct.pack("<d", log.own_contact),
         struct.pack(f"<{len(numbers)}d", *numbers),
         repr(whole),
         log.reason,
@@ -89,7 +102,7 @@ def test_a_record_knows_all_that_a_log_holds():
     """One field more is one that `bits` and the record have to have."""
     assert [one.name for one in dataclasses.fields(EpisodeLog)] == [
         "episode", "outcome", "adversary", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
-        "timing", "belief",
+        "timing", "belief", "own_contact",
     ]  # fmt: skip
 
 

@@ -25,7 +25,7 @@ class Over(ExecutorRunner):
         self.at_work = self.most = self.tasks = 0
         self.lock = threading.Lock()
 
-    def start(self, warm_up=()):
+    def start(self, warm_up=(), *, inherited=lambda: None):
         pass
 
     def close(self, *, wait=True):

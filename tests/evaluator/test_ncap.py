@@ -15,10 +15,12 @@ from skd_evaluator.campaign.run.static_test import static_tests
 from skd_evaluator.cli.commands import ncap
 from skd_evaluator.ncap import points
 from skd_evaluator.ncap.colours import colour_of
-from skd_evaluator.ncap.judging import scenario_of, wanted_cells
-from skd_evaluator.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
 from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
+from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.ncap.layout import headline, layout_of, margin_text, reasons
+from skd_evaluator.report.ncap.of_results import views_of
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS, lineage
 from skd_sim.encounter.scenario import load_scenario
@@ -126,11 +128,14 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     (cell,) = cells_of(here / "out")
     rating = assess(scenario="cpfa-50", multiplier=0.9, safe="regulatory", safe_count=1, objective="deformation",
                     kamikaze_count=2, simulations=50, margin_limit=256, collision_runs=1, behaviour="none",
-                    workers=1)  # fmt: skip
+                    workers=1, out=here / "assessed")  # fmt: skip
     assert rating.margins is not None
     assert cell.margins == tuple(rating.margins.values.tolist())
     assert cell.margin == rating.margins.mean
     assert cell.deformation == rating.as_dict()["deformation"]
+    (view,) = views_of(read_subjects([here / "assessed"]), 0.5)  # so its report shows the same cell
+    assert view.grid.cells == (cell,)
+    assert view.said == headline(read_ncap(here / "out").grids[0], 0.5)
 
 
 def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):

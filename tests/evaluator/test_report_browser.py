@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from axe import RULES, axe_source, serious_findings
 from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.measure.surrogate.braking import required_decelerations
@@ -33,6 +34,11 @@ def file(subjects, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(page.render(subjects), encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="module")
+def axe() -> str:
+    return axe_source()
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +210,10 @@ def test_it_fits_every_screen_and_paper(browser, file):
         other.assert_quiet(file)
         if width == 400:
             assert other.page.pdf().startswith(b"%PDF")
+            other.page.emulate_media(media="print")
+            other.page.set_viewport_size({"width": 688, "height": 900})  # A4 within margins of 14 mm
+            ends = "[...document.querySelectorAll('table')].map((one) => one.getBoundingClientRect().right)"
+            assert max(other.page.evaluate(ends)) <= 688
         other.page.context.close()
     assert len(backgrounds) == 2
 
@@ -255,3 +265,21 @@ def test_words_stand_out_and_what_scrolls_is_reached_by_keyboard(browser, file, 
     scrolling = "[...document.querySelectorAll('.scroll')].filter((one) => one.scrollWidth > one.clientWidth)"
     reached = "(one) => one.tabIndex === 0 || one.querySelector('button, a')"
     assert page.evaluate(f"{scrolling}.every({reached})")
+
+
+def test_axe_finds_nothing_serious(browser, file, axe):
+    opened = open_page(browser, file, 400)
+    for width in (400, 1200):
+        opened.page.set_viewport_size({"width": width, "height": 900})
+        for scheme, rules in (("light", RULES), ("dark", ["color-contrast"])):  # a scheme changes colours alone
+            opened.page.emulate_media(color_scheme=scheme)
+            assert serious_findings(opened.page, axe, rules) == [], (width, scheme)
+    opened.page.context.close()
+
+
+def test_axe_finds_what_is_bad(browser, axe):
+    """Or the test above could not fail."""
+    page = browser.new_page()
+    page.set_content("<main><p style='color: #777; background: #666'>words</p><img src='data:,'></main>")
+    assert {"color-contrast", "image-alt"} <= {line.partition(":")[0] for line in serious_findings(page, axe, RULES)}
+    page.close()

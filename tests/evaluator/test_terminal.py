@@ -15,7 +15,7 @@ from rich.table import Table
 from skd_evaluator.report import progress
 from skd_evaluator.report.progress import ProgressLines, progress_line
 from skd_evaluator.report.side_by_side import equal_remarks
-from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
 from skd_sim.choices.registry import Registry
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
@@ -205,3 +205,9 @@ def test_where_there_is_no_terminal_lines_come_on_standard_error_unless_it_is_to
     captured = capsys.readouterr()
     assert captured.out == ""
     assert not quiet or captured.err == ""
+
+
+@pytest.mark.parametrize(("count", "said"), [(1, False), (2, True), (4, True), (5, False), (20, False)])
+def test_intervals_over_hardly_any_safe_trajectories_are_remarked_on(count, said):
+    line = few_safe_trajectories({"per_safe_trajectory": [{}] * count})
+    assert (line is not None and f"over {count} φ say little" in line) == said

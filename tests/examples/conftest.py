@@ -7,4 +7,5 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-sys.path[:0] = [str(ROOT / "examples" / "idm"), str(ROOT / "examples" / "sub_hunt"), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT / "examples" / name) for name in ("commonroad_planner", "idm", "sub_hunt", "sumo")]
+sys.path.insert(0, str(ROOT / "benchmarks"))

@@ -5,6 +5,7 @@ Inputs that have found something stand beside them as `found-…` and are kept.
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import sys
@@ -16,8 +17,10 @@ import numpy as np
 import yaml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "exchange"))
 
 from bag_forge import campaign_messages, write_mcap
+from exchange_support import safe
 from fuzz_targets import _CELL, _SPECIFICATION, CORPUS, TARGETS, as_messages, episode
 from mcap.writer import CompressionType
 from skd_adversary.car_forest import pack
@@ -27,9 +30,11 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaigns.episode_record import to_bytes
 from skd_evaluator.campaigns.store import EpisodeStore
 from skd_evaluator.cli.main import main as skd
+from skd_evaluator.exchange.going_out.formats import FORMATS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
+from test_import import drive, write_bag
 
 _SMALL = (
     "--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "2", "--simulations", "20", "--workers", "1",
@@ -131,6 +136,23 @@ def tables_forests_stores(scratch: Path) -> None:
     put("store", "record", to_bytes(log), 1)
 
 
+def exchanged(scratch: Path) -> None:
+    phi = np.array([(-3.5 + 0.75 * tick, 0.1) for tick in range(4)])
+    one = safe("crossing", phi)
+    for reader, (name, kind) in enumerate((("openscenario", "xosc"), ("commonroad", "xml"), ("csv", "csv"))):
+        FORMATS[name].write(scratch / f"a.{kind}", one)
+        text = (scratch / f"a.{kind}").read_text("utf-8").splitlines()
+        put("exchange", name, "\n".join(line.strip() for line in text).encode(), reader)
+    rows = [
+        f"{id_},{frame},{-3.5 + 0.05 * frame},{7 - id_ * frame}" for id_ in (1, 2) for frame in range(0, 100, 20 - id_)
+    ]
+    put("exchange", "tracks", ("trackId,frame,xCenter,yCenter\n" + "\n".join(rows) + "\n").encode(), 3)
+    FORMATS["osi"].write(scratch / "a.mcap", one)
+    put("exchange", "osi", (scratch / "a.mcap").read_bytes(), 4)
+    write_bag(scratch / "b.mcap", itertools.islice(drive(), 9))
+    put("exchange", "bag", (scratch / "b.mcap").read_bytes(), 5)
+
+
 def main() -> None:
     for name in TARGETS:
         (CORPUS / name).mkdir(parents=True, exist_ok=True)
@@ -141,6 +163,7 @@ def main() -> None:
         recordings(Path(scratch))
         documents(Path(scratch))
         tables_forests_stores(Path(scratch))
+        exchanged(Path(scratch))
         for target in TARGETS.values():
             for data in target.seeds():
                 folder = Path(tempfile.mkdtemp(dir=scratch))

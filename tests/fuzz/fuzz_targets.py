@@ -38,6 +38,9 @@ from skd_evaluator.campaigns.episode_record import from_bytes, to_bytes
 from skd_evaluator.campaigns.folder import _read_json
 from skd_evaluator.campaigns.store import EpisodeStore
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.exchange.coming_in.sources import Asked, read_sources
+from skd_evaluator.exchange.coming_in.ways import way_of
+from skd_evaluator.fusion.track import Frame
 from skd_sim.apart.wire import ClosedError, read_answer
 from skd_sim.choices.options import options_from_text
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario, scenario_from_dict
@@ -224,6 +227,26 @@ def _table(data: bytes, folder: Path) -> None:
     load_safe_trajectories(folder / "x.csv", crossing(), 1)
 
 
+# --- files of other tools
+
+
+def _taken(name: str, asked: Asked = Asked()) -> Callable[[bytes, Path], object]:  # noqa: B008
+    """Return a reader that takes ways out of a file with this name."""
+
+    def read(data: bytes, folder: Path) -> None:
+        (folder / name).write_bytes(data)
+        for source in read_sources(folder / name, asked):
+            way_of(source, Frame(1.0, 2.0, 0.3), 0.5, crossing())
+
+    return read
+
+
+def _tracks(data: bytes, folder: Path) -> None:
+    (folder / "1_recordingMeta.csv").write_text("frameRate\n25\n")
+    (folder / "1_tracksMeta.csv").write_text("trackId,class\n1,pedestrian\n2,car\n")
+    _taken("1_tracks.csv", Asked("1", "2", needs_car=True))(data, folder)
+
+
 # --- arrays
 
 
@@ -345,6 +368,17 @@ TARGETS = {
             ),
         ),
         Target("csv", (_table,)),
+        Target(
+            "exchange",
+            (
+                _taken("x.xosc"),
+                _taken("x.xml"),
+                _taken("t.csv"),
+                _tracks,
+                _taken("x.mcap"),
+                _taken("x.mcap", Asked("/tracks:42", "/tf:base_link", needs_car=True, map_frame="map")),
+            ),
+        ),
         Target("car_model", (_model_file, _forest, _forest_inside)),
         Target("store", (_database, _record)),
     )

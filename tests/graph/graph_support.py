@@ -70,7 +70,9 @@ def assert_all_gone(token: str, timeout: float = 10.0) -> None:
     assert not left, f"left behind: {left}"
 
 
-_OF_A_BUSY_MACHINE = re.compile(r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, )")
+_OF_A_BUSY_MACHINE = re.compile(
+    r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, )"  # the last after five seconds
+)
 
 
 @dataclass
@@ -88,7 +90,7 @@ class Finished:
 
     @property
     def timeless(self) -> list[str]:
-        """Lines of standard error but those of nodes that came late or ended late, as any does on a busy machine."""
+        """Lines of standard error but those that a busy machine adds: nodes that come or end late, how far it is."""
         return [line for line in self.lines if not _OF_A_BUSY_MACHINE.match(line)]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from skd_msgs.msg import Episode, EpisodeReceipt
+from std_msgs.msg import Float64
 from visualization_msgs.msg import MarkerArray
 
 _ALL = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -34,6 +36,9 @@ class ListeningCar(Node):
         self.create_subscription(EpisodeReceipt, "/skd/episode_receipt", self._on_receipt, _ALL)
         self.create_subscription(MarkerArray, "/skd/markers", self._on_markers, 10)
         self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
+        for figure in ("/skd/clearance", "/skd/deformation"):
+            self.create_subscription(Float64, figure, partial(self._on_figure, figure), 100)
+        self.create_subscription(Odometry, "/skd/believed_car", self._on_belief, 100)
 
     def _note(self, **heard: object) -> None:
         with self._file.open("a") as file:
@@ -63,6 +68,12 @@ class ListeningCar(Node):
 
     def _on_markers(self, message: Any) -> None:
         self._note(what="markers", ids=[marker.id for marker in message.markers])
+
+    def _on_figure(self, name: str, message: Any) -> None:
+        self._note(what=name, value=message.data)
+
+    def _on_belief(self, message: Any) -> None:
+        self._note(what="/skd/believed_car", value=message.twist.twist.linear.x)
 
     def _on_odometry(self, odometry: Any) -> None:
         message = AccelStamped(header=odometry.header)

@@ -174,7 +174,7 @@ class Graph(NamedTuple):
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     """A graph whose simulator and adversary are in this process, and which records."""
     folder, domain = tmp_path_factory.mktemp("composed"), new_domain()
-    options = GraphOptions(open_episodes=True, command_timeout=30.0)
+    options = GraphOptions(open_episodes=True, command_timeout=30.0, nodes="composed")
     with whole_graph(folder, options, record_to=folder / "bags", domain=domain) as (evaluator, token):
         yield Graph(evaluator, token, domain, folder)
 
@@ -191,7 +191,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     ],
 )
 def test_where_nodes_run(changes: dict[str, Any], simulator: str, composed: bool) -> None:
-    assert GraphOptions(**changes).composes(simulator) == composed
+    assert GraphOptions(**{"nodes": "composed", **changes}).composes(simulator) == composed
 
 
 def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: Episode, replay: Episode) -> None:

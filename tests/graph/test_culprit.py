@@ -50,8 +50,10 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
         "nobody publishes on /ego/acceleration_command; aborted were 3 not started"
     )
     logs = tmp_path / "out" / "logs"
-    assert {Path(line.rpartition("log: ")[2]) for line in (first, last)} == {logs / "vehicle_simulator.log"}
-    assert (logs / "vehicle_simulator.log").is_file()
+    for line in (first, last):  # of a node that waited; on a busy machine that may be the adversary's
+        log = Path(line.rpartition("log: ")[2])
+        assert log.parent == logs
+        assert log.is_file()
     assert [path.name for path in tmp_path.iterdir() if path.name != "out"] == []
     again = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=0.5)
     assert again.code == 1  # not 2: logs of a run that failed are in nobody's way

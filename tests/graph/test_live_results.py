@@ -12,6 +12,7 @@ from graph_support import assert_same_log
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.readiness.simulator_check import refuted
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
@@ -101,3 +102,16 @@ def test_an_adversary_that_plans_something_else(
         assert log.outcome == Outcome.ABORTED
         assert log.reason.startswith("not as asked: /adversary took the episode for another than was handed out")
         assert kind_of(log.reason) == AbortKind.UNASKED
+
+
+def test_another_simulator_is_not_held_to_the_laws_of_this_world(replay: Episode) -> None:
+    """SKD has started either: what follows from the seed is what the simulator that was asked for gives."""
+    log = run_episode(replay)
+    car = log.car.copy()
+    car[2, 2] += 0.2
+    other = dataclasses.replace(log, car=car)
+    said = refuted(other, own_world=True)
+    assert said is not None
+    assert "the car's speed at tick 2" in said
+    elsewhere = dataclasses.replace(replay, simulator="metadrive")
+    assert refuted(dataclasses.replace(other, episode=elsewhere), own_world=True) is None

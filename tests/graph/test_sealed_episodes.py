@@ -62,6 +62,9 @@ def test_nothing_tells(sealed: tuple[dict[str, Any], list[dict[str, Any]]]) -> N
     markers = [line["ids"] for line in heard if line["what"] == "markers"]
     assert markers
     assert not any(_SAFE_TRAJECTORY in ids for ids in markers)
+    figures = Counter(line["what"] for line in heard)
+    assert figures["/skd/clearance"] > 10  # which follows from the odometries
+    assert figures["/skd/deformation"] == figures["/skd/believed_car"] == 0
 
 
 def test_who_listens_gains_nothing(
@@ -74,6 +77,12 @@ def test_who_listens_gains_nothing(
         Episode.MODE_REPLAY,
     }
     assert any(_SAFE_TRAJECTORY in line["ids"] for line in heard if line["what"] == "markers")
+    strayed, speeds = (
+        [line["value"] for line in heard if line["what"] == name] for name in ("/skd/deformation", "/skd/believed_car")
+    )
+    assert min(strayed) == 0.0 < max(strayed)
+    assert all(0.0 <= speed < 15.0 for speed in speeds)
+    assert len(speeds) > 10
     assert result["deformation_success_rate"] == 0.0
     assert sealed[0]["deformation_success_rate"] == 1.0
 

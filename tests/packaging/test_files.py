@@ -26,7 +26,7 @@ def topics() -> set[str]:
     support = importlib.import_module("skd_sim.nodes.support")
     names = (
         *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
-        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT"),
+        *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEFORMATION", "BELIEVED_CAR"),
     )
     return {f"/{getattr(support, name)}" for name in names}
 
@@ -67,6 +67,8 @@ def test_foxglove_layout():
     absolute = re.compile(r"/((skd|ego|adversary)/|robot_description)")
     named = {text.split(".")[0] for text in strings(panels) if absolute.match(text)}
     assert named == topics()
+    following = [panel["followTf"] for panel in panels.values() if panel.get("followMode") == "follow-pose"]
+    assert following == ["base_link"]
 
 
 DOCUMENTS = sorted(
@@ -87,6 +89,15 @@ def anchors(text: str) -> set[str]:
 def test_all_documents_are_looked_at():
     found = {str(path.relative_to(ROOT)) for path in DOCUMENTS}
     assert {"README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/decisions.md", "docs/your_controller.md"} <= found
+
+
+def test_each_page_begins_with_what_its_reader_can_do():
+    pages = sorted((ROOT / "docs").rglob("*.md"))
+    assert len(pages) > 30
+    begins = re.compile(
+        r"# [^\n]+\n\n(After|With) (reading )?this (page|hour) you (can|know|have) |# [^\n]+\n\nAfter this (page|hour)"
+    )
+    assert [str(page.relative_to(ROOT)) for page in pages if not begins.match(page.read_text(encoding="utf-8"))] == []
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

@@ -25,6 +25,7 @@ from skd_sim.nodes.support import settings_of
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}
 ROSDEP |= {"cryptography": "python3-cryptography", "sklearn": "python3-sklearn"}
+ROSDEP |= {"llvmlite": "python3-numba"}  # which is made of it
 ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2"}
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
@@ -35,6 +36,7 @@ NOT_IN_ROSDEP = {
     "vl_convert",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
+OF_EXTRAS = {"metadrive", "panda3d"}  # asked for where they are used, with a line that says how to install them
 DISTRIBUTIONS = {"vl_convert": "vl-convert-python"}  # called otherwise than the module in them
 NOT_IMPORTED = {
     "ackermann_msgs",
@@ -55,7 +57,7 @@ def imported(package: str) -> set[str]:
                     found |= {name.name.split(".")[0] for name in node.names}
                 elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
                     found.add(node.module.split(".")[0])
-    return found - {package} - set(sys.stdlib_module_names)
+    return found - {package} - OF_EXTRAS - set(sys.stdlib_module_names)
 
 
 @pytest.mark.parametrize("package", PACKAGES)

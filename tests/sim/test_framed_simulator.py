@@ -147,6 +147,28 @@ def test_who_is_not_told_of_others_refuses_them() -> None:
     assert FramedSimulator(Staged()).places_others
 
 
+class Feeling(Uniform):
+    """The same with a contact of its own: from the first frame on in which the car's front is beyond a place."""
+
+    def touching(self) -> bool:
+        return self._car.y + 2.25 > -4.0
+
+
+@pytest.mark.parametrize("least_speed", [0.0, 20.0])
+def test_a_source_says_when_its_own_shapes_touch(least_speed: float) -> None:
+    """It does not end the episode; one of too slow a car is none."""
+    base = _scenario(10.0)
+    scenario = replace(base, collision=replace(base.collision, minimum_impact_speed=least_speed))
+    simulator = FramedSimulator(Feeling())
+    begin = simulator.reset(Episode(scenario, Mode.SAFE, 7, 0))
+    while simulator.step(0.0, (0.0, 0.0)).tick < 5:
+        pass
+    reached = (-4.0 - 2.25 - begin.car.y) / begin.car.speed
+    expected = np.ceil(reached / FRAME) * FRAME if least_speed == 0.0 else np.nan
+    np.testing.assert_allclose(simulator.own_contact, expected)
+    assert FramedSimulator(Uniform()).own_contact is None
+
+
 def test_slow_impacts_do_not_count() -> None:
     scenario = _scenario(9.0)
     fast = replace(scenario, collision=replace(scenario.collision, minimum_impact_speed=20.0))

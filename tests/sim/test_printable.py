@@ -32,6 +32,13 @@ def test_the_program_itself_may_draw():
     assert drawn.getvalue() == "\\x1b[1mname\\x1b[0m\n\x1b[1mbold\x1b[0m\n"
 
 
+def test_an_end_of_colours_alone_passes():
+    """colorama, where it is installed, writes one at the program's end to the stream that was there at its start."""
+    drawn = io.StringIO()
+    PrintableStream(drawn).write("\x1b[0m")
+    assert drawn.getvalue() == "\x1b[0m"
+
+
 def test_streams_are_put_back(capsys):
     before = sys.stdout, sys.stderr
     with guarded():

@@ -306,7 +306,7 @@ def test_frozen() -> None:
 
 
 def test_every_number_has_a_range() -> None:
-    assert len(_numbers()) == 4 + 3 + 12 + 11 + 2 + 6
+    assert len(_numbers()) == 4 + 3 + 13 + 11 + 2 + 6
 
 
 @pytest.mark.parametrize(

@@ -210,11 +210,11 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
     """Return an adversary that plans with a predicted car, safe or kamikaze."""
     if episode.mode == Mode.SAFE:
         objective, path = safe.OBJECTIVE, None
-        options = objective.options
+        particles = objective.options.particles
     else:
         assert episode.safe_trajectory is not None
         objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
-        options = replace(objective.options, particles=episode.particles or objective.options.particles)
+        particles = episode.particles or objective.options.particles
     car = predicted_car(episode)
     road_user = road_user_named(episode.scenario.adversary.kind)
     model = compose(
@@ -234,7 +234,7 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
         road_user,
         episode.scenario,
         episode.start,
-        replace(options, simulations=episode.simulations),
+        replace(objective.options, simulations=episode.simulations, particles=particles),
         sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
         planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
     )

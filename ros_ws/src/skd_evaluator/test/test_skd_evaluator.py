@@ -44,7 +44,8 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     states = {"/ego/odometry", "/adversary/odometry", "/skd/episode_result", "/skd/episode", "/skd/episode_receipt"}
     recorded = {"/clock", "/ego/acceleration_command", "/adversary/velocity_command"}
     recorded |= {"/robot_description", "/tf", "/tf_static"}
-    topics = ({"/skd/assessment", "/skd/episode", "/skd/markers"}, states | recorded)
+    said = {"/skd/assessment", "/skd/episode", "/skd/markers", "/skd/clearance", "/skd/deformation"}
+    topics = (said, states | recorded)
     assert topics_of(watcher, "evaluator", topics) == topics
     code, output = interrupt(process)
     assert code == 130

@@ -17,7 +17,7 @@ from skd_sim.controllers import Controller, sight_of
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits
-from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.road import HEADING_NORTH, road_position, straight_from
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.heading import on_grid
 from skd_sim.sensors.laser import PlanarLaser
@@ -134,6 +134,7 @@ class Course:
         self._simple = basic and not scenario.others
         heading = float(on_grid(HEADING_NORTH))
         self._direction = math.cos(heading), math.sin(heading)
+        self._straight_from = straight_from(scenario.road.line)
         self.calls = 0
 
     def lead_on(self, node: Node, action: int, draws: Draws, first: int) -> Node:
@@ -283,7 +284,10 @@ class Course:
         return np.array([car, found]), found
 
     def _passed(self, car: CarState, place: AdversaryState) -> bool:
-        """Return whether the car has gone by, faster than the adversary could follow it."""
+        """Return whether the car has gone by, faster than the adversary could follow, and will not turn back to it."""
+        line = self._scenario.road.line
+        if not self._scenario.road.straight and road_position(line, car.x, car.y)[0] < self._straight_from:
+            return False
         ahead = math.cos(car.heading) * (place.x - car.x) + math.sin(car.heading) * (place.y - car.y)
         return ahead < -self._rear and car.speed > self._moves.fastest
 

@@ -38,7 +38,7 @@ class _Kernels(NamedTuple):
 
 _CLASS, _SEPARATOR = "Parameters", "__"
 _CAR_INTERFACES = ("start_car", "advance_car", "foreseen_acceleration", "resume_car", "redraw_policy", "last_changes")
-_ROAD_INTERFACES = ("on_road", "velocity_on_road", "from_car", "at_distance")
+_ROAD_INTERFACES = ("on_road", "velocity_on_road", "from_car", "left_behind", "at_distance")
 _USER_INTERFACES = (
     "start_road_user",
     "velocity",

@@ -110,6 +110,15 @@ def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, 
     raise NotImplementedError(_UNBOUND)
 
 
+def left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Return whether a point (x, y), m, is behind the car at path coordinate s (m), which will not turn back to it.
+
+    The path coordinate alone does not say so: before a curve, who is beside the road on its inner side may be far
+    behind the car, and be there before it by the short cut.
+    """
+    raise NotImplementedError(_UNBOUND)
+
+
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
     """Return the path coordinate (m) at a distance (m) from a point (x, y), before it on the road or beyond it."""
     raise NotImplementedError(_UNBOUND)

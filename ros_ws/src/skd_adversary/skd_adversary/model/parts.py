@@ -187,6 +187,7 @@ class RoadKernels:
         on_road: interface.
         velocity_on_road: interface.
         from_car: interface.
+        left_behind: interface.
         at_distance: interface.
         contact: interface, as a template that uses interface `touch`.
     """
@@ -196,6 +197,7 @@ class RoadKernels:
     on_road: Any
     velocity_on_road: Any
     from_car: Any
+    left_behind: Any
     at_distance: Any
     contact: Any
 
@@ -255,7 +257,8 @@ class RoadUserModel:
         height: height of its body in pictures and messages, m.
         within: (scenario, φ, way) → its velocities in each tick of a way, having gone it so far, or what it can do that
             comes nearest to them: (n − 1) × 2, m/s; None for a kind whose actions are listed alone.
-        called: what another simulator calls it, by the simulator's name: `{"carla": "walker.pedestrian.0001"}`.
+        called: what another simulator, a format or a data set calls it, by their names: `{"carla":
+            "walker.pedestrian.0001", "openscenario": "pedestrian"}`; data sets of levelXdata are `levelxdata`.
     """
 
     name: str

@@ -24,6 +24,14 @@ def path_velocity(path: FloatArray, tick: int, time_step: float) -> tuple[float,
     return (path[tick + 1, 0] - path[tick, 0]) / time_step, (path[tick + 1, 1] - path[tick, 1]) / time_step
 
 
+@kernel(inline=True)
+def pace_at(pace: FloatArray, tick: int) -> tuple[float, float]:
+    """Return `path_velocity` of a tick, looked up: `pace` is `path_velocities` of φ's ticks, m/s."""
+    if tick >= pace.shape[0]:
+        return 0.0, 0.0
+    return pace[tick, 0], pace[tick, 1]
+
+
 def path_velocities(path: FloatArray, ticks: int, time_step: float) -> FloatArray:
     """Return `path_velocity` of ticks 0 … ticks − 1, ticks × 2, m/s."""
     found = np.zeros((ticks, 2))

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from skd_msgs.msg import EpisodeResult
+from skd_sim.choices.frames import MAP_FRAME
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.road import HEADING_NORTH, road_pose
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
+from skd_sim.messages.to_messages import car_to_odometry
 from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import (
+    BELIEVED_CAR,
     EGO_ODOMETRY,
     EPISODE_RESULT,
     STREAM,
@@ -30,7 +34,7 @@ from skd_sim.nodes.support import (
 )
 from skd_sim.state import CarState
 
-from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.warm_up import warm_up_episodes
 
 _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
@@ -39,19 +43,28 @@ _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start ra
 class AdversaryNode(ComposableNode):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
-    def __init__(self, place: Place | None = None) -> None:
-        """Declare parameters and topics, at a place, by default in a process of its own."""
+    def __init__(self, place: Place | None = None, *, make: Callable[[Episode], Adversary] | None = None) -> None:
+        """Declare parameters and topics.
+
+        Args:
+            place: where it runs; by default in a process of its own.
+            make: makes the adversary of each episode; by default the one that the episode says, whose planner is
+                compiled first.
+        """
         place = place or Place.alone()
         super().__init__("adversary", place)
         seal = Seal(place.secret)
         settings = declare(self, _SETTINGS)
-        if settings["warm_up"]:
+        if make is None and settings["warm_up"]:
             warm_up()
+        self._make = make
         self._adversary: Adversary | None = None
         self._over = False
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
+        # A belief tells that somebody plans, so it is said only where everybody may know.
+        self._believed = self.create_publisher(Odometry, BELIEVED_CAR, STREAM) if seal.is_open else None
         self._receipts = Receipts(self, seal, "skd_adversary", "skd_sim")
         self._follower = EpisodeFollower(
             self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
@@ -61,7 +74,7 @@ class AdversaryNode(ComposableNode):
             self.create_subscription(EpisodeResult, EPISODE_RESULT, self._on_result, STREAM)
 
     def _on_begin(self, episode: Episode) -> None:
-        self._adversary = make_adversary(episode)
+        self._adversary = (self._make or make_adversary)(episode)
         self._next_tick = 0
         self._answer = None
         self._over = False
@@ -94,6 +107,27 @@ class AdversaryNode(ComposableNode):
         self._answer = (stamp, write_velocity(velocity, stamp))
         self._next_tick = tick + 1
         self._command.publish(self._answer[1])
+        self._say_belief(stamp)
+
+    def _say_belief(self, stamp: int) -> None:
+        """Publish where the adversary believes the car to be, if somebody listens and it believes anything."""
+        if self._believed is None or not isinstance(self._adversary, PlanningAdversary):
+            return
+        if self._believed.get_subscription_count():
+            assert self._follower.episode is not None
+            self._believed.publish(belief_to_odometry(self._adversary.believed_car, self._follower.episode, stamp))
+
+
+def belief_to_odometry(believed: BelievedCar, episode: Episode, stamp: int) -> Odometry:
+    """Return a belief as odometry in `map`: means as pose and speed, variances along the road as covariances."""
+    x, y, heading = road_pose(episode.scenario.road.line, believed.position)
+    message = car_to_odometry(CarState(x, y, heading, believed.speed), stamp)
+    message.header.frame_id, message.child_frame_id = MAP_FRAME, ""
+    ahead = np.zeros(6)
+    ahead[:2] = np.cos(heading), np.sin(heading)
+    message.pose.covariance = (believed.position_deviation**2 * np.outer(ahead, ahead)).ravel()
+    message.twist.covariance = np.diag([believed.speed_deviation**2, 0.0, 0.0, 0.0, 0.0, 0.0]).ravel()
+    return message
 
 
 def warm_up() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.planning.pomdp import Action, Pomdp
 
@@ -132,7 +133,7 @@ class ParticleBelief:
         if count < 1:
             raise ValueError(f"a belief needs at least one particle, got {count}")
         self._model = model
-        self._rng = rng
+        self._rng = stream_of(rng)
         self._draw, self._propagate, self._reweigh, self._redraw = _kernels(
             model.name, model.initial, model.step, model.likelihood, model.reinvigorate
         )
@@ -140,7 +141,7 @@ class ParticleBelief:
         self._spare = np.empty_like(self.particles)
         self.weights = np.full(count, 1.0 / count)
         self.depletions = 0
-        self._draw(model.parameters, self.particles, rng)
+        self._draw(model.parameters, self.particles, self._rng)
 
     @property
     def effective_sample_size(self) -> float:

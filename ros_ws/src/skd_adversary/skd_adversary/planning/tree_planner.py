@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.drawn_actions import action_in
@@ -61,7 +63,7 @@ class TreePlanner(ABC):
         """Prepare for `model`; all randomness of the search comes from `rng`."""
         self._model = model
         self._options = options
-        self._rng = rng
+        self._rng = stream_of(rng)
         self._tree = tree
         self._roots = np.zeros(options.simulations, np.int32)
         self._log = RootLog(
@@ -87,7 +89,11 @@ class TreePlanner(ABC):
         """Grow the tree, one simulation for each of the roots."""
 
     def _decision(self) -> int:
-        return int(np.argmax(np.where(self.visits > 0, self.values, -np.inf)))
+        best, decision = -math.inf, 0
+        for action, (value, visits) in enumerate(self._tree.statistics[0].tolist()):  # for so few, faster than numpy
+            if visits > 0.0 and value > best:
+                best, decision = value, action
+        return decision
 
     def advance(self, action: Action, observation: FloatArray) -> None:  # noqa: B027 - nothing, unless a tree is kept
         """Say what was done and what was observed after it."""

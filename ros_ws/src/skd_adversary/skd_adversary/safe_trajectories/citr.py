@@ -27,6 +27,7 @@ from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.model.road_user import pedestrian
+from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
 
 FRAME_RATE: Final = 29.97
@@ -176,11 +177,7 @@ def _tracks(table: Table, path: Path) -> dict[int, Table]:
 
 
 def world_frame(clip: Clip, track: Track) -> FloatArray:
-    """Return a recorded walk in the world frame.
-
-    Rotated so that the cart drives North: its direction and x = 0 are those of the straight line fitted to
-    its positions (total least squares). Mirrored, if need be, so that the pedestrian walks East. y = 0 is
-    where it crosses x = 0 for the first time (linear interpolation), or its first point where it does not.
+    """Return a recorded walk in the world frame, as the cart's way has it (`seen_from_car`).
 
     Args:
         clip: the clip, which has the cart.
@@ -189,21 +186,7 @@ def world_frame(clip: Clip, track: Track) -> FloatArray:
     Returns:
         n × 2 positions (East, North), m, at the track's frames.
     """
-    centre = clip.positions.mean(axis=0)
-    direction = np.linalg.svd(clip.positions - centre, full_matrices=False)[2][0]
-    if direction @ (clip.positions[-1] - clip.positions[0]) < 0.0:
-        direction = -direction
-    offset = track.positions - centre
-    north = offset @ direction
-    east = offset @ np.array([direction[1], -direction[0]])
-    if east[-1] < east[0]:
-        east = -east
-    after = np.flatnonzero((east[:-1] < 0.0) & (east[1:] >= 0.0))
-    origin = north[0]
-    if len(after):
-        i = int(after[0])
-        origin = north[i] + (north[i + 1] - north[i]) * east[i] / (east[i] - east[i + 1])
-    return np.column_stack([east, north - origin])
+    return seen_from_car(clip.positions, track.positions).positions
 
 
 def touches_cart(clip: Clip, track: Track, radius: float) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.encounter.checks import check_way, start_clearance
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
@@ -39,9 +40,26 @@ def read_csv_trajectory(path: str | Path, scenario: Scenario) -> Trajectory:
     """
     path = Path(path)
     values, lines = read_table(path, _COLUMNS)
-    if len(values) < 2:
-        raise UsageError(f"{path}: {_points(len(values))}; a safe trajectory needs at least two points")
-    times, positions = values[:, 0], values[:, 1:]
+    return safe_trajectory(values[:, 0], values[:, 1:], scenario, path, lines)
+
+
+def safe_trajectory(
+    times: FloatArray, positions: FloatArray, scenario: Scenario, path: Path, lines: IntArray
+) -> Trajectory:
+    """Return a trajectory, checked and resampled as `read_csv_trajectory` says.
+
+    Args:
+        times: n times, s.
+        positions: n × 2, m, in the world frame.
+        scenario: gives time step, horizon and the car's path.
+        path: file that they are from, for its name and for messages.
+        lines: line of the file in which each is, for messages.
+
+    Raises:
+        UsageError: it is no safe trajectory.
+    """
+    if len(times) < 2:
+        raise UsageError(f"{path}: {_points(len(times))}; a safe trajectory needs at least two points")
     wrong = np.flatnonzero(np.diff(times) <= 0.0)
     if len(wrong):
         before, at = wrong[0], wrong[0] + 1

@@ -9,8 +9,9 @@ from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating, hit_too_often
+from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
-from skd_evaluator.report.doubts import margin_doubts
+from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 
 
 def undefined(rating: Rating) -> str | None:
@@ -58,12 +59,19 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
     if rating.until_width is not None and not rating.until_width.reached:
         found.append(rating.until_width.text)
     if rating.clipped:
-        low, high = command_limits(rating.plan.scenario)
+        low, high = _limits(rating)
         found.append(
             f"{sum(rating.clipped)} commands in {len(rating.clipped)} episodes asked more than this car can "
             f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
         )
-    return found
+    return found + contact_doubts(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
+
+
+def _limits(rating: Rating) -> tuple[float, float]:
+    """Return the least and the greatest acceleration of the car, as its simulator says, or as in SKD's world; m/s²."""
+    said = (rating.simulation or {}).get("limits")
+    low, high = command_limits(rating.plan.scenario) if said is None else said
+    return float(low), float(high)
 
 
 def _hits_of_others(rating: Rating) -> list[str]:

@@ -25,7 +25,7 @@ class EvaluatorOptions(CommandOptions):
     control_period: float | None = graph_option(
         None,
         "time between two decisions of an external controller, s. The car's state is published, and a command taken, "
-        "once in this time. It must divide the time step of the scenario",
+        "once in each such period. It must divide the time step of the scenario",
         float,
         low=0.0,
         high=10.0,
@@ -88,21 +88,22 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         commands=("assess", "probe"),
         launches=(),
     )
-
     nodes: str = graph_option(
-        COMPOSED,
-        "where simulator and adversary run: composed (in the process of the command, so that what they say to each "
-        "other does not go through the network), or separate (each in a process of its own). They are separate anyway "
-        "in real time, with a quiet time, with several graphs and with a simulator that is not SKD's own",
+        SEPARATE,
+        "where simulator and adversary run: separate (each in a process of its own), or composed (in the process of "
+        "the command, so that what they say to each other does not go through the network, which is faster). They are "
+        "separate anyway in real time, with a quiet time, with several graphs and with a simulator that is not SKD's",
         choices=Names((COMPOSED, SEPARATE)),
         launches=(),
+        commands=("assess", "episode", "probe"),
     )
     open_episodes: bool = graph_option(
         False,
         "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "
-        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could be another car in "
-        "kamikaze episodes",
+        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could behave differently "
+        "in kamikaze episodes",
         launches=(),
+        commands=("assess", "episode", "probe"),
     )
 
     @property

@@ -10,14 +10,17 @@ from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.choices.options import options_of
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
+from skd_evaluator.assessing.simulated import with_simulation
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.judge.static_tests import with_static_tests
 from skd_evaluator.campaign.judge.until_width import rate_until_width
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
@@ -25,7 +28,8 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.learning.lesson import learned, needs_learning
-from skd_evaluator.margin.assessment_margin import warm_up_margins, with_margins
+from skd_evaluator.margin.ahead import margins_compiled_beside
+from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
 from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
 
@@ -92,7 +96,8 @@ class Runners:
         rated: runs the kamikazes and the runs along φ from which the figures follow.
         others: runs all other episodes: for safe trajectories, and kamikazes that are held to a budget.
         here: computes margins and floors from the logs, in processes of this machine.
-        ways: runs whole episodes of a car that is a node, for its margin; None: such a car has no margin.
+        ways: runs whole episodes of a car that is a node, or in another simulator than SKD's own world, for its margin;
+            None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
             episodes show; None: nobody looks.
     """
@@ -158,8 +163,10 @@ def assessed(
         if not safe:
             safe.extend(safe_trajectories(plan, runners.others, progress))
         rating = rate(plan, objectives, safe, runners.rated, progress)
+    rating = with_simulation(rating, runners.here)
     rating = with_margins(rating, runners.here, progress, further.margin_limit, runners.ways)
     rating = with_risks(rating, further.risk, runners.here, progress, runners.ways)
+    rating = with_static_tests(rating, runners.others)
     if further.floor:
         rating = with_floors(rating, runners.here, progress)
     if further.curve:
@@ -185,17 +192,18 @@ def assess_in_process(
     in one line, `origin` says where the assessment of the plan comes from.
     """
     safe, runner = [] if safe is None else safe, runners.here
+    if not is_own_world(plan.simulator):  # whose cars are led by whole episodes
+        runners = replace(runners, ways=runner)
     with runner:
         # Recorded ones are read first: bad input is said before anything is compiled.
         if plan.safe not in (SYNTHETIC, OWN) and not further.until_width:
             safe.extend(safe_trajectories(plan, runner))
-        if further.floor:
-            warm_up_floor()
-        if further.margin_limit:
-            warm_up_margins()
-        if further.risk.behaviour is not None:
-            warm_up_risk(plan)
-        runner.start(planners_of(plan, objectives))
+        with margins_compiled_beside(wanted=further.margin_limit > 0) as load_margins:
+            if further.floor:
+                warm_up_floor()
+            if further.risk.behaviour is not None:
+                warm_up_risk(plan)
+            runner.start(planners_of(plan, objectives), inherited=load_margins)
         plan = learned_plan(plan, runner, progress, say)
         known = origin(plan)
         return replace(assessed(plan, objectives, runners, progress, further, safe), provenance=known)

@@ -15,14 +15,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment.message_folders import PREFIX
-from skd_sim.ros_environment.messages import message_package
+from skd_sim.ros_environment.messages import message_package, packages_without_wheel
 
 
 def _shared(package: str) -> Iterator[Path]:
-    """Yield the folders of .msg files that a package has in the prefixes of this run, in order of precedence."""
+    """Yield the folders of .msg files that a package has in the prefixes of this run, or comes with here, in order."""
     prefixes = [os.environ.get(PREFIX, ""), *os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    folders = (Path(prefix, "share", package, "msg") for prefix in prefixes if prefix)
-    return (folder for folder in folders if folder.is_dir())
+    folders = [Path(prefix, "share", package, "msg") for prefix in prefixes if prefix]
+    own = [one.folder / "msg" for one in packages_without_wheel() if one.name == package]  # where none are built
+    return (folder for folder in (*folders, *own) if folder.is_dir())
 
 
 def _definition_folder() -> Path:

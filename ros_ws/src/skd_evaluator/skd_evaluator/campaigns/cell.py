@@ -116,7 +116,7 @@ def _cell(
     car = CarUnderTest(values["controller"], values["multiplier"])
     # To make a user's controller takes a process and all that its module imports: once for those that are alike.
     alike = (
-        car, graph, scenario.time_step, scenario.control_period, scenario.sensor is None,
+        car, graph, values["simulator"], scenario.time_step, scenario.control_period, scenario.sensor is None,
         *(values[option.name] for option in options_of(GraphOptions)),
     )  # fmt: skip
     if alike not in checked:

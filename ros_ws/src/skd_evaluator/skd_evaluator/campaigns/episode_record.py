@@ -19,6 +19,8 @@ from skd_sim.geometry.trajectory import Trajectory
 DIGEST_BYTES = 16
 _HEAD = struct.Struct("<BddqqqdIIII")
 """Outcome, impact (time, speed), depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
+_OWN_CONTACT = struct.Struct("<d")
+"""Last, where the simulator said it: the time of the contact by its own shapes."""
 
 
 def digest(*parts: bytes) -> bytes:
@@ -80,7 +82,8 @@ def to_bytes(log: EpisodeLog) -> bytes:
         int(log.outcome), log.impact_time, log.impact_speed, log.depletions, log.clipped, log.timing.held,
         log.timing.delay, len(adversary), len(belief), len(ages), len(reason),
     )  # fmt: skip
-    return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason))
+    own = b"" if log.own_contact is None else _OWN_CONTACT.pack(log.own_contact)
+    return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason, own))
 
 
 def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
@@ -93,7 +96,8 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
         outcome, time, speed, depletions, clipped, held, delay, states, believed, ages, reason = _HEAD.unpack_from(data)
     except struct.error as error:
         raise ValueError("it is too short") from error
-    if len(data) != _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason or believed not in (0, states):
+    end = _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason
+    if len(data) not in (end, end + _OWN_CONTACT.size) or believed not in (0, states):
         raise ValueError("it is of another length than it says")
     sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
     numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
@@ -106,10 +110,11 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
         time,
         speed,
         depletions,
-        data[len(data) - reason :].decode("utf-8", "surrogatepass"),
+        data[end - reason : end].decode("utf-8", "surrogatepass"),
         clipped,
         Timing(tuple(aged.tolist()), held, delay),
         belief.reshape(believed, 4).copy() if believed else None,
+        None if len(data) == end else float(_OWN_CONTACT.unpack_from(data, end)[0]),
     )
 
 

@@ -225,9 +225,9 @@ def add_floor_argument(group: argparse._ActionsContainer) -> None:
     group.add_argument(
         "--floor",
         action="store_true",
-        help="also compute the floor of SKD, and how many times the floor SKD is. The floor is the least Fréchet "
-        "distance that a kamikaze could have reached in each episode if it had known all random draws of the car. It "
-        "exists for the basic controller only, since only there is known what the car would have done",
+        help="also compute the floor of SKD, and SKD divided by it. The floor is the least Fréchet distance that a "
+        "kamikaze could have reached in each episode if it had known all random draws of the car. Only the basic "
+        "controller has one, because only of that car is it known what it would have done",
     )
 
 
@@ -281,8 +281,15 @@ def add_verification_arguments(parser: argparse._ActionsContainer, flag: str) ->
     add_count(parser, "--verify-seed", 0, 2**31 - 1, by_which)
 
 
-def add_graph_arguments(parser: argparse.ArgumentParser, command: str, *, optional: bool, record: bool = True) -> None:
-    """Add the options of the node graph; with `optional` also --graph, and with `record` --record."""
+def add_graph_arguments(
+    parser: argparse.ArgumentParser,
+    command: str,
+    *,
+    optional: bool,
+    record: bool = True,
+    **changes: Mapping[str, Any],
+) -> None:
+    """Add the options of the node graph; with `optional` also --graph, with `record` --record; see `add_options`."""
     group = parser.add_argument_group("node graph")
     if optional:
         group.add_argument("--graph", action="store_true", help="run the episodes through a graph of ROS 2 nodes")
@@ -290,7 +297,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser, command: str, *, option
         group.add_argument(
             "--record", action="store_true", help="keep a recording (a bag) of every episode; needs --graph"
         )
-    add_options(group, command, table=GraphOptions, controller_command={"type": command_line})
+    add_options(group, command, "", GraphOptions, controller_command={"type": command_line}, **changes)
 
 
 def add_output_arguments(
@@ -356,10 +363,10 @@ def output_path(arguments: argparse.Namespace) -> Path:
     return default_folder(arguments.command)
 
 
-def add_car_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options that say which car meets whom."""
+def add_car_arguments(parser: argparse.ArgumentParser, command: str, **changes: Mapping[str, Any]) -> None:
+    """Add the options that say which car meets whom; `changes` as `add_options` takes them."""
     group = parser.add_argument_group(CAR_GROUP)
-    add_options(group, command, CAR_GROUP)
+    add_options(group, command, CAR_GROUP, CampaignOptions, **changes)
     group.add_argument(
         "--scenario",
         metavar="NAME",

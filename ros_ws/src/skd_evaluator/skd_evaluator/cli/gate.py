@@ -62,7 +62,7 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
             "meet one, an error that nothing can be said of the car",
         ),
         ("markdown", "write the figures and what became of these conditions to this file, as a Markdown page"),
-        ("csv", "write every figure to this file, one a line"),
+        ("csv", "write the car's figures to this file, one per line, with their intervals"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
     group.add_argument(

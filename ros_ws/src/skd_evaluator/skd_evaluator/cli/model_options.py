@@ -59,7 +59,7 @@ def add_model_commands(commands: Any) -> None:
 
     fuse = commands.add_parser(
         "fuse",
-        help="say what the physical car does, from few trials on a proving ground and many simulated ones",
+        help="estimate what the physical car does, from few trials on a proving ground and many simulated ones",
         description="Estimate clearance, required deceleration, hit rate and margin of the physical car over all safe "
         "trajectories φ. Physical trials are paired with simulated ones of the same φ and timing; where the simulator "
         "predicts them, simulations of further φ make the interval narrower (docs/fusion.md). Where it does not, the "
@@ -98,7 +98,7 @@ def add_model_commands(commands: Any) -> None:
 
     behaviour = commands.add_parser(
         "behaviour",
-        help="learn how people deviate from their way, for the risk",
+        help="learn how people deviate from the way they mean to go, for the risk",
         description="Fit a behaviour model to people who were tracked, check it on people whom it has not seen, and "
         "write it to behaviour.yaml. skd assess --behaviour estimates the risk with it.",
     )
@@ -127,12 +127,15 @@ def _add_recordings(parser: Any) -> Any:
     """Add how recordings of physical trials are read, and return the group."""
     recordings = parser.add_argument_group("recordings")
     recordings.add_argument(
-        "--car", metavar="NAME", help="topic of the car in bags, or its id in tables (default: /ego/odometry, car)"
+        "--car",
+        metavar="NAME",
+        help="topic of the car in bags, /tf:FRAME, or TOPIC:ID of tracked objects, or its id in tables (default: "
+        "/ego/odometry, car)",
     )
     recordings.add_argument(
         "--road-user",
         metavar="NAME",
-        help="topic of the road user in bags, or its id in tables (default: /adversary/odometry, other)",
+        help="topic of the road user in bags, or as --car; or its id in tables (default: /adversary/odometry, other)",
     )
     recordings.add_argument(
         "--frame",

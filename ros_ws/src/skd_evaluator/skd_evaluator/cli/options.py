@@ -29,6 +29,7 @@ from skd_evaluator.cli.arguments import (
     steps_of,
     whole_number,
 )
+from skd_evaluator.cli.exchange_options import add_exchange_commands
 from skd_evaluator.cli.gate import add_gate_arguments
 from skd_evaluator.cli.model_options import add_model_commands
 from skd_evaluator.cli.overview_options import add_overview_commands
@@ -44,10 +45,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "assess",
         help="rate one car: its margin and its SKD",
         description="Rate one car. A safe trajectory φ is a way on which an adversary (say, a pedestrian) crosses "
-        "unharmed; a kamikaze is an adversary that leaves it in order to be hit. The margin says how far one has to "
-        "stray from safe trajectories, at the least, until the moving car hits: it is a property of the car. The "
-        "Safe-Kamikaze Distance (SKD) of the paper says how far kamikazes stray that plan with what they know of the "
-        "car.",
+        "unharmed; a kamikaze is an adversary that leaves it in order to be hit. The margin is the least distance "
+        "that somebody has to stray from a safe trajectory before the moving car hits them; it is a property of the "
+        "car. The Safe-Kamikaze Distance (SKD), the paper's measure, says how far kamikazes stray who plan with what "
+        "they know about the car.",
     )
     add_car_arguments(assess, "assess")
     add_graph_arguments(assess, "assess", optional=True)
@@ -69,8 +70,8 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         type=positive_number,
         metavar="W",
         help="add safe trajectories until the 95 %% interval of the planned deformation is at most W metres wide: "
-        "--safe-count of them at a time (with --collision-runs), 10 times at most. The intervals allow for "
-        "being looked at repeatedly",
+        "--safe-count of them at a time, each time with --collision-runs, and at most 10 times. The intervals allow "
+        "for being looked at repeatedly",
     )
 
     sweep = commands.add_parser(
@@ -118,6 +119,12 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
     add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
     add_max_aborted_argument(campaign)
+    campaign.add_argument(
+        "--live",
+        action="store_true",
+        help="show the figures of each cell as soon as it has ended: on a terminal as a table that grows, elsewhere as "
+        "a line on standard error",
+    )
     add_output_arguments(campaign)
 
     episode = commands.add_parser(
@@ -367,6 +374,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     add_regulator_command(commands)
     add_model_commands(commands)
+    add_exchange_commands(commands)
     add_overview_commands(commands)
 
     completion = commands.add_parser(

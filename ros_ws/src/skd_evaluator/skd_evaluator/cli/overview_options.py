@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from skd_evaluator.cli.arguments import add_count, add_output_arguments, add_pictures_argument
+from skd_evaluator.cli.arguments import (
+    add_car_arguments,
+    add_count,
+    add_graph_arguments,
+    add_options,
+    add_output_arguments,
+    add_pictures_argument,
+)
 
 DEFAULT_FOLDER = Path("skd_results")
 
@@ -62,6 +69,37 @@ def add_overview_commands(commands: Any) -> None:
     )
     doctor.add_argument("--json", action="store_true", help="print JSON instead of lines")
     doctor.set_defaults(module="overview.doctor")
+
+    _add_drive(commands)
+
+
+def _add_drive(commands: Any) -> None:
+    drive = commands.add_parser(
+        "drive",
+        help="watch a car drive, and step in front of it with the keyboard",
+        description="Watch a car drive at the pace of the wall clock, in the terminal: as seen from above, with its "
+        "speed, its commands and their age. The adversary goes where your keys send it, or follows a safe trajectory "
+        "φ. The options are those of skd assess, so you can see your controller or node work before you rate it. With "
+        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves "
+        "something: its logs. Without a terminal it prints one line a second and ends with the first episode.",
+    )
+    followed = (
+        "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, regulatory, or a path, as "
+        "skd assess takes them (default: it goes by keys)"
+    )
+    add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
+    add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, from 0", default=0)
+    ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
+    add_count(drive, "--ticks", 1, 100_000, ticks)
+    add_options(drive, "drive", "campaign")
+    rate = "how many simulated seconds pass in a second of the wall clock; 0.5 is slow motion (default: 1)"
+    add_graph_arguments(drive, "drive", optional=True, record=False, rate_factor={"help": rate})
+    group = drive.add_argument_group("output")
+    group.add_argument("--json", action="store_true", help="print how each episode ended as JSON, and no picture")
+    loudness = group.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="report the source of an error")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print only how each episode ended")
+    drive.set_defaults(module="overview.drive")
 
 
 def _add_folders(parser: Any) -> None:

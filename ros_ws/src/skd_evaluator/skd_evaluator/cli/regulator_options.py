@@ -15,18 +15,18 @@ from skd_evaluator.cli.arguments import (
     real_number,
     steps_of,
 )
+from skd_evaluator.ncap.result import ROOM
 
 REFERENCE_ATTEMPTS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"
 ATTEMPTS = 5
-ROOM = 0.5  # m
 
 
 def add_regulator_command(commands: Any) -> None:
     """Add it to a parser's commands."""
     ncap = commands.add_parser(
         "ncap",
-        help="a regulator's tests: colours of Euro NCAP 2026, and the margin beside each",
+        help="run a regulator's tests: colours of Euro NCAP 2026, and the margin beside each",
         description="Run the static tests of Euro NCAP 2026, test speeds × impact places, in which the target does "
         "what the protocol prescribes. Each cell has the impact speed, its colour, and beside it the margin: how far "
         "the target would have to stray from its way, at the least, until the moving car hits. So a test that is "

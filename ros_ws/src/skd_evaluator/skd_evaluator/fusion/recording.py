@@ -3,59 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text
-from skd_sim.messages.from_messages import from_stamp
 
-from skd_evaluator.bags.inventory import find_recordings
-from skd_evaluator.bags.mcap_file import Condition, read_messages
-from skd_evaluator.bags.recording import ADVERSARY, CAR, shortened
-from skd_evaluator.bags.types import typestore
+from skd_evaluator.bags.recording import ADVERSARY, CAR
+from skd_evaluator.fusion.bag_tracks import Row, bag_tracks
 from skd_evaluator.fusion.track import Track
 
 TABLE_CAR, TABLE_OTHER = "car", "other"
 """Ids of the two in a table, where nothing else is said."""
 _COLUMNS = ("t", "id", "x", "y")
 _FURTHER = ("heading", "speed")
-_NANOSECONDS = 1e-9
-
-
-class Row(NamedTuple):
-    """A position: s, m, m, and where they are said heading (rad) and speed (m/s); else nan."""
-
-    time: float
-    x: float
-    y: float
-    heading: float
-    speed: float
-
-
-def _odometry(message: Any) -> tuple[float, ...]:
-    linear = message.twist.twist.linear
-    return (*_pose(message.pose.pose), float(np.hypot(linear.x, linear.y)))
-
-
-def _pose(pose: Any) -> tuple[float, float, float]:
-    q = pose.orientation
-    heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
-    said = abs(q.w**2 + q.x**2 + q.y**2 + q.z**2 - 1.0) < 1e-3  # else nobody filled it in
-    return float(pose.position.x), float(pose.position.y), float(heading) if said else np.nan
-
-
-_READERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
-    "nav_msgs/msg/Odometry": _odometry,
-    "geometry_msgs/msg/PoseStamped": lambda message: (*_pose(message.pose), np.nan),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: (*_pose(message.pose.pose), np.nan),
-    "geometry_msgs/msg/PointStamped": lambda message: (float(message.point.x), float(message.point.y), np.nan, np.nan),
-}
 
 
 def read_tracks(path: Path, car: str | None, other: str | None) -> tuple[Track, Track]:
@@ -89,30 +54,10 @@ def _track(rows: list[Row], where: str) -> Track:
     return Track(values[:, 0], values[:, 1:3], said[0], said[1], where).checked()
 
 
-def _rows_of_bag(path: Path, topics: tuple[str, str]) -> dict[str, list[Row]]:
-    rows: dict[str, list[Row]] = {topic: [] for topic in topics}
-    frames: dict[str, str] = {}
-    for file in (file for files in find_recordings([path]) for file in files):
-        condition = Condition()
-        for received in read_messages(file, lambda topic: topic in rows, condition):
-            topic, kind = received.channel.topic, received.schema.name
-            if kind not in _READERS:
-                raise UsageError(f"{file}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READERS)}")
-            try:
-                message: Any = typestore().deserialize_cdr(received.data, kind)
-            except Exception as error:  # what damaged bytes are taken for can raise anything
-                raise UsageError(f"{file}: a message on {topic} cannot be read ({shortened(str(error))})") from error
-            frames.setdefault(topic, str(message.header.frame_id))
-            if frames[topic] != message.header.frame_id:
-                raise UsageError(f"{file}: {topic} is in two frames, {frames[topic]!r} and {message.header.frame_id!r}")
-            rows[topic].append(Row(_NANOSECONDS * from_stamp(message.header.stamp), *_READERS[kind](message)))
-        if condition.damage:
-            raise UsageError(f"{file}: is damaged ({condition.damage[0]})")
-    for topic in topics:
-        if not rows[topic]:
-            raise UsageError(f"{path}: has no message on {topic}; name the topics by --car and --road-user")
-    _check_frames(path, frames, topics)
-    return rows
+def _rows_of_bag(path: Path, names: tuple[str, str]) -> dict[str, list[Row]]:
+    found = bag_tracks(path, names)
+    _check_frames(path, {name: one.frame for name, one in found.items()}, names)
+    return {name: one.rows for name, one in found.items()}
 
 
 def _check_frames(path: Path, frames: dict[str, str], topics: tuple[str, str]) -> None:

@@ -18,6 +18,7 @@ from skd_sim.choices.actions import Actions
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
+from skd_sim.simulation.named_simulator import repeats_itself
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
@@ -64,7 +65,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
         return NOT_ASKED
     if plan.actions == Actions.DRAWN:
         return "--actions drawn: the margin is searched among listed actions, and these kamikazes are not bound to them"
-    if not is_own_world(plan.simulator):
+    if not repeats_itself(plan.simulator) or (walked is None and not is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
     if walked is not None:
         return why_not_walked(walked)
@@ -190,6 +191,12 @@ def with_planned_hits(
     return found, shorter
 
 
+def _without_noise(episode: Episode) -> Episode:
+    """Return an attempt in another simulator, whose car has nothing of the noise that SKD's own world draws."""
+    car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
+    return replace(episode, scenario=replace(episode.scenario, car=car))
+
+
 def _otherwise(plan: Plan, number: int, attempts: int) -> str:
     return (
         f"{DISBELIEF}in {number} of {attempts} attempts a planned kamikaze was hit on a way on which the search for "
@@ -207,12 +214,13 @@ def with_margins(
         runner: computes the margins, in several processes.
         progress: called with how far the work is.
         limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
-        graph: runs whole episodes of a car that is a node of its own, in lockstep; None: such a car has no margin.
+        graph: runs whole episodes of a car that is a node of its own, in lockstep, or of one in another simulator than
+            SKD's own world; None: such a car has no margin.
     """
     begin = time.perf_counter()
     plan = rating.for_deformation.plan
     per_phi = attempts_of(plan, rating)
-    walks = plan.car.is_external and graph is not None
+    walks = graph is not None and (plan.car.is_external or not is_own_world(plan.simulator))
     why = why_no_margin(plan, limit, per_phi[0][0] if walks else None)
     if not why and walks and 2 * len(rating.reasons) > rating.episodes:
         why = "most episodes were aborted, and so would be those that search it"
@@ -226,7 +234,8 @@ def with_margins(
         if walks:
             assert graph is not None
             most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
-            walked = walked_margins(episodes, logs_of(rating), graph, progress, limit=most)
+            led = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
+            walked = walked_margins(led, logs_of(rating), graph, progress, limit=most)
             ways = walked.ways
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
         else:

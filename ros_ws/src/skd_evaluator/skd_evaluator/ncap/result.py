@@ -19,6 +19,8 @@ from skd_evaluator.ncap.matrices import CRITERIA, Criterion
 
 RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
 VERSION: Final = 1
+ROOM: Final = 0.5
+"""m, the margin below which a green test stands out, unless something else is asked for."""
 STANDARD, EXTENDED = RANGES = ("standard", "extended")
 _ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
 

@@ -48,3 +48,19 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
             f"than {result['scenario']['collision']['hit_speed']:g} m/s"
         )
     return found
+
+
+def contact_doubts(figures: Mapping[str, Any]) -> list[str]:
+    """Return, in one line, that a simulator's contacts are others than SKD's; nothing where they are the same.
+
+    Args:
+        figures: content of assessment.json.
+    """
+    found = figures.get("simulator_contacts")
+    if found is None or not found["geometry_alone"] + found["simulator_alone"]:
+        return []
+    return [
+        f"of {found['episodes']} episodes the car touched somebody by SKD's geometry alone in "
+        f"{found['geometry_alone']}, and by the simulator's own shapes alone in {found['simulator_alone']}; SKD's "
+        "geometry counts"
+    ]

@@ -17,6 +17,8 @@ from skd_evaluator.report.terminal import car_name, headline
 _NOT_BY_PHI = {one.key for one in FIGURES if one.independent == CI95}
 """Figures whose only interval takes attempts or pairs as independent, under the plain key."""
 _INDEPENDENT = {one.independent for one in FIGURES} - {"", CI95} | {THESE_PHI}
+_PARTS = ("clustering", "per_safe_trajectory", "behaviour", "scales", "failures", "surrogate_measures")
+"""Of what a figure is made, or what is no rating: assessment.json has it, and surrogate_measures.csv."""
 _LEFT_OUT = {one.key for one in FIGURES if one.told is Told.ASKED} | {"vulnerability_curve"}
 _MARKS = {"passed": "✅", "failed": "❌", "error": "⚠️"}
 
@@ -62,9 +64,9 @@ def _origin(result: Mapping[str, Any]) -> str:
 
 
 def csv_table(result: Mapping[str, Any]) -> str:
-    """Return every figure that is one number, a line each: its name, its value, its intervals where it has any.
+    """Return the figures of the car that are one number, a line each: name, value, and intervals where it has any.
 
-    What intervals are made of (`clustering`) is left to assessment.json.
+    What they are made of, such as figures of each φ, is left to assessment.json.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -84,7 +86,7 @@ def _numbers(content: Any, name: str) -> Iterator[tuple[str, Any, Mapping[str, A
     items = content.items() if isinstance(content, Mapping) else enumerate(content)
     for key, value in items:
         path = f"{name}.{key}" if name else str(key)
-        if path in _LEFT_OUT or key == "clustering":
+        if path in _LEFT_OUT or key in _PARTS:
             continue
         if isinstance(value, (Mapping, list)) and not str(key).startswith("interval") and "ci95" not in str(key):
             yield from _numbers(value, path)

@@ -281,6 +281,10 @@ def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     _kamikazes(table, objective, figures)
 
 
+_FEW = 5
+"""Below so many φ an interval says next to nothing."""
+
+
 def interval_notes(result: Mapping[str, Any]) -> list[str]:
     """Return what is to be known of the intervals of one assessment, a line each."""
     figures: dict[str, list[str]] = {}
@@ -288,6 +292,16 @@ def interval_notes(result: Mapping[str, Any]) -> list[str]:
         for note in clustering["notes"] if clustering else ():
             figures.setdefault(note, []).append(name.replace("_", " "))
     return [f"{', '.join(names)}: {note}" for note, names in figures.items()]
+
+
+def few_safe_trajectories(result: Mapping[str, Any]) -> str | None:
+    """Return what to know of intervals over hardly any φ, in one line; None where there are enough, or no interval."""
+    count = len(result["per_safe_trajectory"])
+    if not 1 < count < _FEW:
+        return None
+    return (
+        f"Intervals over {count} φ say little: they are wide, and rest on φ being of one kind. By default there are 20."
+    )
 
 
 def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
@@ -316,6 +330,17 @@ def narrow_table(title: str) -> Table:
     return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
 
 
+def one_line_cells(table: Table) -> Table:
+    """Return a table after all that would steer a terminal was made visible in it.
+
+    The console draws with escape sequences, which go around what keeps others' from the terminal.
+    """
+    table.title = table.title if table.title is None else one_line(str(table.title))
+    for column in table.columns:
+        column._cells = [one_line(cell) if isinstance(cell, str) else cell for cell in column._cells]
+    return table
+
+
 def print_table(table: Table) -> None:
     """Print to standard output, without trailing blanks; what is no terminal gets plain text, without a frame.
 
@@ -326,11 +351,7 @@ def print_table(table: Table) -> None:
         table.box, table.show_edge = _PLAIN, False
     width = None if terminal or os.environ.get("COLUMNS", "").isdigit() else 150
     console = Console(width=width, file=io.StringIO(), force_terminal=terminal, record=False)
-    table.title = table.title if table.title is None else one_line(str(table.title))
-    for column in table.columns:
-        # The console draws with escape sequences, which go around what keeps others' from the terminal.
-        column._cells = [one_line(cell) if isinstance(cell, str) else cell for cell in column._cells]
-    console.print(table)
+    console.print(one_line_cells(table))
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
         print(line.rstrip(), file=own(sys.stdout))

@@ -13,6 +13,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.contact import rectangle_distance
 from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.kernels.compilation import kernel
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
@@ -33,8 +34,8 @@ class AnyCar:
 
     car_normals = 0
 
-    def __init__(self, encounter: Encounter, runner: EpisodeRunner) -> None:
-        """Run episodes by `runner`."""
+    def __init__(self, encounter: Encounter, runner: EpisodeRunner | None) -> None:
+        """Run episodes by `runner`; without one they can only be asked for."""
         self._encounter, self._runner = encounter, runner
         self.hits: list[EpisodeLog] = []
         self._specs: list[Episode] = []
@@ -60,6 +61,7 @@ class AnyCar:
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings."""
+        assert self._runner is not None
         logs = list(self._runner.run(self.episodes(crossings, scale)))
         ends = [end_of(log) for log in logs]
         self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
@@ -84,40 +86,64 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     """Return how a crossing ended, and the least clearance to the front of the moving car, m."""
     if log.outcome == Outcome.ABORTED:
         return Touch.ABORTED, math.inf
-    scenario, least, path = log.episode.scenario, math.inf, np.empty((2, 4))
+    scenario, last = log.episode.scenario, len(log.car) - 2
     footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
-    radius, hit_speed = scenario.adversary.reach, scenario.collision.hit_speed
-    collided, last = log.outcome == Outcome.COLLISION, len(log.car) - 2
+    collided = log.outcome == Outcome.COLLISION
     passed = log.impact_time / scenario.time_step - last if collided else 1.0
-    for tick in range(last + 1):
-        path[:, [0, 1, 3]] = log.car[tick : tick + 2]
-        path[:, 2] = _heading(scenario, path)
-        here, there = tuple(log.adversary[tick].tolist()), tuple(log.adversary[tick + 1].tolist())
-        until = passed if tick == last else 1.0
-        least = min(least, float(clearance_of(path, here, there, until, footprint, radius, hit_speed)))
-    if not collided or not _is_the_walker(path, here, there, passed, footprint, radius):
-        return Touch.NONE, max(least, 1e-9)
-    side = Touch(side_touched(path, here, there, passed, footprint, radius, log.impact_speed, hit_speed))
-    return side, 0.0 if side == Touch.FRONT else max(least, 1e-9)
+    headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
+    touch, clearance = ended(
+        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings, collided, passed, footprint,
+        scenario.adversary.reach, log.impact_speed, scenario.collision.hit_speed,
+    )  # fmt: skip
+    return Touch(touch), clearance
 
 
-def _heading(scenario: Scenario, path: FloatArray) -> float:
-    """Return where the car points in a tick, rad: as the road does, for it keeps to it."""
+def _heading(scenario: Scenario, ends: FloatArray) -> float:
+    """Return where the car points in a tick between two of its places, rad: as the road does, for it keeps to it."""
     if scenario.road.straight:
         return float(road_pose(scenario.road.line, 0.0)[2])
-    middle = path.mean(axis=0)
-    s = float(road_position(scenario.road.line, float(middle[0]), float(middle[1]))[0])
-    return float(road_pose(scenario.road.line, s)[2])
+    x, y = ends[:, :2].mean(axis=0).tolist()
+    return float(road_pose(scenario.road.line, float(road_position(scenario.road.line, x, y)[0]))[2])
 
 
-def _is_the_walker(
-    path: FloatArray,
-    here: tuple[float, float],
-    there: tuple[float, float],
-    share: float,
+@kernel
+def ended(
+    users: FloatArray,
+    cars: FloatArray,
+    headings: FloatArray,
+    collided: bool,
+    passed: float,
     footprint: tuple[float, float, float],
     radius: float,
-) -> bool:
-    """Return whether it is the walker whom the car touches, and not one of the others of the scenario."""
-    ahead, left, _ = in_car_frame(path, here, there, share)
-    return bool(rectangle_distance(ahead, left, *footprint) <= radius + _TOUCHES)
+    impact: float,
+    hit_speed: float,
+) -> tuple[int, float]:
+    """Return how a crossing ended, a `Touch`, and the least clearance to the front of the moving car, m.
+
+    Args:
+        users: places of somebody at ticks, n × 2, m.
+        cars: places (m) and speeds (m/s) of the car at ticks, n × 3.
+        headings: of the car in each tick, n − 1, rad.
+        collided: whether the last tick ended in a collision, with whomever.
+        passed: share of the last tick that counts: up to the contact, or all of it.
+        footprint: of the car: front, rear and half width, m.
+        radius: of the disc, m.
+        impact: speed of the car at the contact, m/s.
+        hit_speed: of a hit, at the least, m/s.
+    """
+    least, path, last = math.inf, np.empty((2, 4)), headings.shape[0] - 1
+    for tick in range(last + 1):
+        for end in range(2):
+            path[end, 0], path[end, 1] = cars[tick + end, 0], cars[tick + end, 1]
+            path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 2]
+        here, there = (users[tick, 0], users[tick, 1]), (users[tick + 1, 0], users[tick + 1, 1])
+        until = passed if tick == last else 1.0
+        least = min(least, clearance_of(path, here, there, until, footprint, radius, hit_speed))
+    if not collided:
+        return 0, max(least, 1e-9)
+    here, there = (users[last, 0], users[last, 1]), (users[last + 1, 0], users[last + 1, 1])
+    ahead, left, _ = in_car_frame(path, here, there, passed)
+    if rectangle_distance(ahead, left, footprint[0], footprint[1], footprint[2]) > radius + _TOUCHES:
+        return 0, max(least, 1e-9)  # it is one of the others whom the car touches
+    side = side_touched(path, here, there, passed, footprint, radius, impact, hit_speed)
+    return side, 0.0 if side == 1 else max(least, 1e-9)

@@ -16,6 +16,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import EpisodeLog
 from skd_sim.episode.randomness import Role, generator
+from skd_sim.simulation.named_simulator import repeats_itself
 
 from skd_evaluator.campaign.judge.failures import Walkers, failures_of
 from skd_evaluator.campaign.judge.rating import Rating
@@ -25,8 +26,9 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.behaviour.model import Behaviour
 from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
-from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
+from skd_evaluator.risk.batched_car import batched_car
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
@@ -46,7 +48,7 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     scenario = plan.scenario
     if behaviour is None:
         return NOT_ASKED
-    if not is_own_world(plan.simulator):
+    if not repeats_itself(plan.simulator):
         return f"the risk needs SKD's own world: crossings in simulator {plan.simulator} are not run"
     kind = road_user_named(scenario.adversary.kind).name
     if kind != behaviour.kind:
@@ -56,11 +58,16 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     return ""
 
 
+def _foretold(plan: Plan) -> bool:
+    """Return whether kernels say what a plan's car does: one that is known, in SKD's own world."""
+    return is_own_world(plan.simulator) and foretold(plan.car, plan.scenario)
+
+
 def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     """Return how many crude crossings there are at each scale: at most four for each run along φ, by default."""
     if asked.runs is not None:
         return asked.runs
-    most = GRAPH_RUNS if graph else RUNS if foretold(plan.car, plan.scenario) else OTHER_RUNS
+    most = GRAPH_RUNS if graph else RUNS if _foretold(plan) else OTHER_RUNS
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
@@ -113,7 +120,7 @@ def _do(job: _Job) -> Replicate:
 
 def warm_up_risk(plan: Plan) -> None:
     """Compile what crossings of a known car need, before it is timed or forked."""
-    if not foretold(plan.car, plan.scenario):
+    if not _foretold(plan):
         return
     from skd_adversary.warm_up import warm_up_episodes
     from skd_sim.episode.episode import Mode
@@ -180,14 +187,18 @@ def _scales(
 ) -> Iterator[ScaleRisk]:
     """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
     plan = encounter.plan
-    known = KnownCar(encounter) if foretold(plan.car, plan.scenario) else None
+    known = KnownCar(encounter) if _foretold(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
     draws = None if known is None else draws_of(encounter, crossings)
+    together = None if known is not None else batched_car(encounter, runner)
     other = AnyCar(encounter, by_whom)
     effort = Effort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
             ends = known.run_drawn(crossings, draws, scale)
+            progress(LABEL, (number + 1) * runs, total)
+        elif together is not None:
+            ends = together.run(crossings, scale)
             progress(LABEL, (number + 1) * runs, total)
         else:
             parts, mine = [], hits.setdefault(scale, {})
@@ -199,7 +210,9 @@ def _scales(
             ends = Ends.together(parts)
         subsets = None
         if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
-            subsets = _subsets(encounter, scale, effort, runner, None if known is not None else other, progress)
+            subsets = _subsets(
+                encounter, scale, effort, runner, None if known is not None else together or other, progress
+            )
         yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
 
 
@@ -219,6 +232,12 @@ def _failures(
     else:
         chosen = crude_crossings(encounter, rows[-1] + 1).of(np.array(rows))
         logs = dict(zip(rows, runner.run(AnyCar(encounter, runner).episodes(chosen, found.scale)), strict=True))
+        missed = [row for row, log in logs.items() if end_of(log)[0] != Touch.FRONT]
+        if missed:
+            raise AssessmentError(
+                f"of crossing {missed[0]} at scale {found.scale:g} command makes no hit and commands does: "
+                "both have to be the same car"
+            )
     return found.as_dict({row: log.impact_speed for row, log in logs.items()}), logs
 
 

@@ -14,7 +14,7 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.support import CLOCK, EPISODE, EPISODE_RESULT, MARKERS, TF
+from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EPISODE, EPISODE_RESULT, MARKERS, TF
 
 from skd_evaluator.bags.writer import RecordedMessage
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
@@ -171,9 +171,11 @@ class BagRecorder:
                 self._folder / f"{mode}_{log.episode.episode_id:016x}",
                 spec.data,
                 self._key.start,
-                self._node.resolve_topic_name(MARKERS),
+                {topic: self._node.resolve_topic_name(topic) for topic in (MARKERS, CLEARANCE, DEFORMATION)},
                 log.adversary,
                 log.car,
+                log.outcome,
+                log.impact_time,
                 [spec, *self.scenery.latched(self._key.start)],
                 messages,
             )

@@ -52,6 +52,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
 from skd_evaluator.ros.composed import Composed
+from skd_evaluator.ros.live_figures import LiveFigures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness.failures import Failures
 from skd_evaluator.ros.readiness.one_evaluator import OneEvaluator
@@ -113,6 +114,7 @@ class Evaluator(ComposableNode):
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
+        self._figures = LiveFigures(self)
 
     def begin_campaign(
         self,
@@ -226,6 +228,7 @@ class Evaluator(ComposableNode):
             except UsageError as error:
                 self._simulator.require()
                 raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
+            self._figures.take_car(stamp, car)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(
                     episode_markers(self._episode, self._samples, stamp, with_phi=self._seal.is_open)
@@ -238,6 +241,7 @@ class Evaluator(ComposableNode):
             except UsageError as error:
                 self._simulator.require()
                 raise AssessmentError(f"two different states of the adversary came for one tick: {error}") from error
+            self._figures.take_adversary(stamp, adversary)
 
     def _on_result(self, stamp: int, message: Any) -> None:
         if EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start)) == self._key:
@@ -256,6 +260,10 @@ class Evaluator(ComposableNode):
                 self._ended = time.monotonic()
             elif repr(self._result[0]) != repr(result):
                 self._refused = abort_reason(AbortKind.SECOND_SENDER, "two different results came of the episode")
+
+    def give_up(self, reason: str) -> None:
+        """Abort the running episode, whose end nobody waits for; to be called while it waits."""
+        self._refuse(abort_reason(AbortKind.OTHER, reason))
 
     def _refuse(self, reason: str) -> None:
         self._refused = self._refused or reason
@@ -292,6 +300,7 @@ class Evaluator(ComposableNode):
         self._next_start = next_start(latest_end)  # also where an error ends this one
         self._episode = episode
         self._samples.clear()
+        self._figures.begin(episode, start, with_phi=self._seal.is_open)
         self._result = self._refused = None
         if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)

@@ -11,11 +11,13 @@ from pathlib import Path
 
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.seal import KEY_SIZE, Seal
+from skd_sim.nodes.composition.place import Place
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.bag_recorder import SETTLE
 from skd_evaluator.ros.bags_behind import BagsBehind
 from skd_evaluator.ros.composed import Composed
+from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.programs.contexts import context_of
 from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned
@@ -39,6 +41,7 @@ class GraphSetting:
         campaign: name of the campaign.
         record_to: folder for one bag per episode; none: do not record.
         say: called with each line for the user.
+        watched: who takes part as the adversary, and watches; by default SKD's own node is the adversary.
     """
 
     options: GraphOptions
@@ -47,6 +50,7 @@ class GraphSetting:
     campaign: str
     record_to: Path | None
     say: Callable[[str], None]
+    watched: Watched | None = None
 
 
 @contextmanager
@@ -73,14 +77,18 @@ def running_graph(
     options = setting.options
     commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
-    together = options.composes(setting.simulator)
+    watched, seal = setting.watched, Seal(secret or None)
+    together = watched is None and options.composes(setting.simulator)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     programs = graph_programs(options, setting.controller, environment, None if together else secret)
-
+    if watched is not None:
+        del programs[ADVERSARY]
     composed: Composed | None = None
 
     def check_processes() -> str | None:
         refuse_to_go_on()
+        if watched is not None:
+            watched.check()
         problems = (supervisor.check(), composed.check() if composed else None)
         return " and ".join(filter(None, problems)) or None
 
@@ -101,6 +109,8 @@ def running_graph(
             done += composed.nodes
         evaluator = Evaluator(context, name, composed)
         done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
+        if watched is not None:
+            done.append(stack.enter_context(watched.adversary(Place(context=context, secret=secret or None))))
         reset = stack.enter_context(
             resetting(
                 context,
@@ -120,7 +130,7 @@ def running_graph(
             commands=options,
             own_world=True,
             receipts_of=(SIMULATOR, ADVERSARY),
-            seal=Seal(secret or None),
+            seal=seal,
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
             write=bags.write,

@@ -1,7 +1,7 @@
 """What a bag holds so that RViz and Foxglove replay it as it was seen: transforms and the car's looks.
 
 Nothing of it is needed to compute anything. They are those that were heard, of whoever sent them; what is latched is in
-every bag, at the episode's start. Markers are made when the bag is written (`recording`).
+every bag, at the episode's start. Markers and figures are made when the bag is written (`recording`).
 """
 
 from __future__ import annotations

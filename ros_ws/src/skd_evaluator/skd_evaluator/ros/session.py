@@ -25,6 +25,7 @@ from skd_evaluator.ros.programs.node_logs import log_of
 from skd_evaluator.ros.readiness.failures import Failures
 
 if TYPE_CHECKING:
+    from skd_evaluator.ros.driving import Watched
     from skd_evaluator.ros.evaluator import Evaluator
     from skd_evaluator.ros.graph import GraphSetting
     from skd_evaluator.ros.graph_pool import GraphPool
@@ -66,6 +67,8 @@ def graph_session(
     campaign: str,
     log_folder: Path,
     record_to: Path | None,
+    say: Callable[[str], None] | None = None,
+    watched: Watched | None = None,
 ) -> Iterator[Evaluator]:
     """Run one graph and yield its evaluator; all processes are gone afterwards, whatever happened.
 
@@ -76,6 +79,8 @@ def graph_session(
         campaign: name of the campaign.
         log_folder: folder for the processes' output.
         record_to: folder for one bag per episode; none: do not record.
+        say: called with each line for the user; by default it is printed to standard error.
+        watched: who takes part as the adversary, and watches.
 
     Raises:
         UsageError: a process cannot be started.
@@ -84,10 +89,11 @@ def graph_session(
     from skd_evaluator.ros.graph import GraphSetting, running_graph  # only here: ROS may be added by `prepare_ros`
 
     domain = choose_domain()
-    setting = GraphSetting(options, controller, simulator, campaign, record_to, _say)
+    say = say or _say
+    setting = GraphSetting(options, controller, simulator, campaign, record_to, say, watched)
     with running_graph(setting, domain, log_folder) as evaluator:
         if CarUnderTest(controller).is_external and not options.controller_command:
-            _say_what_is_awaited(evaluator, options.command_topic, domain)
+            _say_what_is_awaited(evaluator, options.command_topic, domain, say)
         with _telling_of_logs(log_folder, evaluator.failures):
             yield evaluator
 
@@ -156,8 +162,8 @@ def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
         raise AssessmentError(f"{error}{counts}; log: {log}") from error
 
 
-def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int) -> None:
+def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int, say: Callable[[str], None]) -> None:
     """Say, once, that the controller is to be started by somebody else, and where."""
     topic = evaluator.resolve_topic_name(command_topic)
     if not evaluator.count_publishers(topic):
-        _say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")
+        say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")

@@ -18,6 +18,7 @@ from skd_sim.apart.copying import Copier, drawing, seed_anew
 from skd_sim.apart.guard import GuardedController, guard
 from skd_sim.apart.wire import (
     COMMAND,
+    COMMANDS,
     COPY,
     LOADED,
     OF_ONE,
@@ -93,6 +94,15 @@ class _Car:
                 seen = Scene(car, adversary, tuple(RoadUserState(*others[k : k + 5]) for k in range(0, count, 5)))
                 seeing: Any = self._controllers[number]
                 answer = _NUMBER, seeing.command(car, seen)
+            elif operation == Op.COMMANDS:
+                _, number, count = COMMANDS.unpack_from(message, place)
+                place += COMMANDS.size
+                states = np.frombuffer(message, np.float64, 9 * count, place).reshape(9, count).copy()
+                place += states.nbytes
+                answer = (
+                    Kind.NUMBERS,
+                    self._controllers[number].commands(CarState(*states[:4]), RoadUserState(*states[4:])),
+                )
             elif operation == _COPY:
                 _, number, other = COPY.unpack_from(message, place)
                 place += COPY.size
@@ -143,7 +153,12 @@ class _Car:
             compile_for(made)
             controller = self._controllers[number] = guard(made, self._name)
             sensing = isinstance(controller, SensingController)
-            told = {"sensing": sensing, "control_period": controller.control_period, "scene": controller.takes_scene}
+            told = {
+                "sensing": sensing,
+                "control_period": controller.control_period,
+                "scene": controller.takes_scene,
+                "batches": controller.takes_batches,
+            }
             return Kind.TEXT, told
         if operation == Op.GENERATORS:
             return Kind.NUMBER, sum(1 for _ in drawing(self._controllers[number]))
@@ -154,7 +169,8 @@ class _Car:
 
     def _copied(self, number: int) -> GuardedController:
         try:
-            copied: GuardedController = self._copier.copy(self._controllers[number])
+            controller = self._controllers[number]
+            copied: GuardedController = controller.own_copy() or self._copier.copy(controller)
         except (UsageError, AssessmentError):
             raise
         except BaseException as error:  # a user's class may raise anything

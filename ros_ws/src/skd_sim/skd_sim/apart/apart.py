@@ -25,6 +25,7 @@ import numpy as np
 from skd_sim.apart.beginning import Beginning, SentModule, SentModules
 from skd_sim.apart.wire import (
     COMMAND,
+    COMMANDS,
     COPY,
     HEADER,
     LOADED,
@@ -36,6 +37,7 @@ from skd_sim.apart.wire import (
     read_answer,
     write_all,
 )
+from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario
@@ -115,7 +117,8 @@ class ApartCar:
         number = next(self._numbers)
         told = self.ask(OF_ONE.pack(Op.MAKE, number), timed=False)
         kind = ApartSensingController if told["sensing"] else ApartController
-        return kind(self, number, told["control_period"], takes_scene=told["scene"])
+        period, scene, batches = told["control_period"], bool(told["scene"]), bool(told["batches"])
+        return kind(self, number, period, takes_scene=scene, takes_batches=batches)
 
     def ask(self, operation: bytes, *, timed: bool = True) -> Any:
         """Send an operation, and what was put off until now; return the answer.
@@ -205,12 +208,21 @@ class ApartController:
     Attributes:
         control_period: that it declares, s; none by default.
         takes_scene: whether it wants to see everybody.
+        takes_batches: whether it answers many episodes at once.
     """
 
-    def __init__(self, car: ApartCar, number: int, control_period: float | None, *, takes_scene: bool) -> None:
+    def __init__(
+        self,
+        car: ApartCar,
+        number: int,
+        control_period: float | None,
+        *,
+        takes_scene: bool,
+        takes_batches: bool = False,
+    ) -> None:
         """Stand for the controller of a number."""
         self._car, self._number = car, number
-        self.control_period, self.takes_scene = control_period, takes_scene
+        self.control_period, self.takes_scene, self.takes_batches = control_period, takes_scene, takes_batches
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`. It gets copies of both."""
@@ -225,6 +237,28 @@ class ApartController:
         if isinstance(adversary, Scene):
             return self._seeing(adversary)
         answer: float = self._car.ask(COMMAND.pack(_COMMAND, self._number, *car, *adversary))
+        return answer
+
+    def commands(self, states: FloatArray) -> FloatArray:
+        """Ask for the accelerations in many episodes at once; see `BatchController.commands`.
+
+        Args:
+            states: 9 × n: x, y, heading and speed of each car, x, y, vx, vy and heading of each adversary.
+
+        Returns:
+            n accelerations, m/s².
+
+        Raises:
+            AssessmentError: it fails, or answers anything but n finite numbers.
+        """
+        count = states.shape[1]
+        question = COMMANDS.pack(Op.COMMANDS, self._number, count) + np.ascontiguousarray(states).tobytes()
+        answer = self._car.ask(question)
+        if not isinstance(answer, np.ndarray) or answer.shape != (count,) or not np.isfinite(answer).all():
+            raise AssessmentError(
+                f"controller {self._car.name}: its process answered {count} episodes with something else than their "
+                "accelerations"
+            )
         return answer
 
     def _seeing(self, scene: Scene) -> float:
@@ -249,7 +283,13 @@ class ApartController:
         return str(self._car.ask(OF_ONE.pack(Op.DRAWN, 0)))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ApartController:
-        made = type(self)(self._car, self._car.copy(self._number), self.control_period, takes_scene=self.takes_scene)
+        made = type(self)(
+            self._car,
+            self._car.copy(self._number),
+            self.control_period,
+            takes_scene=self.takes_scene,
+            takes_batches=self.takes_batches,
+        )
         memo[id(self)] = made
         return made
 
@@ -316,6 +356,15 @@ def controller_of(car: CarUnderTest) -> Controller:
         UsageError: it cannot be loaded.
     """
     return make_controller(car.controller, car.multiplier) if car.is_own else apart(car)
+
+
+def takes_batches(car: CarUnderTest) -> bool:
+    """Tell whether a user's controller answers many episodes at once.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    return apart(car).takes_batches
 
 
 def have_sent(name: str, module: SentModule) -> None:

@@ -6,17 +6,18 @@ import math
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.program.interruption import Interrupted
 from skd_sim.sensors import Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.state import AdversaryState, CarState, Scene
 
 _Result = TypeVar("_Result")
 
@@ -54,6 +55,42 @@ class GuardedController(WrappedController):
             got = shown(answer, repr, 80)
             raise NoNumberError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
         return acceleration
+
+    def commands(self, cars: CarState, adversaries: AdversaryState) -> FloatArray:
+        """Pass the call on and check the answer; see `BatchController.commands`."""
+        inner: Any = self._controller
+        scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
+        answer = self._call("commands", lambda: inner.commands(cars, scenes))
+        count = np.size(cars.x)
+        try:
+            found = np.asarray(answer)
+            numbers = found.dtype.kind in "fiu" and found.shape == (count,)  # a yes or no is no acceleration
+            accelerations = found.astype(np.float64)
+        except BaseException:  # an array of a user's own kind, too
+            numbers = False
+        if not numbers or not np.isfinite(accelerations).all():
+            got = shown(answer, repr, 80)
+            raise NoNumberError(
+                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got {got}"
+            )
+        return accelerations
+
+    def own_copy(self) -> GuardedController | None:
+        """Return a guard around a copy that the controller's own method `copy` makes; None if it has none.
+
+        Raises:
+            AssessmentError: it fails, or gives no controller of the same class, or itself.
+        """
+        inner: Any = self._controller
+        if not callable(getattr(inner, "copy", None)):
+            return None
+        made = self._call("copy", lambda: inner.copy())
+        if made is inner or type(made) is not type(inner):
+            raise AssessmentError(
+                f"controller {self._name}: copy must return another {type(inner).__name__}, got "
+                f"{'itself' if made is inner else shown(made, repr, 80)}"
+            )
+        return guard(made, self._name)
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         try:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import signal
 import struct
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+from skd_sim.program.parent_death import end_with_parent
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _CREATE, _ADD_RULE, _RESTRICT = 444, 445, 446  # system calls of landlock(7), by the same numbers everywhere
@@ -21,7 +22,7 @@ _VERSION = 1  # flag: only say which there is
 _BENEATH = 1  # kind of a rule: whatever lies under a folder
 _READ_FILE, _REFER = 1 << 2, 1 << 13  # to open a file for reading; to move one to another folder
 _SIGNAL = 1 << 1  # scope: no signals to who is outside
-_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
+_PR_SET_NO_NEW_PRIVS = 38
 
 
 def seclude() -> bool:
@@ -33,7 +34,7 @@ def seclude() -> bool:
     """
     if not sys.platform.startswith("linux"):
         return False
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    end_with_parent()
     version = _LIBC.syscall(_CREATE, None, ctypes.c_size_t(0), _VERSION)
     if version < 2:  # the first forbids to move files between folders, and cannot be told not to
         return False

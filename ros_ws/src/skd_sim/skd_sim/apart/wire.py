@@ -12,6 +12,8 @@ import struct
 from enum import IntEnum
 from typing import Any, Final
 
+import numpy as np
+
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 
 
@@ -39,6 +41,8 @@ class Op(IntEnum):
     FORGET = 9
     SCENE = 10
     """As a command, of a controller that asks for the scene: with the states of the others behind."""
+    COMMANDS = 11
+    """As a command, of many episodes at once: how many, then each number of the states for all of them."""
 
 
 class Kind(IntEnum):
@@ -49,6 +53,7 @@ class Kind(IntEnum):
     FAILED = 2
     REFUSED = 3
     NO_NUMBER = 4
+    NUMBERS = 5
 
 
 HEADER: Final = struct.Struct("<I")  # bytes that follow
@@ -57,6 +62,7 @@ COPY: Final = struct.Struct("<BII")  # operation, new controller, controller
 COMMAND: Final = struct.Struct("<BI9d")  # operation, controller, states of the car and the adversary
 SCENE: Final = struct.Struct("<BI9dI")  # the same, and how many numbers follow: the states of the others
 SENSE: Final = struct.Struct("<BI3dI")  # operation, controller, the scan's bearings and range, bytes of ranges
+COMMANDS: Final = struct.Struct("<BII")  # operation, controller, episodes; nine numbers of each follow
 LOADED: Final = struct.Struct("<BII")  # operation, controller, bytes of a pickle
 ANSWER: Final = struct.Struct("<Bd")  # kind; the number, or how many bytes of text follow
 _LONGEST: Final = 1 << 24  # bytes of an answer: states of all its generators are the most that a controller tells
@@ -116,15 +122,18 @@ def read_message(file: int) -> bytes:
 
 
 def answer_with(kind: Kind, value: Any) -> bytes:
-    """Return an answer: with a number, or anything that JSON can say."""
+    """Return an answer: with a number, an array of them (float64), or anything that JSON can say."""
     if kind == Kind.NUMBER:
         return ANSWER.pack(0, value)
+    if kind == Kind.NUMBERS:
+        packed: bytes = value.tobytes()
+        return ANSWER.pack(kind, len(packed)) + packed
     text = json.dumps(value).encode()
     return ANSWER.pack(kind, len(text)) + text
 
 
 def read_answer(file: int) -> Any:
-    """Return what the next answer says: a float, or what was said in JSON.
+    """Return what the next answer says: a float, an array of them, or what was said in JSON.
 
     Raises:
         ClosedError: there is none any more.
@@ -144,6 +153,8 @@ def read_answer(file: int) -> Any:
             raise ValueError("no text of ours is so long")
         while len(found) < size:
             found += read_some(file)
+        if kind == Kind.NUMBERS:
+            return np.frombuffer(found, np.float64, -1, ANSWER.size)
         told = json.loads(found[ANSWER.size :])
         if kind == Kind.TEXT:
             return told

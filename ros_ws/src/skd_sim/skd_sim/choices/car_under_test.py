@@ -22,6 +22,7 @@ class ControllerKind:
         feasible: whether it asks only for what its car can do.
         own: whether it is SKD's own, and need not be kept in a process of its own.
         control_period: time between two decisions (s) that it declares; none: the scenario's.
+        simulator: the simulator within which alone it decides, in the simulator's own process; empty: any.
     """
 
     target: str
@@ -30,6 +31,7 @@ class ControllerKind:
     feasible: bool = False
     own: bool = False
     control_period: float | None = None
+    simulator: str = ""
 
 
 _OWN = {
@@ -38,6 +40,9 @@ _OWN = {
     ),
     "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
     "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
+    "metadrive_expert": ControllerKind(
+        "skd_sim.simulation.metadrive.expert:MetaDriveExpert", own=True, control_period=0.1, simulator="metadrive"
+    ),
 }
 CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
 _EXTERNAL = ControllerKind("")
@@ -102,6 +107,11 @@ class CarUnderTest:
     def control_period(self) -> float | None:
         """Time between two decisions (s) that its controller declares, as far as that is known before it is made."""
         return self.kind.control_period
+
+    @property
+    def only_simulator(self) -> str:
+        """The simulator within which alone its controller decides, in the simulator's own process; empty: any."""
+        return self.kind.simulator
 
     @property
     def label(self) -> str:

@@ -13,6 +13,8 @@ from skd_sim.choices.frames import FRAMES
 from skd_sim.choices.options import GRAPH_COMMANDS, Names, option
 
 graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
+_RATED = tuple(name for name in GRAPH_COMMANDS if name != "drive")
+"""Commands of what is rated; what one only watches goes by the wall clock."""
 _command_option = partial(graph_option, external_only=True)
 
 LOCKSTEP = "lockstep"
@@ -75,6 +77,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         "when the simulator advances: lockstep (as soon as the commands of car and adversary have arrived), or "
         "real_time (by the wall clock, whether or not a command has arrived)",
         choices=Names((LOCKSTEP, REAL_TIME)),
+        commands=_RATED,
     )
     rate_factor: float = graph_option(
         1.0,
@@ -85,11 +88,13 @@ class SimulatorOptions(CommandOptions, StateOptions):
     )
     slip_limit: float = graph_option(
         0.05,
-        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (half a "
-        "period where that is more). An episode in which it was later says nothing about the car and is aborted",
+        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (or half a "
+        "period, if that is more). An episode in which it begins one later is aborted, for it says nothing about the "
+        "car",
         low=0.001,
         high=3600.0,
         metavar="S",
+        commands=_RATED,
     )
     quiet_time: float | None = graph_option(
         None,
@@ -103,6 +108,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         absent=0.0,
         unset="the simulator waits until each state is answered",
         external_only=True,
+        commands=_RATED,
     )
     command_timeout: float = graph_option(
         5.0,

@@ -28,7 +28,7 @@ from skd_sim.inputs.outside import parse_json
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
-GRAPH_COMMANDS: Final = ("assess", "episode", "probe")
+GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
 """Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
 
@@ -209,11 +209,12 @@ class EpisodeOptions:
     controller: str = option(
         DEFAULT,
         "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
-        "driving rules of CARLA 0.8), a name that an installed package has registered, package.module:Class (a Python "
-        "class of your own), or external (a ROS node of your own, which needs the node graph)",
+        "driving rules of CARLA 0.8), metadrive_expert (MetaDrive's own trained driver; in simulator metadrive only), "
+        "a name that an installed package has registered, package.module:Class (a Python class of your own), or "
+        "external (a ROS node of your own, which needs the node graph)",
         metavar="NAME",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     multiplier: float = option(
@@ -224,16 +225,16 @@ class EpisodeOptions:
         high=100.0,
         metavar="C",
         group="car and test",
-        commands=("assess", "episode", "probe", "ncap"),
+        commands=("assess", "episode", "probe", "ncap", "drive"),
         field=True,
     )
     simulator: str = option(
         WORLD,
-        "what moves car and adversary: world (SKD's own simulator), or a simulator that an installed package has "
-        "registered",
+        "what moves car and adversary: world (SKD's own simulator), metadrive (MetaDrive, which has to be installed: "
+        "extra metadrive), or a simulator that an installed package has registered",
         choices=Names((), SIMULATORS),
         group="car and test",
-        commands=("assess", "episode"),
+        commands=("assess", "episode", "probe"),
     )
     car_model: str = option(
         "",
@@ -246,7 +247,8 @@ class EpisodeOptions:
     )
     knowledge: Knowledge | None = option(
         None,
-        "what the adversary knows of the car: nothing (it takes every car for a basic one), learned (it plans with the "
+        "what the adversary knows about the car: nothing (it takes every car for a basic one), learned (it plans "
+        "with the "
         "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
         "time), known (it knows C of the basic controller), itself (it plans with copies of the car)",
         str,
@@ -315,7 +317,7 @@ class EpisodeOptions:
     )
     particles: int | None = option(
         None,
-        "how many particles (guesses of the car's state) make up what the adversary believes of the car",
+        "how many particles (guesses of the car's state) make up what the adversary believes about the car",
         int,
         low=0,
         high=1_000_000,

@@ -7,10 +7,17 @@ from typing import Final
 from skd_sim.choices.registry import Registry
 
 WORLD: Final = "world"
-SIMULATORS: Final = Registry("simulator", "skd.simulators", {WORLD: "skd_sim.simulation.simulator:WorldSimulator"})
+SIMULATORS: Final = Registry(
+    "simulator",
+    "skd.simulators",
+    {
+        WORLD: "skd_sim.simulation.simulator:WorldSimulator",
+        "metadrive": "skd_sim.simulation.metadrive.simulator:MetaDriveSimulator",
+    },
+)
 """Classes of `skd_sim.simulation.simulator.Simulator`, made without arguments."""
 
 
 def is_own_world(name: str) -> bool:
     """Return whether a simulator is SKD's own, for which it is known what other commands would have led to."""
-    return name in SIMULATORS.own
+    return name == WORLD

@@ -5,12 +5,15 @@ from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
 from skd_sim.controllers.factory import make_controller
 from skd_sim.controllers.protocol import (
+    BatchController,
     Controller,
     SensingController,
     control_period_of,
+    is_sensing,
     require_control_period,
     require_sensor,
     sight_of,
+    takes_batches,
     takes_scene,
     with_control_period,
 )
@@ -18,16 +21,19 @@ from skd_sim.controllers.protocol import (
 __all__ = [
     "PAPER_MULTIPLIERS",
     "BasicController",
+    "BatchController",
     "CalController",
     "CarlaAgent",
     "Controller",
     "SensingController",
     "basic_acceleration",
     "control_period_of",
+    "is_sensing",
     "make_controller",
     "require_control_period",
     "require_sensor",
     "sight_of",
+    "takes_batches",
     "takes_scene",
     "with_control_period",
 ]

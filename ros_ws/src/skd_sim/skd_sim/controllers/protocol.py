@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
+import types
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -42,16 +44,56 @@ class SensingController(Controller, Protocol):
         """Take the scan of the tick for which `command` is asked next."""
 
 
+def is_sensing(controller: object) -> TypeGuard[SensingController]:
+    """Tell whether a controller is a `SensingController`; `isinstance` looks through the protocol anew each time."""
+    return all(getattr(controller, method, None) is not None for method in ("reset", "command", "sense"))
+
+
+@runtime_checkable
+class BatchController(Controller, Protocol):
+    """A controller that also answers many episodes at once: it keeps nothing from one command to the next."""
+
+    def commands(self, cars: CarState, scenes: Any) -> Any:
+        """Return the accelerations (m/s²) of n episodes, an array of n; each is what `command` would return there.
+
+        Args:
+            cars: a `CarState` each field of which is an array of n numbers.
+            scenes: what `command` gets as its second argument, with arrays of n numbers for numbers.
+        """
+
+
+def takes_batches(controller: object) -> bool:
+    """Tell whether a controller answers many episodes at once; it, or who wraps it, says so.
+
+    One that takes scans does not: it is told them one by one.
+    """
+    said = getattr(controller, "takes_batches", None)
+    if isinstance(said, bool):
+        return said
+    return isinstance(controller, BatchController) and not is_sensing(controller)
+
+
 def takes_scene(controller: object) -> bool:
     """Tell whether a controller wants to see everybody, not only the adversary; it, or who wraps it, says so."""
     said = getattr(controller, "takes_scene", None)
     if isinstance(said, bool):
         return said
+    command = getattr(controller, "command", None)
+    if isinstance(command, types.MethodType) and isinstance(command.__func__, types.FunctionType):
+        return _names_of_method(command.__func__)[2:3] == ("scene",)  # behind self
+    return _names_of(command)[1:2] == ("scene",)
+
+
+def _names_of(command: Any) -> tuple[str, ...]:
+    """Return the names of what a function takes; none where it cannot be told."""
     try:
-        parameters = list(inspect.signature(controller.command).parameters)  # type: ignore[attr-defined]
+        return tuple(inspect.signature(command).parameters)
     except (AttributeError, TypeError, ValueError):  # a user's class may be anything
-        return False
-    return parameters[1:2] == ["scene"]
+        return ()
+
+
+_names_of_method = functools.lru_cache(maxsize=256)(_names_of)
+"""The same, remembered: each episode has a new controller, and to look at its method takes longer than a tick."""
 
 
 def sight_of(controller: object, scenario: Scenario) -> Callable[[CarState, AdversaryState, int, int], Any]:
@@ -67,7 +109,7 @@ def require_sensor(controller: Controller, name: str, scenario: Scenario) -> Non
     Raises:
         UsageError: the controller senses, and the scenario has no sensor.
     """
-    if isinstance(controller, SensingController) and scenario.sensor is None:
+    if is_sensing(controller) and scenario.sensor is None:
         raise UsageError(
             f"controller {name} needs a laser scan, and scenario {scenario.name} has none: add a section sensor "
             "as in the shipped scenario crossing"

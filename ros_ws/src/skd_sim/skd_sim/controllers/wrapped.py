@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skd_sim.controllers.protocol import control_period_of, takes_scene
+from skd_sim.controllers.protocol import control_period_of, takes_batches, takes_scene
 
 
 class WrappedController:
@@ -21,3 +21,8 @@ class WrappedController:
     def takes_scene(self) -> bool:
         """Whether the controller wants to see everybody."""
         return takes_scene(self._inner)
+
+    @property
+    def takes_batches(self) -> bool:
+        """Whether the controller answers many episodes at once."""
+        return takes_batches(self._inner)

@@ -13,6 +13,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
+from skd_sim.kernels.stream import stream_of
 from skd_sim.state import CarState
 
 _SAGITTA = 1e-4  # m
@@ -25,7 +26,7 @@ def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generato
 
 
 @kernel
-def _advance(
+def drive_straight(
     x: float,
     y: float,
     heading: float,
@@ -36,6 +37,19 @@ def _advance(
     duration: float,
     path: FloatArray,
 ) -> None:
+    """Drive straight on under one command, and write both ends of the way into `path`, 2 × 4.
+
+    Args:
+        x: of the reference point, m.
+        y: of the reference point, m.
+        heading: rad.
+        speed: m/s.
+        acceleration: commanded, m/s².
+        speed_draw: relative noise of the speed.
+        acceleration_draw: relative noise of the acceleration.
+        duration: time to drive, s.
+        path: x, y, heading and speed now and after that time.
+    """
     applied = acceleration + acceleration_draw * acceleration
     after = next_speed(speed, applied, speed_draw, duration)
     distance = travelled(speed, after, duration)
@@ -88,7 +102,7 @@ class BasicCar:
 
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw both, so that a car that brakes and one that does not use up the same numbers."""
-        return Noise(*_draw(*self._noise, rng))
+        return Noise(*_draw(*self._noise, stream_of(rng)))
 
     def copy(self) -> BasicCar:
         """Return another one; what it keeps is replaced and never changed."""
@@ -99,7 +113,7 @@ class BasicCar:
     def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
         path = np.empty((2, 4))
-        _advance(*self._car, acceleration, *noise, duration, path)
+        drive_straight(*self._car, acceleration, *noise, duration, path)
         if self._curved:
             speed, after = float(path[0, 3]), float(path[1, 3])
             distance = float(travelled(speed, after, duration))

@@ -13,16 +13,24 @@ ROAD_USERS: Final = Registry(
 )
 """Of the key `adversary.kind` of a scenario. Others of a scenario may be of these kinds, or of any that has a name."""
 
+CAR: Final = "car"
+"""The kind of the car under test."""
+
 
 def height_of(kind: str) -> float:
     """Return how high a road user of a kind is drawn, m."""
     return float(ROAD_USERS.find(kind).height) if kind in ROAD_USERS else HEIGHT
 
 
-def called(body: Body, simulator: str) -> str:
-    """Return what another simulator calls a road user of a body's kind.
+def called(body: Body, where: str) -> str:
+    """Return what another simulator, or a format, calls a road user of a body's kind.
 
     A kind that has no word for it there is called as the kind car is if its body is a box, else as a pedestrian is.
     """
-    word = ROAD_USERS.find(body.kind).called.get(simulator) if body.kind in ROAD_USERS else None
-    return str(word or ROAD_USERS.find("car" if body.is_box else "pedestrian").called[simulator])
+    word = ROAD_USERS.find(body.kind).called.get(where) if body.kind in ROAD_USERS else None
+    return str(word or ROAD_USERS.find(CAR if body.is_box else "pedestrian").called[where])
+
+
+def kinds_called(word: str, where: str) -> list[str]:
+    """Return the kinds that another simulator, a format or a data set calls by a word."""
+    return [kind for kind in ROAD_USERS if ROAD_USERS.find(kind).called.get(where) == word]

@@ -141,12 +141,13 @@ class Road(Unchanging):
             along: path coordinate of the road, m; of a lane elsewhere, distance from its own point the way it leads.
             aside: distance to the right of the lane's middle, as the road leads, m; of a lane elsewhere, as it leads.
         """
-        line = self._line_of(number)
+        line = self.line_of(number)
         x, y = beside_road(line, np.array([[self.offset(number) + aside, along]]))[0].tolist()
         turned = math.pi if self.every_lane[number].direction == ONCOMING else 0.0
         return x, y, math.remainder(road_pose(line, along)[2] + turned, math.tau)
 
-    def _line_of(self, number: int) -> FloatArray:
+    def line_of(self, number: int) -> FloatArray:
+        """Return the line along which a lane's coordinate is counted; lanes beside the car's share the car's."""
         lane = self.every_lane[number]
         return self.line if lane.beside else np.array([(0.0, lane.x, lane.y, lane.heading, 0.0, 0.0)])
 
@@ -162,7 +163,7 @@ class Road(Unchanging):
         straight = self.straight or not self.every_lane[number].beside
         count = 2 if straight else 2 + math.ceil((high - low) / _EDGE_SPACING)
         right = np.full(count, self.offset(number) + 0.5 * side * self.width(number))
-        return np.asarray(beside_road(self._line_of(number), np.column_stack([right, np.linspace(low, high, count)])))
+        return np.asarray(beside_road(self.line_of(number), np.column_stack([right, np.linspace(low, high, count)])))
 
     def surfaces(self, low: float, high: float) -> list[tuple[FloatArray, FloatArray]]:
         """Return the left and the right edge of every lane between two path coordinates (m); the car's lane is last."""
@@ -273,6 +274,12 @@ def is_straight_north(line: FloatArray) -> bool:
         return False
     turned = line[0, 4] != 0.0 or line[0, 3] != HEADING_NORTH
     return not (turned or line[0, 1] != 0.0 or line[0, 2] != line[0, 0])
+
+
+def straight_from(line: FloatArray) -> float:
+    """Return the path coordinate (m) from which on the line goes straight; minus infinity if it has no curve."""
+    curved = line[line[:, 4] != 0.0]
+    return float(curved[-1, 0] + curved[-1, 5]) if len(curved) else -math.inf
 
 
 @kernel

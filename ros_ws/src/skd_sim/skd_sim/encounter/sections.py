@@ -22,6 +22,7 @@ class Car(Unchanging):
     `start_gap` is from the front bumper to the crossing line; an episode adds a draw from [0, start_gap_range).
     With `meet_safe_trajectory` the gap is instead the distance that the unbraked car drives until φ enters its path.
     `dynamics` and the brake's keys say how the car moves (skd_sim/dynamics); the basic car has no use for the latter.
+    `mass` is for simulators whose car has one (MetaDrive); by default it has its own.
     """
 
     front: Annotated[float, Range(0.1, 10.0, "m ahead of the reference point")]
@@ -39,6 +40,7 @@ class Car(Unchanging):
     brake_rate: Annotated[float, Range(1.0, 1000.0, "m/s³")] = 50.0
     brake_limit: Annotated[float, Range(0.1, 30.0, "m/s²")] = 15.0
     antilock: bool = True
+    mass: Annotated[float, Range(50.0, 50000.0, "kg")] | None = None
 
     @property
     def half_width(self) -> float:

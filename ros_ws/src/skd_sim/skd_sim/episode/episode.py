@@ -121,6 +121,8 @@ class EpisodeLog:
             deviation of the path coordinate of its reference point, m, and of its speed, m/s; nan at the last tick, at
             which nobody decides any more. None where nothing was believed, or it is not known: the graph's adversary
             keeps it to itself.
+        own_contact: time since the start of the first contact by the simulator's own shapes, s; nan without one. None
+            where the simulator has no shapes of its own, or did not say; SKD's geometry alone counts.
     """
 
     episode: Episode
@@ -134,6 +136,7 @@ class EpisodeLog:
     clipped: int = 0
     timing: Timing = UNTIMED
     belief: FloatArray | None = None
+    own_contact: float | None = None
 
     @property
     def hit(self) -> bool:

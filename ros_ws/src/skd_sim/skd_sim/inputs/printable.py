@@ -14,6 +14,8 @@ from typing import IO, Any
 
 _BLANKS = frozenset("\n\t\u00a0\u1680\u202f\u205f\u3000") | {chr(code) for code in range(0x2000, 0x200B)}
 """Blanks of several widths, which steer nothing: Python calls them not printable."""
+_RESET = "\x1b[0m"
+"""Ends colours and does nothing else: colorama, which numba uses where it is installed, writes it at the end."""
 
 
 def printable(text: str) -> str:
@@ -53,8 +55,8 @@ class PrintableStream:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write text as `printable` has it."""
-        self._stream.write(printable(text))
+        """Write text as `printable` has it, but for an end of colours that stands alone."""
+        self._stream.write(text if text == _RESET else printable(text))
         return len(text)
 
     def writelines(self, lines: Any) -> None:

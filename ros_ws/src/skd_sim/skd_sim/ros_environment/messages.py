@@ -65,12 +65,19 @@ def message_package() -> MessagePackage:
 def built_packages() -> list[MessagePackage]:
     """Return all packages that are built where no ROS 2 is sourced: skd_msgs, and what else has no wheel.
 
-    The latter hold the messages that SKD uses, with the fields, and so the type hashes, of the originals.
-
     Raises:
         UsageError: as `message_package`.
     """
-    return [message_package(), *(MessagePackage(folder) for folder in sorted((_HERE / "packages").iterdir()))]
+    return [message_package(), *packages_without_wheel()]
+
+
+def packages_without_wheel() -> list[MessagePackage]:
+    """Return the messages of others that have no wheel and that SKD uses, with the type hashes of the originals.
+
+    Where SKD is installed in a workspace of ROS 2 they are in its prefixes, and not here.
+    """
+    folder = _HERE / "packages"
+    return [MessagePackage(place) for place in sorted(folder.iterdir())] if folder.is_dir() else []
 
 
 @dataclass(frozen=True)

@@ -56,14 +56,30 @@ class StagedFrameSource(Protocol):
         """Put the others of the scenario, in its order, where they are at the next frame's end, or at the start."""
 
 
+@runtime_checkable
+class TouchingFrameSource(Protocol):
+    """What a `FrameSource` has besides that tells of contacts by shapes of its own."""
+
+    def touching(self) -> bool:
+        """Return whether the car touches the adversary or one of the others at the frame's end."""
+
+
 class FramedSimulator:
-    """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`."""
+    """Counts frames into control periods and ticks, and finds the first contact; see `Simulator`.
+
+    Attributes:
+        clipped: how many commands of this episode asked more of the car than it can do.
+        own_contact: time of the first contact by the source's own shapes (s), at a frame's end and of the speed that
+            counts as a collision; nan without one, None where the source knows of none.
+    """
 
     def __init__(self, source: FrameSource) -> None:
         """Take the simulator that gives the frames."""
         self._source = source
         self._stage = source if isinstance(source, StagedFrameSource) else None
+        self._feels = source if isinstance(source, TouchingFrameSource) else None
         self.clipped = 0
+        self.own_contact: float | None = None
 
     @property
     def places_others(self) -> bool:
@@ -91,6 +107,7 @@ class FramedSimulator:
         self._frames = _frames_per_period(scenario, self._source.frame_step)
         self._episode = episode
         self.clipped = 0
+        self.own_contact = None if self._feels is None else math.nan
         world = make_world(episode)
         if self._stage is not None:
             self._stage.prepare(scenario)
@@ -116,6 +133,7 @@ class FramedSimulator:
             if self._stage is not None:
                 self._stage.show(self._others(frame + 1))
             car, adversary = self._source.advance()
+            self._note_own_contact(frame + 1, car.speed)
             touched = self._touch(frame, now, (car, adversary))
             if touched is not None:
                 contact = Contact((frame + touched.fraction) / self._whole, touched.speed)
@@ -133,6 +151,13 @@ class FramedSimulator:
         self._now = Frame(tick, car, adversary, contact, outcome)
         self._origin = adversary
         return self._now
+
+    def _note_own_contact(self, frames: int, speed: float) -> None:
+        """Take note of the source's own contact so many frames after the tick, the first one that counts."""
+        if self._feels is None or self.own_contact is None or not math.isnan(self.own_contact):
+            return
+        if speed >= self._episode.scenario.collision.minimum_impact_speed and self._feels.touching():
+            self.own_contact = (self._now.tick + frames / self._whole) * self._episode.scenario.time_step
 
     @property
     def _whole(self) -> int:

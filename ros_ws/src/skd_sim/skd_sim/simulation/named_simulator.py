@@ -24,12 +24,23 @@ def make_simulator(name: str) -> Simulator:
     factory = SIMULATORS.find(name)
     try:
         found = factory()
+    except UsageError:
+        raise
     except Exception as error:
         raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
     missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]
     if missing:
         raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(acceleration, velocity)")
     return cast("Simulator", found)
+
+
+def repeats_itself(name: str) -> bool:
+    """Return whether in a simulator the same commands lead to the same states: in SKD's world, and where one says so.
+
+    Raises:
+        UsageError: there is no such simulator, or it cannot be made.
+    """
+    return is_own_world(name) or bool(getattr(make_simulator(name), "repeats_itself", False))
 
 
 class NamedSimulator:
@@ -59,6 +70,11 @@ class NamedSimulator:
     def world(self) -> World | None:
         """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
         return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
+
+    @property
+    def own_contact(self) -> float | None:
+        """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
+        return getattr(self._simulator, "own_contact", None)
 
     @property
     def clipped(self) -> int:

@@ -61,10 +61,8 @@ class World:
         """
         car, adversary = scenario.car, scenario.adversary
         x, y = adversary_start if adversary_start is not None else (adversary.start_x, adversary.start_y)
-        start_gap = (car.start_gap if gap is None else gap) + car.start_gap_range * start_rng.random()
         self.scenario = scenario
-        x_car, y_car, heading = road_pose(scenario.road.line, -start_gap - car.front)
-        self.car = CarState(x_car, y_car, float(on_grid(heading)), car.start_speed)
+        self.car = first_car_state(scenario, car.start_gap if gap is None else gap, start_rng)
         self.adversary = adversary.first_state(x, y)
         self.tick = 0
         self.period = 0
@@ -165,6 +163,20 @@ class World:
             passed = step * (period + 1) / periods
             x, y = origin.x + passed * velocity[0], origin.y + passed * velocity[1]
         return AdversaryState(x, y, *velocity, heading), Contact(fraction, impact) if counts else None
+
+
+def first_car_state(scenario: Scenario, gap: float, start_rng: np.random.Generator) -> CarState:
+    """Return the state of the car at the start of an episode.
+
+    Args:
+        scenario: fixed description of the test.
+        gap: distance from the front bumper to the crossing line before the draw, m.
+        start_rng: generator that draws the start distance.
+    """
+    car = scenario.car
+    start_gap = gap + car.start_gap_range * start_rng.random()
+    x, y, heading = road_pose(scenario.road.line, -start_gap - car.front)
+    return CarState(x, y, float(on_grid(heading)), car.start_speed)
 
 
 def first_contact_of(

@@ -35,6 +35,7 @@ from skd_adversary.model.interfaces import (
     contact,
     foreseen_acceleration,
     last_changes,
+    left_behind,
     move,
     moving,
     on_road,
@@ -55,7 +56,7 @@ from skd_adversary.model.road_user.pedestrian import (
     SOUTH_EAST,
     STAY,
 )
-from skd_adversary.model.safe_path import path_velocity
+from skd_adversary.model.safe_path import pace_at, path_velocities
 
 DISCOUNT: Final = 1.0
 _FOLLOW: Final = ACTION_COUNT
@@ -96,7 +97,7 @@ def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> 
         tick: number of the tick now.
     """
     if action == _FOLLOW:
-        return path_velocity(parameters.path, tick, parameters.time_step)
+        return pace_at(parameters.pace, tick)
     return towards(parameters, vx, vy, action)
 
 
@@ -114,12 +115,12 @@ def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> f
 def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Interface `chosen`."""
     if action == AS_PHI:
-        phi_x, phi_y = path_velocity(parameters.path, int(state[ROW + 1]), parameters.time_step)
+        phi_x, phi_y = pace_at(parameters.pace, int(state[ROW + 1]))
         return possible(parameters, state, phi_x, phi_y)
     return velocity(parameters, state, action)
 
 
-@template("chosen", "move", "on_road", "ROW")
+@template("chosen", "move", "on_road", "left_behind", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -156,7 +157,7 @@ def step(
     across, along = on_road(p, x, y)
     if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return cost, True
-    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
+    passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
 
 
@@ -198,12 +199,14 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
     across, along = on_road(p, x_after, y_after)
     if leads_nowhere(p, across, along, x, y, x_after, y_after):
         return False
-    phi_x, phi_y = path_velocity(p.path, int(state[ROW + 1]), p.time_step)
+    phi_x, phi_y = pace_at(p.pace, int(state[ROW + 1]))
     phi_x, phi_y = possible(p, state, phi_x, phi_y)
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template("_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road")
+@template(
+    "_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road", "left_behind"
+)
 def _foreseen(
     parameters: Any,
     state: FloatArray,
@@ -262,7 +265,7 @@ def _foreseen(
         across, along = on_road(p, x_after, y_after)
         if leads_nowhere(p, across, along, x, y, x_after, y_after):
             return math.inf, _LATE, tick
-        if car_s_after - p.rear > along + p.radius:
+        if left_behind(p, x_after, y_after, car_s_after):
             return math.inf, _EARLY, tick
         if worst >= bound:
             return math.inf, _LATE, tick
@@ -343,9 +346,10 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     return AS_PHI if action == _FOLLOW else steer(p, state, action)
 
 
-def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
-    """Return the rewards: a miss counts as η_max in the mean deformation, so that is what a collision saves."""
-    return {"collision_reward": scenario.eta_max, "hit_speed": scenario.collision.hit_speed}
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
+    """Return φ's velocities, and the rewards: a miss counts as η_max in the mean deformation, which a hit saves."""
+    pace = path_velocities(np.asarray(path, dtype=np.float64), len(path) - 1, scenario.time_step)
+    return {"collision_reward": scenario.eta_max, "hit_speed": scenario.collision.hit_speed, "pace": pace}
 
 
 def own_dim(points: int) -> int:

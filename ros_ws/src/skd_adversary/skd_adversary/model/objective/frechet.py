@@ -20,7 +20,7 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.coupling import first_row, next_row
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER, leads_nowhere
-from skd_adversary.model.interfaces import ROW, move, on_road, steer, velocity
+from skd_adversary.model.interfaces import ROW, left_behind, move, on_road, steer, velocity
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
 from skd_adversary.model.road_user.pedestrian import (
     DIRECTION_EAST,
@@ -47,7 +47,7 @@ def begin(parameters: Any, state: FloatArray) -> None:
     first_row(state[ADVERSARY_X], state[ADVERSARY_Y], parameters.path, state, ROW)
 
 
-@template("velocity", "move", "on_road", "ROW")
+@template("velocity", "move", "on_road", "left_behind", "ROW")
 def step(
     parameters: Any,
     state: FloatArray,
@@ -74,7 +74,7 @@ def step(
     across, along = on_road(p, x, y)
     if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return p.step_reward, True
-    passed = next_state[CAR_S] - p.rear > along + p.radius and next_state[CAR_SPEED] > p.adversary_speed
+    passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
     return p.step_reward, passed
 
 

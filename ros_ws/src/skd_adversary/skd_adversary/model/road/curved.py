@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from skd_sim.encounter.road import road_pose, road_position
+from skd_sim.encounter.road import road_pose, road_position, straight_from
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.contact import to_car_frame
 from skd_sim.kernels.compilation import kernel
@@ -19,10 +19,10 @@ _HALVINGS = 30
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
-    """Return the centre line, and the length of a chord (m) that stays near enough to the sharpest curve."""
+    """Return the centre line, where its straight rest begins, m, and a length of chords (m) for the sharpest curve."""
     line = scenario.road.line
     sharpest = float(abs(line[:, 4]).max())
-    return {"line": line.copy(), "chord": math.sqrt(8.0 * _SAGITTA / sharpest)}
+    return {"line": line.copy(), "straight_from": straight_from(line), "chord": math.sqrt(8.0 * _SAGITTA / sharpest)}
 
 
 @kernel(inline=True)
@@ -46,6 +46,16 @@ def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, 
     """Interface `from_car`."""
     car_x, car_y, heading = road_pose(parameters.line, car_s)
     return to_car_frame(x, y, car_x, car_y, heading)
+
+
+@kernel(inline=True)
+def left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Interface `left_behind`: beyond the last curve, and seen from the car."""
+    p = parameters
+    if car_s < p.straight_from:
+        return False
+    ahead, _ = from_car(p, x, y, car_s)
+    return bool(ahead < -(p.rear + p.radius))
 
 
 @kernel(inline=True)
@@ -95,4 +105,4 @@ def contact(
     return math.inf
 
 
-ROAD = RoadKernels("curved", parameters_of, on_road, velocity_on_road, from_car, at_distance, contact)
+ROAD = RoadKernels("curved", parameters_of, on_road, velocity_on_road, from_car, left_behind, at_distance, contact)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario
@@ -12,6 +12,8 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.interfaces import touch
 from skd_adversary.model.parts import RoadKernels, template
+
+_GRAZE: Final = 1e-9  # m
 
 
 def parameters_of(scenario: Scenario) -> Mapping[str, Any]:
@@ -38,6 +40,12 @@ def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, 
 
 
 @kernel(inline=True)
+def left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Interface `left_behind`."""
+    return bool(car_s - parameters.rear > y + parameters.radius)
+
+
+@kernel(inline=True)
 def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
     """Interface `at_distance`."""
     along = math.sqrt(max(0.0, distance * distance - x * x))
@@ -57,8 +65,9 @@ def contact(
 ) -> float:
     """Interface `contact`: both in the world's own frame."""
     p = parameters
-    # Far away, which is most of the time, the swept test need not be made.
-    margin = p.radius + p.half_width
+    # Far away, which is most of the time, the swept test need not be made. Who would only graze the car's side is away,
+    # too: there the world's rounding decides, of a car that does not drive along x = 0 to the last bit.
+    margin = p.radius + p.half_width - _GRAZE
     if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
         return math.inf
     if y - car_s > p.front + p.radius and y_after - car_s_after > p.front + p.radius:
@@ -66,4 +75,4 @@ def contact(
     return touch(p, y - car_s, -x, y_after - car_s_after, -x_after, heading - HEADING_NORTH)
 
 
-ROAD = RoadKernels("straight", parameters_of, on_road, velocity_on_road, from_car, at_distance, contact)
+ROAD = RoadKernels("straight", parameters_of, on_road, velocity_on_road, from_car, left_behind, at_distance, contact)

@@ -9,4 +9,14 @@ from typing import Final
 from skd_adversary.model.road_user.wheeled import Limits, wheeled
 
 LIMITS: Final = Limits(acceleration=2.5, deceleration=6.0, lateral=4.0, turn=math.pi / 6.0, radius=5.5)
-ROAD_USER: Final = replace(wheeled("car", LIMITS, fastest=70.0, height=1.5), called={"carla": "vehicle.tesla.model3"})
+ROAD_USER: Final = replace(
+    wheeled("car", LIMITS, fastest=70.0, height=1.5),
+    called={
+        "carla": "vehicle.tesla.model3",
+        "metadrive": "VEHICLE",
+        "openscenario": "car",
+        "osi": "TYPE_MEDIUM_CAR",
+        "commonroad": "car",
+        "levelxdata": "car",
+    },
+)

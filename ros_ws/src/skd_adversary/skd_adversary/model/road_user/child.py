@@ -10,5 +10,12 @@ from skd_adversary.model.road_user.walker import walker
 ACCELERATION: Final = 2.0
 """m/s², in any direction: to start, to turn and to stop."""
 ROAD_USER: Final = replace(
-    walker("child", ACCELERATION, fastest=8.0, height=1.2), called={"carla": "walker.pedestrian.0011"}
+    walker("child", ACCELERATION, fastest=8.0, height=1.2),
+    called={
+        "carla": "walker.pedestrian.0011",
+        "openscenario": "pedestrian",
+        "osi": "TYPE_PEDESTRIAN",
+        "commonroad": "pedestrian",
+        "levelxdata": "pedestrian",
+    },
 )

@@ -11,5 +11,13 @@ from skd_adversary.model.road_user.wheeled import Limits, wheeled
 LIMITS: Final = Limits(acceleration=1.0, deceleration=3.0, lateral=3.0, turn=math.pi / 6.0, radius=0.0)
 """To the side a lean of 17°."""
 ROAD_USER: Final = replace(
-    wheeled("cyclist", LIMITS, fastest=20.0, height=1.8), called={"carla": "vehicle.diamondback.century"}
+    wheeled("cyclist", LIMITS, fastest=20.0, height=1.8),
+    called={
+        "carla": "vehicle.diamondback.century",
+        "metadrive": "CYCLIST",
+        "openscenario": "bicycle",
+        "osi": "TYPE_BICYCLE",
+        "commonroad": "bicycle",
+        "levelxdata": "bicycle",
+    },
 )

@@ -153,6 +153,13 @@ KERNELS = RoadUserKernels(
 )
 ROAD_USER = RoadUserModel(
     "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,
-    called={"carla": "walker.pedestrian.0001"}, within=within,
+    called={
+        "carla": "walker.pedestrian.0001",
+        "metadrive": "PEDESTRIAN",
+        "openscenario": "pedestrian",
+        "osi": "TYPE_PEDESTRIAN",
+        "commonroad": "pedestrian",
+        "levelxdata": "pedestrian",
+    }, within=within,
 )  # fmt: skip
 """Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""

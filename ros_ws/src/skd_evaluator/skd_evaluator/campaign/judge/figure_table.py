@@ -34,6 +34,7 @@ class Told(StrEnum):
     EPISODES = ""
     BASIC_CARS = "read off margins of basic cars, which take a run"
     SEARCH = "how the margin was searched, which takes the car"
+    TESTED = "episodes of their own, which take the car"
     GRAPH = "wall time, which the graph alone knew"
     ASKED = "what was asked for, when and where, and what this version does not compute"
 
@@ -289,6 +290,10 @@ FIGURES = (
     Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
     Figure("aborted_reasons", _each(ref("aborted_reason"))),
     Figure("commands_clipped", Kind(ref("commands_clipped"))),
+    Figure("simulator_contacts", Kind(ref("simulator_contacts")), "contacts by the shapes of a simulator that has its "
+           "own, beside those by SKD's geometry, which count", optional=True, newer=True),
+    Figure("simulation", Kind({"type": "object"}), "what a simulator other than SKD's own world says of the car in "
+           "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True, newer=True),
     Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
            "command to its use, or from a state to its answer", told=Told.GRAPH),
     Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,
@@ -305,6 +310,8 @@ FIGURES = (
     Figure("warnings", LINES, told=Told.ASKED),
     Figure("verification", Kind(ref("verification")), "of kamikazes whose decisions were made again, by skd replay "
            "--verify alone", told=Told.ASKED, optional=True, newer=True),
+    Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
+           "each impact place that one of the φ stands for", told=Told.TESTED, optional=True, newer=True),
     Figure("name", TEXT, of=Of.PHI),
     Figure("attempts", COUNT, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, of=Of.PHI),

@@ -20,6 +20,7 @@ from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment, judg
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
 from skd_evaluator.campaign.judge.html import figures_html
+from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.surrogate_figures import Surrogates, surrogates_of
 from skd_evaluator.campaign.plan.plan import (
     EpisodeRunner,
@@ -71,6 +72,8 @@ class Rating:
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
         verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
+        static_tests: what came of the protocol's static tests, an entry of assessment.json each.
+        simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
         led: some of the ways on which the search for the margin has led the car; in no file.
     """
 
@@ -88,6 +91,8 @@ class Rating:
     until_width: UntilWidth | None = None
     verification: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] | None = None
+    static_tests: tuple[Mapping[str, Any], ...] = ()
+    simulation: Mapping[str, Any] | None = None
     led: tuple[LedWay, ...] = ()
 
     @property
@@ -276,6 +281,8 @@ class Rating:
             "aborted": len(self.reasons),
             "aborted_reasons": counted_reasons(self.reasons),
             "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
+            **simulator_contacts(self._logs()),
+            **({} if self.simulation is None else {"simulation": dict(self.simulation)}),
             "command_age": command_age(self._logs()),
             "hit_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
             "hit_rate_ci95": hit_rate and hit_rate.interval,
@@ -292,6 +299,7 @@ class Rating:
             "collision_standing_contacts": standing_contacts(self.replays),
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
+            **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
             **({} if self.verification is None else {"verification": dict(self.verification)}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,

@@ -14,23 +14,24 @@ OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
 DEFAULT_MARGIN_LIMIT = 1024
 MARGIN_LIMIT_TEXT = (
-    "how many ticks of the car the search for the margin may simulate in each attempt, at most. The search doubles its "
+    "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "
     "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
     "exact and needs no search"
 )
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
 BEHAVIOUR_TEXT = (
-    "how people walk who are not out to be hit, for the risk R(s): how likely the front of the moving car hits them. "
-    "walkers (pedestrians who cross before a slow vehicle), a file that skd behaviour fit has written, or none: then "
-    "there is no risk"
+    "how people walk who do not try to be hit; the risk R(s) says how likely the front of the moving "
+    "car hits them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd behaviour fit has "
+    "written, or none: then no risk is computed"
 )
 RISK_RUNS_TEXT = (
-    "by how many crossings the risk is estimated at each scale s (default: 2000 of the basic car, 500 of any other, "
-    "through the node graph 100; at most four for each of --collision-runs, through the node graph one)"
+    "how many crossings the risk is estimated from at each scale s (default: 2000 for the basic car, 500 for any "
+    "other, 100 through the node graph; but at most four times --collision-runs, and through the node graph at most "
+    "as many)"
 )
 RISK_SUBSET_TEXT = (
-    "estimate a risk of which crossings show fewer than 50 hits by subset simulation even where the car is not the "
-    "basic one, whose risk always is: it takes 16000 crossings and more at each scale"
+    "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car. For the "
+    "basic car that is always done; for others it takes 16000 crossings or more at each scale"
 )
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
@@ -48,7 +49,7 @@ class CampaignOptions(EpisodeOptions):
         "trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",
-        commands=("assess", "episode"),
+        commands=("assess", "episode", "drive"),
     )
     safe_count: int = option(20, "how many safe trajectories (φ) there are", low=1, high=65_535, **_CAMPAIGN)
     kamikaze_count: int = option(
@@ -71,5 +72,5 @@ class CampaignOptions(EpisodeOptions):
         low=0,
         high=2**63 - 1,
         metavar="N",
-        commands=("assess", "sweep", "episode", "probe", "ncap", "reference"),
+        commands=("assess", "sweep", "episode", "probe", "ncap", "reference", "drive"),
     )

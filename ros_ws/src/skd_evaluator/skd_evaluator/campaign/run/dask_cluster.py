@@ -73,7 +73,7 @@ class DaskRunner(ExecutorRunner):
         self._addresses: list[str] = []
         self._looked = self._seen = 0.0
 
-    def start(self, warm_up: Sequence[Episode] = ()) -> None:
+    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
         """Connect, compare the workers with this process, and have them compile what `warm_up` needs.
 
         Raises:
@@ -88,6 +88,7 @@ class DaskRunner(ExecutorRunner):
                 for address, found in self._everywhere(compile_for, pickle.dumps(list(warm_up))).items():
                     if isinstance(found, Exception):
                         raise AssessmentError(f"worker {address} cannot compile: {_told(found)}")
+        inherited()
 
     def _connect(self) -> None:
         try:

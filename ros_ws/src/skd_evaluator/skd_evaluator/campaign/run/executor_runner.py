@@ -136,8 +136,13 @@ class ExecutorRunner(ABC):
         self.close(wait=kind is None)
 
     @abstractmethod
-    def start(self, warm_up: Sequence[Episode] = ()) -> None:
-        """Start the workers; `warm_up` makes them compile what episodes like these need."""
+    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+        """Start the workers.
+
+        Args:
+            warm_up: makes them compile what episodes like these need.
+            inherited: called in this process after that, and before workers are forked from it, if they are.
+        """
 
     @abstractmethod
     def close(self, *, wait: bool = True) -> None:

@@ -12,7 +12,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import (
     Controller,
-    SensingController,
+    is_sensing,
     make_controller,
     require_control_period,
     require_sensor,
@@ -57,7 +57,7 @@ def _run(
         car = watch(car, episode.controller)
     require_sensor(car, episode.controller, episode.scenario)
     require_control_period(car, episode.controller, episode.scenario)
-    sensing = car if isinstance(car, SensingController) else None
+    sensing = car if is_sensing(car) else None
     laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
     car.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
@@ -86,6 +86,7 @@ def _run(
         adversary.depletions,
         clipped=simulator.clipped,
         belief=_belief(believed, len(frames)),
+        own_contact=getattr(simulator, "own_contact", None),
     )
 
 

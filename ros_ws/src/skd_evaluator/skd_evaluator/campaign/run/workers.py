@@ -87,12 +87,13 @@ class InProcessRunner(ExecutorRunner):
         self._pool: WorkerPool | None = None
         self._lock = threading.Lock()  # of whether there is a pool
 
-    def start(self, warm_up: Sequence[Episode] = ()) -> None:
-        """Start the workers, after running `warm_up` here: forked workers then inherit the compiled kernels.
+    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+        """Start the workers, after `warm_up` and `inherited` have run here: forked workers have what these compiled.
 
         Call it before other threads start: a process with threads is not safe to fork.
         """
         warm_up_with(warm_up)
+        inherited()
         with self._lock:
             if self._isolated and self._pool is None:
                 self._pool = WorkerPool(self._count, answer_limit=self._answer_limit)

@@ -47,15 +47,17 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
         rows.append((index, "", math.nan))
     safe = _columns_of_safe(rating)
     of_logs = episode_columns(logs)
-    columns: Columns = {
-        name: np.concatenate([safe[name], array]) for name, array in of_logs.items() if name != "offsets"
-    }
-    offsets = np.concatenate([safe["offsets"], safe["offsets"][-1] + of_logs["offsets"][1:]])
+    offsets = np.concatenate([safe["offsets"], safe["offsets"][-1] + of_logs.pop("offsets")[1:]])
+    # One by one: of a hundred thousand episodes each array twice would be the most that an assessment ever holds.
+    columns: Columns = {name: np.concatenate([safe[name], of_logs.pop(name)]) for name in list(of_logs)}
     indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
     count = len(rating.safe)
     if any(log.belief is not None for log in logs):
         nothing = np.full((int(safe["offsets"][-1]), _BELIEVED), np.nan, np.float32)
         columns["belief"] = np.concatenate([nothing, *map(_belief, logs)])
+    own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
+    if any(log.own_contact is not None for log in logs):
+        columns["own_contact"] = np.array([*[math.nan] * count, *own])
     if any(assessment.floors is not None for assessment in rating.assessments):
         columns["floor"] = np.array([*[math.nan] * count, *floor_column])
     np.savez_compressed(

@@ -164,6 +164,7 @@ def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Tra
         float(stored.impact_speed[number]),
         reason=str(stored.further["reason"][number]),
         clipped=int(stored.further["clipped"][number]),
+        own_contact=float(stored.further["own_contact"][number]) if "own_contact" in stored.further else None,
     )
 
 

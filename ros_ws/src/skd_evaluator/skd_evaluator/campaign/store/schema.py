@@ -59,6 +59,12 @@ def _definitions() -> dict[str, Any]:
         "speeds": _object(mean=_NUMBER, p90=_NUMBER),
         "aborted_reason": _object(count={"type": "integer", "minimum": 1}, first=_TEXT),
         "commands_clipped": _object(commands=_COUNT, episodes=_COUNT),
+        "simulator_contacts": _object(
+            both=_said(_COUNT, "episodes in which both say that the car touched somebody"),
+            geometry_alone=_said(_COUNT, "in which SKD's geometry alone says so"),
+            simulator_alone=_said(_COUNT, "in which the simulator's shapes alone say so"),
+            episodes=_said(_COUNT, "episodes in which both were asked; aborted ones left out"),
+            greatest_gap=_said(_FIGURE, "greatest time between the two, where both say so, s")),
         "command_age": _object(
             **{name: {"type": "number", "minimum": 0} for name in ("median", "p99", "worst")},
             control_periods={"type": "integer", "minimum": 1}, held=_COUNT, greatest_delay={"type": "number"}),
@@ -106,6 +112,12 @@ def _definitions() -> dict[str, Any]:
             not_verifiable={"type": "object", "additionalProperties": {"type": "integer", "minimum": 1}},
             not_as_planned=_list(_object(
                 episode_id=_COUNT, objective=_TEXT, tick=_COUNT, recorded=ref("velocity"), planned=ref("velocity")))),
+        "static_test": _object(
+            place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
+            target=_said(_FLAG, "whether the target was touched, and nobody else"),
+            impact_speed=_said(_NUMBER, "of the car, m/s; 0 without a contact"),
+            speed_ahead=_said(_NUMBER, "of the target, the way that the car points, m/s"),
+            fastest=_said(_NUMBER, "greatest speed of the car, m/s"), aborted=_TEXT),
         "safe_trajectory": _object(**of_phi, **at_the_top),
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),

@@ -47,6 +47,7 @@ from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
     counted,
     details_table,
+    few_safe_trajectories,
     headline,
     headline_table,
     interval_notes,
@@ -117,6 +118,8 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
     print_table(headline_table(result))
     if result["equivalent_multiplier_note"]:
         print(f"Equivalent multiplier: {result['equivalent_multiplier_note']}")
+    if (few := few_safe_trajectories(result)) is not None:
+        print(few)
     if not details:
         return
     print_table(details_table(result))

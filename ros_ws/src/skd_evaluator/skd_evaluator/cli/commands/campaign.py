@@ -20,17 +20,17 @@ from skd_evaluator.campaigns.campaign import Campaign, planned_rows
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
-from skd_evaluator.campaigns.rows import DONE, FAILED
+from skd_evaluator.campaigns.rows import DONE, FAILED, Row
 from skd_evaluator.cli.arguments import output_path, signer_of
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.floor.assessment_floor import warm_up_floor
-from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.margin.ahead import margins_compiled_beside
+from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program
-from skd_evaluator.report.side_by_side import campaign_table, equal_remarks, plan_table
+from skd_evaluator.report.side_by_side import LiveTable, campaign_table, cell_line, equal_remarks, plan_table
 from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.risk.assessment_risk import warm_up_risk
 from skd_evaluator.ros.session import prepare_ros
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             if folder.resumed and not arguments.quiet:
                 print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
-            _run_cells(campaign, arguments)
+            _run_cells(campaign, arguments, _live(campaign, arguments))
         except KeyboardInterrupt:
             return _interrupted(campaign, arguments, out)
         except OutOfReachError as error:
@@ -82,7 +82,23 @@ def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> Non
         prepare_ros(one)
 
 
-def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
+def _live(campaign: Campaign, arguments: argparse.Namespace) -> Above | None:
+    """With --live, have each cell shown as it ends; return what is drawn above the bars, if there are any."""
+    if not arguments.live or arguments.quiet:
+        return None
+    if draws_bars():
+        live = LiveTable(campaign.rows)
+        campaign.told = live.take
+        return live.table
+
+    def say(row: Row) -> None:
+        print(f"skd campaign: {cell_line(row)}", file=sys.stderr, flush=True)
+
+    campaign.told = say
+    return None
+
+
+def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above | None) -> None:
     if in_process := campaign.in_process:
         runner = runner_of(
             arguments,
@@ -90,21 +106,20 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace) -> None:
             answer_limit=max(cell.answer_limit for cell in in_process),
         )
         with runner:
-            if any(cell.floor for cell in in_process):
-                warm_up_floor()
-            if any(cell.margin_limit for cell in in_process):
-                warm_up_margins()
-            for cell in in_process:
-                if cell.risk.behaviour is not None:
-                    warm_up_risk(cell.plan)
-            runner.start(_planners(in_process))
+            with margins_compiled_beside(wanted=any(cell.margin_limit for cell in in_process)) as load_margins:
+                if any(cell.floor for cell in in_process):
+                    warm_up_floor()
+                for cell in in_process:
+                    if cell.risk.behaviour is not None:
+                        warm_up_risk(cell.plan)
+                runner.start(_planners(in_process), inherited=load_margins)
             importlib.import_module("skd_evaluator.report.pictures")  # may start a program: see `Campaign`
-            with progress_bar(quiet=arguments.quiet) as progress:
+            with progress_bar(quiet=arguments.quiet, above=above) as progress:
                 campaign.run(runner, progress, _at_once(arguments))
     if through_graph := campaign.through_graph:
         for cell in through_graph:
             compile_for_graph(cell.plan, cell.objectives)
-        with progress_bar(quiet=arguments.quiet) as progress:
+        with progress_bar(quiet=arguments.quiet, above=above) as progress:
             campaign.run_graphs(progress, arguments.graphs)
 
 

@@ -21,11 +21,12 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.ncap.judging import Asked, judged_grid, scenario_of, wanted_cells
+from skd_evaluator.ncap.judging import Asked, judged_grid
 from skd_evaluator.ncap.points import HOW, points_of, with_calculator
 from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
-from skd_evaluator.ncap.table import print_ncap
+from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.ncap.table import print_ncap
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.version import version
 
@@ -60,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
 
     def write(folder: Path) -> None:
-        from skd_evaluator.ncap.page import render  # slow to import, and needed only now
-        from skd_evaluator.ncap.picture import save_ncap
+        from skd_evaluator.report.ncap.page import render  # slow to import, and needed only now
+        from skd_evaluator.report.ncap.picture import save_ncap
 
         write_json(folder / RESULT, content)
         write_table(folder / TABLE, found)

@@ -28,7 +28,7 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import sweep_table
@@ -105,12 +105,12 @@ def run(arguments: argparse.Namespace) -> int:
                     check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
                 for kind, recorded in safe_by_kind.items():
                     check_ends(recorded, plans[kind].scenario, objectives)
-                warm_up_floor()
-            if arguments.margin_limit:
-                warm_up_margins()
-            if risk.behaviour is not None:
-                warm_up_risk(asked)
-            runner.start(planners_of(plans["synthetic"], objectives))
+            with margins_compiled_beside(wanted=arguments.margin_limit > 0) as load_margins:
+                if arguments.floor:
+                    warm_up_floor()
+                if risk.behaviour is not None:
+                    warm_up_risk(asked)
+                runner.start(planners_of(plans["synthetic"], objectives), inherited=load_margins)
             with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():
                     safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
@@ -169,7 +169,7 @@ def run(arguments: argparse.Namespace) -> int:
             if known:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
         if "recorded" not in kinds:
-            print('Recorded safe trajectories were not asked for: add --safe PATH (README, "Recorded pedestrians").')
+            print("Recorded safe trajectories were not asked for: add --safe PATH (docs/start/research.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, rating in ratings:

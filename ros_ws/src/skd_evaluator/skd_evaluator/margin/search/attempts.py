@@ -7,12 +7,12 @@ them teach the next pass. Which ones come first does not depend on who searches 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import controller_of
+from skd_sim.apart.apart import controller_of, takes_batches
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode
 
@@ -20,6 +20,7 @@ from skd_evaluator.campaign.plan.plan import Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, SearchResult, search_margin
+from skd_evaluator.margin.search.together import GROUP, can_be_together, search_side_by_side
 
 LABEL: Final = "margins"
 LIMIT: Final = 8 * DEFAULT_BUDGET
@@ -121,6 +122,7 @@ class _Margins:
     ) -> None:
         self._episodes, self._ways, self._runner, self._progress = episodes, ways, runner, progress
         self._found: dict[int, SearchResult] = {}
+        self._together: bool | None = None  # not asked yet
         self._pool = Picture(None, episodes[0].scenario.control_periods > 1)
         self._phi = [
             b"" if episode.safe_trajectory is None else episode.safe_trajectory.positions.tobytes()
@@ -151,7 +153,7 @@ class _Margins:
         again = len(self._found) == len(self._episodes)
         label = f"{LABEL}, {budget} ticks each" if again else LABEL
         done, total = (0, len(jobs)) if again else (len(self._found), len(self._episodes))
-        for index, result in zip(indices, self._runner.map(search_attempt, jobs), strict=True):
+        for index, result in zip(indices, self._searched(jobs), strict=True):
             before = self._found.get(index)
             self._found[index] = result if before is None else _better(before, result)
             done += 1
@@ -159,6 +161,18 @@ class _Margins:
             for row in result.samples:
                 if self._pool.count < _POOL:
                     self._pool.learn(row[:SITUATION], float(row[SITUATION]))
+
+    def _searched(self, jobs: Sequence[SearchJob]) -> Iterator[SearchResult]:
+        """Yield the results of jobs, in their order; those of a policy that takes batches are done side by side."""
+        if self._together is None:
+            car = self._episodes[0].car
+            self._together = can_be_together(self._episodes[0]) and next(iter(self._runner.map(takes_batches, [car])))
+        if not self._together:
+            yield from self._runner.map(search_attempt, jobs)
+            return
+        groups = [jobs[at : at + GROUP] for at in range(0, len(jobs), GROUP)]
+        for group, found in zip(groups, self._runner.map(search_side_by_side, groups, _not_searched), strict=True):
+            yield from found or self._runner.map(search_attempt, group)
 
     def _begins(self, index: int) -> tuple[FloatArray, ...]:
         before = self._found.get(index)
@@ -174,6 +188,10 @@ class _Margins:
         ]
         found.sort(key=lambda way: way.distance)
         return [way.trajectory.positions for way in found[:_NEIGHBOURS]]
+
+
+def _not_searched(_group: Sequence[SearchJob], _reason: str) -> list[SearchResult]:
+    return []
 
 
 def _batches(count: int) -> list[list[int]]:

@@ -35,6 +35,8 @@ from skd_evaluator.measure.distances.least_way import LeastWay
 
 DEFAULT_BUDGET: Final = 256
 """Simulated ticks of the car in an attempt."""
+FORMS_DIFFER: Final = 1e-4
+"""m by which a way may differ that is gone again by the other form of a policy, which may add up in another order."""
 _PLANNED_A_TICK, _HEAD_START = 250, 100  # moments that may be planned for each simulated tick, and ticks on credit
 _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
@@ -73,6 +75,8 @@ def search_margin(
     ways: Sequence[FloatArray] = (),
     controller: ControllerFactory | None = None,
     samples: FloatArray | None = None,
+    *,
+    walks: ControllerFactory | None = None,
 ) -> SearchResult:
     """Search for the way of least deformation that ends in a hit by the moving car.
 
@@ -83,6 +87,7 @@ def search_margin(
             there is one.
         controller: makes the car under test, anew at each call; from the specification by default.
         samples: samples of the same controller from other attempts, n × 7.
+        walks: makes the car anew, for the way that was found to be gone again; by default as `controller` does.
 
     Raises:
         ValueError: the episode is not in kamikaze mode, or the budget is below 1.
@@ -100,9 +105,15 @@ def search_margin(
         exhausted = _run(tree, picture, ways)
         way = None
         if tree.best is not None:
-            way = _walked(episode, tree, tree.best, controller, 0.0 if exhausted else math.inf)
+            gap, enough = 0.0 if exhausted else math.inf, ENOUGH if walks is None else FORMS_DIFFER
+            way = _walked(episode, tree, tree.best, walks or controller, gap, enough)
         if tree.best is None or way is not None:
             return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered, _remembered(tree))
+        if walks is not None:
+            raise AssessmentError(
+                f"controller {episode.controller}: on a way that the search found with commands, command answers "
+                f"otherwise (episode {episode.episode_id}): both have to be the same car, without a memory of its own"
+            )
         if not copies:
             raise AssessmentError(
                 f"controller {episode.controller} answers differently to the same ways (episode {episode.episode_id}): "
@@ -182,9 +193,9 @@ def _remembered(tree: Tree) -> tuple[LedWay, ...]:
 
 
 def _walked(
-    episode: Episode, tree: Tree, best: Node, controller: ControllerFactory | None, gap: float
+    episode: Episode, tree: Tree, best: Node, controller: ControllerFactory | None, gap: float, enough: float
 ) -> LeastWay | None:
-    """Run the best way from the start in a world of its own; none unless it ends in the same hit."""
+    """Run the best way from the start in a world of its own; none unless it ends in the same hit, `enough` m off."""
     assert episode.safe_trajectory is not None
     branch = Branch(episode, controller)
     user = branch.world.adversary
@@ -200,6 +211,6 @@ def _walked(
     duration = len(places) - 2 + contact.fraction
     walked = until_contact(np.array(places), duration)
     distance = deformation(episode.safe_trajectory.positions, walked, duration)
-    if abs(distance - best.strayed) > ENOUGH:
+    if abs(distance - best.strayed) > enough:
         return None
     return LeastWay(distance, Trajectory(walked, episode.scenario.time_step), duration, contact.speed, gap)

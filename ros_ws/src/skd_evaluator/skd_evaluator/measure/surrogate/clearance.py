@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.state import CarState, RoadUserState
 
 from skd_evaluator.measure.surrogate.scene import Scene
 from skd_evaluator.measure.surrogate.scenes import Scenes
@@ -20,6 +22,27 @@ _STEPS = 60  # of it: to 1e-12 of a segment
 def clearances(scene: Scene) -> FloatArray:
     """Return the distance between the outlines at each moment, n, m; 0 where they touch."""
     return _apart(scene, scene.seen, scene.turned_from_car)
+
+
+def clearance_at(scenario: Scenario, car: CarState, other: RoadUserState) -> float:
+    """Return the distance between the outlines of car and adversary at one moment, m; 0 where they touch.
+
+    Args:
+        scenario: gives the shapes.
+        car: state of the car.
+        other: state of the adversary.
+    """
+    footprint = scenario.car.front, scenario.car.rear, scenario.car.half_width
+    scene = Scene(
+        np.zeros(1),
+        np.array([car[:4]]),
+        np.array([other[:2]]),
+        np.array([other[2:4]]),
+        np.array([other.heading]),
+        footprint,
+        scenario.adversary.shape,
+    )
+    return float(clearances(scene)[0])
 
 
 def least_clearances(scenes: Scenes) -> FloatArray:

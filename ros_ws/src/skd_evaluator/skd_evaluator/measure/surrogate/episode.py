@@ -53,6 +53,8 @@ SURROGATE_MEASURES = {
 }
 """By their names in results."""
 
+_AT_ONCE = 1000  # episodes: each takes ten kilobytes while it is measured
+
 
 def surrogate_measures(
     scenario: Scenario, courses: Sequence[Course], collided: npt.NDArray[np.bool_]
@@ -66,8 +68,11 @@ def surrogate_measures(
     """
     if not courses:
         return {name: np.empty(0) for name in SURROGATE_MEASURES}
-    whole = scenes_of(scenario, courses)
-    return _measures(scenario, whole, whole.every(GRID), collided)
+    parts = []
+    for at in range(0, len(courses), _AT_ONCE):
+        whole = scenes_of(scenario, courses[at : at + _AT_ONCE])
+        parts.append(_measures(scenario, whole, whole.every(GRID), collided[at : at + _AT_ONCE]))
+    return {name: np.concatenate([one[name] for one in parts]) for name in SURROGATE_MEASURES}
 
 
 def _measures(

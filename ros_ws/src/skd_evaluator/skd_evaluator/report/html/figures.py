@@ -11,7 +11,7 @@ from skd_sim.episode.episode import Mode
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.report.doubts import margin_doubts
+from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
@@ -73,6 +73,7 @@ def warnings_of(subject: Subject) -> list[str]:
             f"{counted(clipped['commands'], 'command')} in {counted(clipped['episodes'], 'episode')} asked more than "
             "this car can do; they were clipped"
         )
+    found += contact_doubts(figures)
     for one in figures["measures"].values():
         if one["error"]:
             found.append(f"measure {one['label']} failed: {one['error']}")

@@ -18,6 +18,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.ncap.result import ROOM
 from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
@@ -29,6 +30,9 @@ from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import filled
+from skd_evaluator.report.ncap.layout import COLOURS, LEGEND, LIGHT, impact_text, letter_of, margin_text
+from skd_evaluator.report.ncap.of_results import views_of
+from skd_evaluator.report.ncap.page import details
 from skd_evaluator.report.repeat import (
     BEHAVIOUR_FILE,
     CAR_MODEL_FILE,
@@ -86,6 +90,15 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         listed=[views[place] for place in by_encounter(subjects)],
         matrix=matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
+        views=views_of(subjects, ROOM),
+        room=ROOM,
+        test_colours=COLOURS,
+        light_colours=LIGHT,
+        cell_legend=LEGEND,
+        cell_letter=letter_of,
+        cell_impact=impact_text,
+        cell_margin=margin_text,
+        cell_details=details,
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
         ratings=[heading for heading, _ in rating_charts(subjects)],

@@ -23,6 +23,8 @@ from skd_evaluator.campaign.store.stored_failures import failing_episodes
 from skd_evaluator.files import tails
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
+from skd_evaluator.ncap.result import ROOM
+from skd_evaluator.report.ncap.of_results import views_of
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.report.terminal import car_name
 
@@ -147,7 +149,7 @@ def _read(folder: Path, kind: str) -> Subject:
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
         stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
         eta_max = float(figures["eta_max"])
-        _ = subject.curve  # it is found here that it cannot be had
+        _ = subject.curve, views_of([subject], ROOM)  # it is found here that they cannot be had
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
     remarks = check_result(folder, figures, subject.episodes, manifest=manifest, former=former)

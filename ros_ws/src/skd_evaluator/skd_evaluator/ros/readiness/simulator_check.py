@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.node import Node
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.nodes.publishers import living_publishers, publisher_names
@@ -74,14 +75,15 @@ def refuted(log: EpisodeLog, *, own_world: bool) -> str | None:
 
     Args:
         log: what is said to have happened in the episode.
-        own_world: whether it ran in SKD's own world, so that all that follows from its seed has to agree.
+        own_world: whether SKD started the simulator; where the episode asks for SKD's own world, all that follows from
+            its seed then has to agree.
     """
     if log.outcome == Outcome.ABORTED:
         return None
     verdict = examine(log)
     if verdict.fault:
         return abort_reason(AbortKind.REFUTED, f"the episode {verdict.fault}")
-    if own_world and not verdict.ours:
+    if own_world and is_own_world(log.episode.simulator) and not verdict.ours:
         return abort_reason(
             AbortKind.REFUTED,
             f"{verdict.where} does not follow from the episode's other states (by {verdict.deviation:.3g})",

@@ -127,6 +127,24 @@ def _remove(folder: Path, process: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def is_kept(kernel: Any) -> bool:
+    """Return whether code of a kernel is in the folder, for some types of arguments, of this version or another.
+
+    What the kernel depends on is not looked at, which takes longer: who asks wants to know whether this is a first run.
+    """
+    folder, function = cache_folder(), getattr(kernel, "py_func", None)
+    if folder is None or function is None:
+        return True
+    begin = f"{_readable(function)}-"
+    with os.scandir(folder.descriptor) as entries:
+        return any(entry.name.startswith(begin) for entry in entries)
+
+
+def _readable(function: Any) -> str:
+    """Return what names of files say of a function."""
+    return re.sub(r"[^\w.]", "", f"{function.__module__}.{function.__qualname__}", flags=re.ASCII)[:100]
+
+
 class KernelCache:
     """Compiled code of one kernel, for numba's dispatcher, which asks it for each tuple of argument types.
 
@@ -212,5 +230,4 @@ class KernelCache:
         except UnfathomableError:
             return None
         key = hashlib.sha256(f"{self._closure} {shapes} {codegen.magic_tuple()}".encode()).hexdigest()[:40]
-        readable = re.sub(r"[^\w.]", "", f"{self._plain.__module__}.{self._plain.__qualname__}", flags=re.ASCII)[:100]
-        return f"{readable}-{key}.kernel"
+        return f"{_readable(self._plain)}-{key}.kernel"

@@ -37,6 +37,7 @@ def _import_array_functions() -> None:
 
 
 _import_array_functions()
+importlib.import_module("skd_sim.kernels.compiler.stream_type")  # tells numba of it
 
 
 def compiled(function: Callable[..., Any], *, inline: bool, allocates: bool, nogil: bool) -> Any:

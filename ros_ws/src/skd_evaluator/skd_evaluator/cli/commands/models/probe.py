@@ -7,12 +7,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
@@ -34,13 +36,15 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     scenario = load_scenario(arguments.scenario or "crossing")
     scenario = check_car(vars(arguments), scenario, graph=arguments.graph)
-    episodes = probe_episodes(
+    make_simulator(arguments.simulator)
+    probes = probe_episodes(
         scenario,
         arguments.episodes,
         seed=arguments.seed,
         controller=arguments.controller,
         multiplier=arguments.multiplier,
     )
+    episodes = [replace(one, simulator=arguments.simulator) for one in probes]
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)

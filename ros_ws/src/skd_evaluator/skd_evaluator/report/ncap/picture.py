@@ -14,14 +14,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from skd_evaluator import palette
-from skd_evaluator.ncap.layout import equivalent_text, impact_text, layout_of, letter_of, margin_text
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.report.ncap.layout import (
+    COLOURS,
+    LIGHT,
+    equivalent_text,
+    impact_text,
+    layout_of,
+    letter_of,
+    margin_text,
+)
 from skd_evaluator.saved_picture import save_picture
 
-COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
-"""As Euro NCAP's calculator has them; the letter in the cell says the same."""
-LIGHT = ("yellow", "orange")
-"""Colours on which words are black."""
 _DPI, _BESIDE = 110, 3
 _WIDTH, _HEIGHT = 0.72, 0.62  # inches of a cell
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from skd_evaluator.ncap.layout import (
+from skd_evaluator.ncap.result import Cell, Ncap
+from skd_evaluator.report.html.template import filled
+from skd_evaluator.report.ncap.layout import (
+    COLOURS,
     LEGEND,
+    LIGHT,
     equivalent_text,
     headline,
     impact_text,
@@ -14,15 +18,12 @@ from skd_evaluator.ncap.layout import (
     reasons,
     row_name,
 )
-from skd_evaluator.ncap.picture import COLOURS, LIGHT
-from skd_evaluator.ncap.result import Cell, Ncap
-from skd_evaluator.report.html.template import filled
 
 
 def render(found: Ncap) -> str:
     """Return the page."""
     return filled(
-        "skd_evaluator.ncap",
+        "skd_evaluator.report.ncap",
         "ncap.html.j2",
         found=found,
         grids=[(grid, layout_of(grid), headline(grid, found.room), reasons(grid)) for grid in found.grids],
@@ -34,11 +35,11 @@ def render(found: Ncap) -> str:
         impact=impact_text,
         margin=margin_text,
         same=equivalent_text,
-        details=_details,
+        details=details,
     )
 
 
-def _details(cell: Cell) -> str:
+def details(cell: Cell) -> str:
     """Return all that is known of a cell, for whoever points at it."""
     said = [row_name(cell)]
     if cell.range:

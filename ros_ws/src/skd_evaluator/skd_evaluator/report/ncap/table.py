@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from skd_evaluator.ncap.layout import (
+from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.report.ncap.layout import (
     LEGEND,
     equivalent_text,
     headline,
@@ -15,7 +16,6 @@ from skd_evaluator.ncap.layout import (
     points_lines,
     reasons,
 )
-from skd_evaluator.ncap.result import Cell, Grid, Ncap
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 _STYLES = {"green": "green", "yellow": "yellow", "orange": "dark_orange", "brown": "orange4", "red": "red"}

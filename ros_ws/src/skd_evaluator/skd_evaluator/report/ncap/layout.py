@@ -7,9 +7,13 @@ from dataclasses import dataclass
 
 from skd_evaluator.ncap.colours import GREEN
 from skd_evaluator.ncap.result import Cell, Grid, Ncap
-from skd_evaluator.report.terminal import counted
+from skd_evaluator.report.formats import counted
 
 NOTHING = "–"
+COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
+"""As Euro NCAP's calculator has them; the letter in the cell says the same."""
+LIGHT = ("yellow", "orange")
+"""Colours on which words are black."""
 LEGEND = "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m)"
 
 

@@ -1,0 +1,249 @@
+"""Many episodes side by side, in all of which somebody walks a given way: a policy is asked for all of them at once.
+
+The worlds are compiled, and the same to the bit as those of whole episodes. Of some episodes, drawn by lot, the single
+form of the policy is asked as well, by a controller of each episode's own: where it answers otherwise, `commands` and
+`command` are not the same car, and nothing is made of either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from skd_adversary.model.safe_path import path_velocities
+from skd_sim.apart.apart import ApartController
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
+from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.simulators import is_own_world
+from skd_sim.controllers import control_period_of
+from skd_sim.dynamics.basic import drive_straight
+from skd_sim.dynamics.limits import command_limits
+from skd_sim.encounter.road import is_straight_north
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.randomness import Role, controller_generator, controller_seed, generator
+from skd_sim.geometry.contact import sweep
+from skd_sim.kernels.compilation import kernel
+from skd_sim.simulation.world import first_car_state
+from skd_sim.state import AdversaryState, CarState, Scene
+
+from skd_evaluator.errors import AssessmentError
+
+ONE_IN: Final = 50
+"""Of so many episodes side by side one is asked by the single form as well."""
+TOLERANCE: Final = 1e-4
+"""m/s² by which both forms may differ: what sums of single precision in another order come to."""
+
+
+class Replayed(NamedTuple):
+    """What happened in n episodes of at most t ticks.
+
+    Attributes:
+        users: places of the adversary at ticks, n × (t + 1) × 2, m.
+        cars: places (m) and speeds (m/s) of the car at ticks, n × (t + 1) × 3.
+        ticks: how many ticks each had.
+        shares: share of the last tick at the contact; infinity without one.
+        impacts: speed of the car at the contact, m/s.
+    """
+
+    users: FloatArray
+    cars: FloatArray
+    ticks: IntArray
+    shares: FloatArray
+    impacts: FloatArray
+
+
+class _Numbers(NamedTuple):
+    """A scenario in numbers."""
+
+    front: float
+    rear: float
+    half_width: float
+    radius: float
+    time_step: float
+    periods: int
+    least_command: float
+    greatest_command: float
+    minimum_impact_speed: float
+
+
+def why_not_side_by_side(episode: Episode) -> str:
+    """Return why episodes like this one are run one by one, in a few words; empty where they need not be."""
+    scenario = episode.scenario
+    if not is_own_world(episode.simulator):
+        return "it is not SKD's own world"
+    if not DYNAMICS[scenario.car.dynamics].known:
+        return f"car.dynamics is {scenario.car.dynamics}"
+    if not is_straight_north(scenario.road.line):
+        return "the road has curves"
+    if scenario.adversary.is_box or scenario.others:
+        return "the adversary is a box, or there are others"
+    return ""
+
+
+@kernel
+def _advance(
+    numbers: _Numbers,
+    tick: int,
+    period: int,
+    rows: IntArray,
+    commands: FloatArray,
+    velocities: FloatArray,
+    noise: FloatArray,
+    cars: FloatArray,
+    users: FloatArray,
+    origins: FloatArray,
+    shares: FloatArray,
+    impacts: FloatArray,
+    over: BoolArray,
+) -> None:
+    """Advance some of the episodes by a control period; one with a contact to the end of its tick."""
+    footprint, shape = (numbers.front, numbers.rear, numbers.half_width), (numbers.radius, 0.0, 0.0)
+    step, periods = numbers.time_step, numbers.periods
+    path = np.empty((2, 4))
+    for at in range(rows.shape[0]):
+        row = rows[at]
+        if over[row]:
+            continue
+        command = min(numbers.greatest_command, max(numbers.least_command, commands[at]))
+        vx, vy = velocities[row, tick, 0], velocities[row, tick, 1]
+        if period == 0:
+            origins[row, 0], origins[row, 1] = users[row, 0], users[row, 1]
+        x, y = origins[row, 0], origins[row, 1]
+        speed_draw, duration = noise[row, tick, 0] / periods, step / periods
+        drive_straight(
+            cars[row, 0], cars[row, 1], cars[row, 2], cars[row, 3], command, speed_draw, noise[row, tick, 1],
+            duration, path,
+        )  # fmt: skip
+        cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
+        end = (x + step * vx, y + step * vy)
+        share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
+        contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
+        users[row, 2], users[row, 3] = vx, vy
+        if contact or period == periods - 1:
+            users[row, 0], users[row, 1] = end
+        else:
+            passed = step * (period + 1) / periods
+            users[row, 0], users[row, 1] = x + passed * vx, y + passed * vy
+        if contact:
+            shares[row], impacts[row], over[row] = share, impact, True
+            for _ in range(period + 1, periods):  # nobody decides after the contact
+                drive_straight(
+                    cars[row, 0], cars[row, 1], cars[row, 2], cars[row, 3], command, speed_draw, noise[row, tick, 1],
+                    duration, path,
+                )  # fmt: skip
+                cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
+
+
+def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -> Replayed:
+    """Run episodes in which the adversary follows a way, all of one car, side by side.
+
+    Args:
+        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`.
+        make: makes the controller, which takes batches. One answers all episodes: it is reset once, as the first of
+            them has it.
+
+    Raises:
+        AssessmentError: the controller fails, or its two forms differ.
+    """
+    first = episodes[0]
+    assert first.mode == Mode.REPLAY, first.mode
+    assert not why_not_side_by_side(first), why_not_side_by_side(first)
+    policy = _made(make, first)
+    checks = {row: _made(make, episodes[row]) for row in _by_lot(episodes)}
+    numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
+    limit = scenario.ticks
+    ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
+    most = int(ends.max())
+    velocities, noise = np.zeros((count, most, 2)), np.zeros((count, most, 2))
+    cars, users = np.empty((count, 4)), np.empty((count, 5))
+    scales = scenario.car.speed_noise, scenario.car.acceleration_noise
+    for row, one in enumerate(episodes):
+        assert one.safe_trajectory is not None
+        velocities[row] = path_velocities(one.safe_trajectory.positions, most, scenario.time_step)
+        cars[row] = first_car_state(one.scenario, one.start_gap, generator(one.seed, one.episode_id, Role.START))
+        users[row] = scenario.adversary.first_state(*one.start)
+        draws = generator(one.seed, one.episode_id, Role.CAR).random((most, 2))
+        noise[row] = np.multiply(scales, 2.0 * draws - 1.0)
+    found = Replayed(
+        np.empty((count, most + 1, 2)), np.empty((count, most + 1, 3)), ends.copy(), np.full(count, np.inf),
+        np.full(count, np.nan),
+    )  # fmt: skip
+    over, origins = np.zeros(count, bool), users[:, :2].copy()
+    found.users[:, 0], found.cars[:, 0] = users[:, :2], cars[:, [0, 1, 3]]
+    for tick in range(most):
+        rows = np.flatnonzero(~over & (ends > tick))
+        if not rows.size:
+            break
+        for period in range(numbers.periods):
+            asked = rows if period == 0 else rows[~over[rows]]
+            if not asked.size:
+                break
+            commands = policy.commands(np.concatenate([cars[asked].T, users[asked].T]))
+            _compare(episodes, checks, asked, commands, cars, users, tick)
+            _advance(
+                numbers, tick, period, asked, commands, velocities, noise, cars, users, origins, found.shares,
+                found.impacts, over,
+            )  # fmt: skip
+        found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[rows][:, [0, 1, 3]]
+        found.ticks[rows[over[rows]]] = tick + 1
+    return found
+
+
+def _numbers(episode: Episode) -> _Numbers:
+    scenario = episode.scenario
+    car, limits = scenario.car, command_limits(scenario)
+    return _Numbers(
+        car.front,
+        car.rear,
+        car.half_width,
+        scenario.adversary.reach,
+        scenario.time_step,
+        scenario.control_periods,
+        limits.least,
+        limits.greatest,
+        scenario.collision.minimum_impact_speed,
+    )
+
+
+def _made(make: Callable[[], ApartController], episode: Episode) -> ApartController:
+    controller = make()
+    period = control_period_of(controller, episode.controller)
+    assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
+    controller.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    return controller
+
+
+def _by_lot(episodes: Sequence[Episode]) -> list[int]:
+    """Return which episodes the single form is asked in: at least one, and not those that a controller can foresee."""
+    rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
+    return sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist())
+
+
+def _compare(
+    episodes: Sequence[Episode],
+    checks: dict[int, ApartController],
+    asked: IntArray,
+    commands: FloatArray,
+    cars: FloatArray,
+    users: FloatArray,
+    tick: int,
+) -> None:
+    """Ask the single form where it is to be asked.
+
+    Raises:
+        AssessmentError: it answers otherwise.
+    """
+    for at, row in enumerate(asked.tolist()):
+        single = checks.get(row)
+        if single is None:
+            continue
+        car, user = CarState(*cars[row].tolist()), AdversaryState(*users[row].tolist())
+        seen = Scene(car, user) if single.takes_scene else user
+        alone, together = single.command(car, seen), float(commands[at])  # type: ignore[arg-type]
+        if not abs(alone - together) <= TOLERANCE:
+            raise AssessmentError(
+                f"controller {episodes[row].controller}: commands answers {together:.6g} m/s² where command answers "
+                f"{alone:.6g} m/s² (tick {tick} of episode {episodes[row].episode_id}): both have to be the same car, "
+                "without a memory of its own; mend commands, or leave it out"
+            )

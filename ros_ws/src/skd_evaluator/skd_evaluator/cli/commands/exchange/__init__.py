@@ -1,0 +1,1 @@
+"""Commands that give what SKD has to other tools, and take what they have."""

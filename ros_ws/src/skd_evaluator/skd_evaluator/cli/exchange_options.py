@@ -1,0 +1,114 @@
+"""The options of `skd export` and `skd import`; light, for every command begins with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from skd_evaluator.cli.arguments import add_count, add_output_arguments, frame_place, real_number, whole_number
+
+EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
+"""Names of the formats that results go out in; what they are stands in `exchange/going_out/formats.py`."""
+LONGEST_GAP = 0.5  # s
+
+
+def add_exchange_commands(commands: Any) -> None:
+    """Add them to a parser's commands; each says in which module of `cli/commands` it is."""
+    export = commands.add_parser(
+        "export",
+        help="write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv",
+        description="Write the safe trajectories φ of a result, and every kamikaze, as files that other tools open: "
+        "ASAM OpenSCENARIO XML 1.2 with its OpenDRIVE road, ASAM OSI ground truth (MCAP), CommonRoad XML, or csv. "
+        "docs/exchange.md says what each format keeps.",
+    )
+    export.add_argument("path", type=Path, metavar="RESULT", help="folder of an assessment")
+    export.add_argument(
+        "--format",
+        choices=EXPORT_FORMATS,
+        required=True,
+        help="openscenario (1.2, with road.xodr), osi (ground truth as MCAP, with road.xodr; needs the extra "
+        "exchange), commonroad (XML 2020a), or csv",
+    )
+    which = export.add_mutually_exclusive_group()
+    which.add_argument(
+        "--episode",
+        type=whole_number(0),
+        metavar="ID",
+        help="only the episode that has this id in episodes.npz and bags, and its φ",
+    )
+    worst = "only so many episodes, the worst for the car first, runs along φ among them, and their φ"
+    add_count(which, "--worst", 1, 1_000_000, worst)
+    export.add_argument("--objective", metavar="NAME", help="only kamikazes of this objective, and their φ")
+    export.add_argument(
+        "--no-car",
+        dest="car",
+        action="store_false",
+        help="leave out how the car drove, so that another may drive in its place",
+    )
+    add_output_arguments(export)
+    export.set_defaults(module="exchange.export")
+
+    taken = commands.add_parser(
+        "import",
+        help="make safe trajectories of files of others: OpenSCENARIO, OSI, CommonRoad, tracked data, bags",
+        description="Take a road user's way out of files of others, look at its rate, gaps and frame, and write "
+        "it as csv that --safe reads. Read are OpenSCENARIO XML (polylines with times), ASAM OSI ground truth (MCAP), "
+        "CommonRoad XML, csv (t, x, y; t, id, x, y; or the layout of inD and rounD), bags of ROS 2 (Odometry, poses, "
+        "/tf, Detection3DArray), and folders of such files, as skd export writes them.",
+    )
+    taken.add_argument(
+        "paths", type=Path, nargs="+", metavar="PATH", help="a file, a bag's folder, or a folder of files"
+    )
+    who = taken.add_argument_group("who")
+    who.add_argument(
+        "--road-user",
+        metavar="NAME",
+        help="whose way it is: the name of an entity, the id of an object or track, a topic of a bag, /tf:FRAME, or "
+        "TOPIC:ID of tracked objects (default: whom skd export calls the adversary, else the only one there is; of inD "
+        "and rounD every track of --kind)",
+    )
+    who.add_argument(
+        "--kind",
+        default="pedestrian",
+        metavar="KIND",
+        help="which kind of road user is taken out of inD and rounD (default: pedestrian)",
+    )
+    who.add_argument("--car", metavar="NAME", help="who is the car, for --frame car; named as --road-user is")
+    where = taken.add_argument_group("where")
+    where.add_argument(
+        "--frame",
+        type=_place,
+        default=(0.0, 0.0, 0.0),
+        metavar="X,Y,DEGREES|car",
+        help="where the frame map of the scenario lies in the file's frame: its origin, m, and the direction of its x "
+        "axis; or car: North is where the car drives, x = 0 its line, y = 0 where the way crosses it (default: 0,0,0)",
+    )
+    where.add_argument(
+        "--map-frame",
+        metavar="FRAME",
+        help="frame of a bag in which ways are taken; objects in other frames are brought there by /tf and /tf_static",
+    )
+    where.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="also check each way as skd assess --safe does with this scenario, and leave out what cannot be used; a "
+        "way that lasts longer than its horizon is cut to what is around the crossing",
+    )
+    where.add_argument(
+        "--longest-gap",
+        type=real_number(0.0, 60.0, above=True),
+        default=LONGEST_GAP,
+        metavar="S",
+        help="a longer gap in a track is not filled: the way is left out (default: %(default)s)",
+    )
+    add_output_arguments(taken)
+    taken.set_defaults(module="exchange.importing")
+
+
+def _place(text: str) -> tuple[float, float, float] | str:
+    """Parse X,Y,DEGREES, or the word for the frame that goes by the car."""
+    return text if text == BY_CAR else frame_place(text)
+
+
+BY_CAR = "car"
+"""Value of --frame: the frame follows from the car's way."""

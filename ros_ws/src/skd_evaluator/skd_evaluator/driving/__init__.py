@@ -1,0 +1,1 @@
+"""Driving an encounter while one watches: nothing is rated here."""

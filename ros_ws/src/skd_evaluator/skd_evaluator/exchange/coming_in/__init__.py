@@ -1,0 +1,1 @@
+"""Tracks of others, and what SKD itself has exported, as safe trajectories."""

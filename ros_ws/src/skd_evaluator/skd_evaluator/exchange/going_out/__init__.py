@@ -1,0 +1,1 @@
+"""What a result holds, in the formats of others."""

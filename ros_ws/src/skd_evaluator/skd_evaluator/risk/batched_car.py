@@ -1,0 +1,87 @@
+"""Crossings in front of a car whose policy answers many episodes at once: the same as those of any car, and faster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from skd_sim.apart.apart import ApartController, apart, takes_batches
+from skd_sim.encounter.road import road_pose
+
+from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.side_by_side import replayed, why_not_side_by_side
+from skd_evaluator.risk.any_car import AnyCar, ended
+from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+
+BLOCK: Final = 250
+"""Crossings side by side; the same whoever computes, so that no figure depends on that."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Some crossings, in whatever process."""
+
+    encounter: Encounter
+    crossings: Crossings
+    scale: float
+
+
+def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | None:
+    """Return who runs crossings side by side; None where the car's policy, or the encounter, has them one by one."""
+    car = encounter.plan.car
+    if car.is_own or car.is_external:
+        return None
+    one = Crossings(np.array([0]), np.zeros((1, encounter.walker_normals)), np.empty((1, 0)), np.array([0]))
+    if why_not_side_by_side(AnyCar(encounter, runner).episodes(one, 1.0)[0]):
+        return None
+    (takes,) = runner.map(takes_batches, [car])
+    return BatchedCar(encounter, runner) if takes else None
+
+
+class BatchedCar:
+    """Runs crossings side by side, a block at a time."""
+
+    car_normals = 0
+
+    def __init__(self, encounter: Encounter, runner: ExecutorRunner) -> None:
+        """Run blocks by `runner`."""
+        self._encounter, self._runner = encounter, runner
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        """Run crossings; those of a block that a worker has died of, one by one."""
+        rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
+        jobs = [_Job(self._encounter, crossings.of(one), scale) for one in rows]
+        parts = []
+        for job, ends in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
+            parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale) if ends is None else ends)
+        return Ends.together(parts)
+
+
+def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
+    return None
+
+
+def _crossed(job: _Job) -> Ends | None:
+    """Run crossings side by side, and judge each."""
+    encounter = job.encounter
+    episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
+
+    def make() -> ApartController:
+        return apart(encounter.plan.car)
+
+    found = replayed(episodes, make)
+    scenario = episodes[0].scenario
+    footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
+    heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
+    touch, clearance = np.empty(len(episodes), np.int64), np.empty(len(episodes))
+    for row, (ticks, share, impact) in enumerate(
+        zip(found.ticks.tolist(), found.shares.tolist(), found.impacts.tolist(), strict=True)
+    ):
+        last, collided = ticks - 1, share <= 1.0
+        passed = (last + share) * step / step - last if collided else 1.0  # as of a log, which has times
+        touch[row], clearance[row] = ended(
+            found.users[row, : ticks + 1], found.cars[row, : ticks + 1], np.full(ticks, heading), collided, passed,
+            footprint, scenario.adversary.reach, impact, scenario.collision.hit_speed,
+        )  # fmt: skip
+    return Ends(touch, clearance, found.ticks)

@@ -1,0 +1,159 @@
+"""The adversary of a drive through the node graph: a node of this process, which also sees what happens."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from skd_adversary.adversary import Adversary, make_adversary
+from skd_adversary.nodes.adversary_node import AdversaryNode
+from skd_sim.choices.graph_options import CommandOptions
+from skd_sim.episode.command_ages import CommandAges
+from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.lockstep.commands import Quantity
+from skd_sim.messages.command_messages import car_commands
+from skd_sim.messages.stream_cdr import read_adversary
+from skd_sim.nodes.composition.place import Place
+from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.support import ADVERSARY_ODOMETRY, listen
+from skd_sim.state import AdversaryState, CarState
+
+from skd_evaluator.driving.hand import Wish
+from skd_evaluator.driving.paced import Drive, HandFor, LeftError, Show
+from skd_evaluator.driving.situation import Onlooker
+from skd_evaluator.ros.evaluator import Evaluator
+
+_UNITS = {Quantity.ACCELERATION: "m/s²", Quantity.SPEED: "m/s"}
+_FAREWELL = 2.0  # s for the node's thread to end
+
+
+class DrivingNode(AdversaryNode):
+    """The adversary's node, moved by a hand or along φ; it shows each state of the car as it comes."""
+
+    def __init__(self, place: Place, commands: CommandOptions, hand_for: HandFor, show: Show) -> None:
+        """Declare its topics.
+
+        Args:
+            place: where it runs.
+            commands: what the car under test publishes.
+            hand_for: gives who moves the adversary.
+            show: called with each situation.
+        """
+
+        def make(episode: Episode) -> Adversary:
+            return hand_for(episode) or make_adversary(episode)
+
+        super().__init__(place, make=make)
+        heard = car_commands(commands)
+        self._show, self._unit = show, _UNITS[heard.format.quantity]
+        self._moment = (-1, -1)
+        self._seen: dict[int, tuple[int, int, CarState]] = {}
+        self._there: dict[int, AdversaryState] = {}
+        self._ages = CommandAges(waited_for=False)
+        self._drive = math.nan
+        self._onlooker: Onlooker | None = None
+        listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, self._on_adversary)
+        listen(self, heard.kind, commands.command_topic, heard.read, self._on_drive)
+
+    def _on_begin(self, episode: Episode) -> None:
+        super()._on_begin(episode)
+        self._onlooker, self._moment = Onlooker(episode, self._unit), (-1, -1)
+        self._seen.clear()
+        self._there.clear()
+        self._ages.begin()
+        self._drive = math.nan
+
+    def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
+        super()._on_frame(tick, period, stamp, car)
+        now = time.monotonic()
+        if not math.isnan(self._drive) and (tick, period) != self._moment:
+            self._ages.use(now)
+        self._moment = tick, period
+        self._ages.publish(stamp, now)
+        self._seen[stamp] = tick, period, car
+        self._look(stamp)
+
+    def _on_adversary(self, stamp: int, adversary: AdversaryState) -> None:
+        self._there[stamp] = adversary
+        self._look(stamp)
+
+    def _on_drive(self, stamp: int | None, command: tuple[float, float]) -> None:
+        if self._moment != (-1, -1):
+            self._drive = command[0]
+            self._ages.come(stamp or None, time.monotonic())
+
+    def _look(self, stamp: int) -> None:
+        """Show a moment of which both states are there."""
+        if self._onlooker is None or stamp not in self._seen or stamp not in self._there:
+            return
+        tick, period, car = self._seen[stamp]
+        age = self._ages.ages[-1] if self._ages.ages else math.nan
+        self._show(self._onlooker.see(tick, period, car, self._there[stamp], self._drive, age))
+        for side in (self._seen, self._there):
+            for old in [one for one in side if one <= stamp]:
+                del side[old]
+
+
+class Watched:
+    """What a graph needs so that somebody can watch and take part."""
+
+    def __init__(self, commands: CommandOptions, hand_for: HandFor, show: Show, look: Callable[[], Wish]) -> None:
+        """Prepare.
+
+        Args:
+            commands: what the car under test publishes.
+            hand_for: gives who moves the adversary.
+            show: called with each situation, in a thread of its own.
+            look: says what is wanted.
+        """
+        self._commands, self._hand_for, self._show, self._look = commands, hand_for, show, look
+        self._evaluator: Evaluator | None = None
+
+    @contextmanager
+    def adversary(self, place: Place) -> Iterator[Node]:
+        """Run the adversary's node at a place, in a thread, as long as this lasts, and yield it."""
+        node = DrivingNode(place, self._commands, self._hand_for, self._show)
+        over = threading.Event()
+        thread = threading.Thread(target=_spin, args=(node, over), name="skd-drive", daemon=True)
+        thread.start()
+        try:
+            yield node
+        finally:
+            over.set()
+            thread.join(_FAREWELL)
+
+    def check(self) -> None:
+        """Do what is wanted; to be called while the evaluator waits.
+
+        Raises:
+            LeftError: somebody has seen enough.
+        """
+        wish = self._look()
+        if wish is Wish.QUIT:
+            raise LeftError
+        if wish is Wish.AGAIN and self._evaluator is not None:
+            self._evaluator.give_up("somebody began anew")
+
+    def driver(self, evaluator: Evaluator) -> Drive:
+        """Return what runs an episode of an evaluator's graph."""
+        self._evaluator = evaluator
+
+        def drive(episode: Episode) -> EpisodeLog:
+            log = evaluator.run_episode(episode)
+            if self._look() is not Wish.NONE:
+                raise LeftError
+            return log
+
+        return drive
+
+
+def _spin(node: Any, over: threading.Event) -> None:
+    with suppress(ExternalShutdownException):
+        LockstepExecutor(node).spin(over.is_set)

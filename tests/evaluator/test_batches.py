@@ -1,0 +1,185 @@
+"""A policy that answers many episodes at once: the same bits as one by one, and both forms have to be one car."""
+
+from __future__ import annotations
+
+import sys
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search import attempts
+from skd_evaluator.margin.search.attempts import searched_margins
+from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.assessment_risk import crude_crossings
+from skd_evaluator.risk.batched_car import batched_car
+from skd_evaluator.risk.crossings import Crossings, Encounter
+from skd_sim.apart.apart import apart, close_all
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Mode
+from skd_sim.state import AdversaryState, CarState
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "batches"
+SCENARIO = load_scenario("crossing")
+OWN = """
+import os
+import numpy as np
+from batch_policies import Anticipating
+
+class Often(Anticipating):
+    control_period = 0.1
+
+class Liar(Anticipating):
+    def commands(self, cars, adversaries):
+        return 1.01 * super().commands(cars, adversaries)
+    def command(self, car, adversary):
+        return float(Anticipating.commands(self, car, adversary))
+
+class Memory(Anticipating):
+    asked = 0
+    def command(self, car, adversary):
+        self.asked += 1
+        return super().command(car, adversary) if self.asked < 6 else -6.0
+
+class Short(Anticipating):
+    def commands(self, cars, adversaries):
+        return np.zeros(len(cars.x) + 1) if np.ndim(cars.x) else 0.0
+
+class Dies(Anticipating):
+    def commands(self, cars, adversaries):
+        if np.ndim(cars.x):
+            os._exit(3)
+        return super().commands(cars, adversaries)
+
+class Copies(Anticipating):
+    commands = None
+    def __init__(self):
+        self.said, self.handle = 0.0, open(os.devnull)  # a file cannot be copied
+    def command(self, car, adversary):
+        self.said -= 1.0
+        return self.said
+    def copy(self):
+        again = type(self)()
+        again.said = self.said
+        return again
+
+class CopiesItself(Copies):
+    def copy(self):
+        return self
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def policies(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policies")
+    (folder / "own_policies.py").write_text(OWN)
+    sys.path[:0] = [str(EXAMPLES), str(folder)]
+    yield
+    close_all()
+    del sys.path[:2]
+
+
+@pytest.fixture(scope="module")
+def safe():
+    return tuple(safe_trajectories(Plan(SCENARIO, safe_count=2, seed=5, simulations=20), InProcessRunner(1)))
+
+
+def encounter(policy, safe, scenario=SCENARIO):
+    plan = Plan(scenario, safe_count=2, seed=5, controller=policy, knowledge=Knowledge.NOTHING)
+    return Encounter(plan, safe, load_behaviour("walkers").values)
+
+
+def crossed(policy, safe, count, workers=1, scenario=SCENARIO):
+    here = encounter(policy, safe, scenario)
+    crossings = crude_crossings(here, count)
+    with InProcessRunner(workers, isolated=True) as runner:
+        together = batched_car(here, runner)
+        assert together is not None
+        return together.run(crossings, 2.0), AnyCar(here, runner).run(crossings, 2.0)
+
+
+@pytest.mark.parametrize(("policy", "period"), [("batch_policies:Anticipating", None), ("own_policies:Often", 0.1)])
+def test_crossings_side_by_side_are_episodes_to_the_bit(policy, period, safe):
+    together, one_by_one = crossed(policy, safe, 120, scenario=replace(SCENARIO, control_period=period))
+    np.testing.assert_array_equal(together.touch, one_by_one.touch)
+    np.testing.assert_array_equal(together.clearance, one_by_one.clearance)
+    np.testing.assert_array_equal(together.ticks, one_by_one.ticks)
+    assert len(set(together.touch.tolist())) > 1
+
+
+def test_neither_workers_nor_the_number_of_crossings_change_one(safe):
+    here = encounter("batch_policies:Anticipating", safe)
+    crossings = crude_crossings(here, 300)
+    found = []
+    for workers in (1, 2):
+        with InProcessRunner(workers, isolated=True) as runner:
+            together = batched_car(here, runner)
+            assert together is not None
+            found.append(together.run(crossings, 1.0))
+    some: Crossings = crossings.of(np.arange(200, 280))
+    with InProcessRunner(1, isolated=True) as runner:
+        together = batched_car(here, runner)
+        assert together is not None
+        part = together.run(some, 1.0)
+    np.testing.assert_array_equal(found[0].clearance, found[1].clearance)
+    np.testing.assert_array_equal(found[0].clearance[200:280], part.clearance)
+
+
+@pytest.mark.parametrize("policy", ["Liar", "Memory"])
+def test_two_forms_that_differ_are_said(policy, safe):
+    with pytest.raises(AssessmentError, match=r"commands answers .* where command answers"):
+        crossed(f"own_policies:{policy}", safe, 20)
+
+
+def test_an_answer_of_another_length_is_said(safe):
+    with pytest.raises(AssessmentError, match="commands must return an array of 20 finite numbers"):
+        crossed("own_policies:Short", safe, 20)
+
+
+def test_a_policy_whose_process_dies_of_commands_has_no_figure(safe):
+    """Its crossings are run one by one, as those of any car; that it has died is no crossing without a hit."""
+    together, one_by_one = crossed("own_policies:Dies", safe, 12)
+    np.testing.assert_array_equal(together.touch, one_by_one.touch)
+
+
+def margins(policy, safe, *, together):
+    plan = encounter(policy, safe).plan
+    episodes = [plan.episode(Mode.KAMIKAZE, k % 2, k // 2, safe[k % 2]) for k in range(5)]
+    with InProcessRunner(1, isolated=True) as runner, pytest.MonkeyPatch.context() as patch:
+        if not together:
+            patch.setattr(attempts, "can_be_together", lambda _episode: False)
+        return searched_margins(episodes, [()] * 5, runner, lambda *_told: None, 32, 32).results
+
+
+def test_margins_side_by_side_are_those_one_by_one_to_the_bit(safe):
+    both = [margins("batch_policies:Anticipating", safe, together=one) for one in (False, True)]
+    for single, side_by_side in zip(*both, strict=True):
+        np.testing.assert_array_equal(single.trace, side_by_side.trace)
+        np.testing.assert_array_equal(single.samples, side_by_side.samples)
+        assert (single.way is None) == (side_by_side.way is None)
+        if single.way is not None and side_by_side.way is not None:
+            np.testing.assert_array_equal(single.way.trajectory.positions, side_by_side.way.trajectory.positions)
+    assert any(one.way is not None for one in both[1])
+
+
+def test_a_margin_by_commands_that_command_does_not_confirm_is_said(safe):
+    with pytest.raises(AssessmentError, match="both have to be the same car"):
+        margins("own_policies:Memory", safe, together=True)
+
+
+def test_a_controller_copies_itself_by_its_own_method():
+    car, adversary = CarState(0.0, 0.0, 1.5, 8.0), AdversaryState(1.0, 9.0, 0.0, 0.0)
+    first = apart(CarUnderTest("own_policies:Copies"))
+    assert first.command(car, adversary) == -1.0
+    second = deepcopy(first)
+    assert [first.command(car, adversary), first.command(car, adversary)] == [-2.0, -3.0]
+    assert second.command(car, adversary) == -2.0
+    with pytest.raises(AssessmentError, match="copy must return another CopiesItself, got itself"):
+        deepcopy(apart(CarUnderTest("own_policies:CopiesItself")))

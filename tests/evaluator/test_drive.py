@@ -1,0 +1,234 @@
+"""`skd drive` in process: what keys do, what is drawn, and that an episode is what it is without anybody watching."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_support import CROSSING, one_line
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.driving import paced
+from skd_evaluator.driving.hand import Controls, Hand, Wish
+from skd_evaluator.driving.keyboard import key_names
+from skd_evaluator.driving.paced import LeftError, driving_in_process
+from skd_evaluator.driving.screen import KEYS, Lines, Screen
+from skd_evaluator.driving.situation import Onlooker, Situation
+from skd_evaluator.driving.top_view import top_view
+from skd_evaluator.measure.surrogate.clearance import clearance_at
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.state import AdversaryState, CarState
+from terminals import Terminal
+
+SCENARIO = load_scenario("crossing")
+NORTH = 0.5 * math.pi
+
+
+def of_keys(**changes: float) -> Episode:
+    return Plan(replace(SCENARIO, **changes)).episode(Mode.SAFE, 0, 0, None)
+
+
+@pytest.mark.parametrize(
+    ("sent", "names"),
+    [
+        ("\x1b[A\x1bOB", ["up", "down"]),
+        ("\x1b[1;5Cq", ["right", "q"]),  # with Ctrl held
+        ("W +", ["w", " ", "+"]),
+        ("\x1b", ["escape"]),
+        ("\x1b[3~\x1b[D", ["left"]),  # Delete means nothing
+        ("\x1b[", []),
+    ],
+)
+def test_keys_have_names(sent, names):
+    assert list(key_names(sent)) == names
+
+
+@given(st.text(max_size=30))
+def test_whatever_a_terminal_sends_is_some_keys(text):
+    assert all(name in ("up", "down", "left", "right", "escape") or len(name) <= 3 for name in key_names(text))
+
+
+def test_a_hand_goes_where_the_last_key_pointed_until_it_stands():
+    hand, speed = Hand(SCENARIO), SCENARIO.adversary.speed
+    assert hand.act(CarState(0, 0, 0, 0)) == (0.0, 0.0)
+    hand.press("down")
+    assert hand.act(CarState(0, 0, 0, 0)) == hand.act(CarState(0, 0, 0, 0)) == (speed, 0.0)
+    hand.press("-")
+    hand.press("a")
+    assert hand.act(CarState(0, 0, 0, 0)) == (0.0, -0.75 * speed)
+    for _ in range(9):
+        hand.press("-")
+    assert hand.act(CarState(0, 0, 0, 0)) == (0.0, -0.25 * speed)
+    hand.press(" ")
+    assert hand.act(CarState(0, 0, 0, 0)) == (0.0, 0.0)
+
+
+def test_the_world_goes_as_the_keys_say():
+    """Straight across at 2.5 m/s: place after k ticks in closed form."""
+    controls, seen = Controls(), []
+    controls.hand = Hand(SCENARIO)
+    controls.press("down")
+    episode = of_keys()
+    with driving_in_process(episode.car, 1e6, lambda _episode: controls.hand, seen.append, controls.look) as drive:
+        log = drive(episode)
+    adversary = SCENARIO.adversary
+    ticks = np.arange(len(log.adversary))
+    expected = np.column_stack([adversary.start_x + 0.3 * adversary.speed * ticks, np.full(len(ticks), 0.0)])
+    assert np.allclose(log.adversary, expected)
+    assert [one.time for one in seen] == pytest.approx((0.3 * ticks).tolist())
+    assert [one.car.y for one in seen] == log.car[:, 1].tolist()
+
+
+def test_an_episode_that_is_watched_is_the_same(tmp_path):
+    (tmp_path / "across.csv").write_text(CROSSING)
+    plan = Plan(SCENARIO, safe=str(tmp_path / "across.csv"), safe_count=1)
+    episode = single_episode(plan, Mode.REPLAY, 0, safe_trajectories(plan, InProcessRunner(1))[0])
+    seen: list[Situation] = []
+    with driving_in_process(episode.car, 1e6, lambda _episode: None, seen.append, lambda: Wish.NONE) as drive:
+        log = drive(episode)
+    alone = run_episode(episode)
+    assert (log.outcome, log.impact_time) == (alone.outcome, alone.impact_time) or math.isnan(alone.impact_time)
+    assert log.car.tobytes() == alone.car.tobytes()
+    assert log.adversary.tobytes() == alone.adversary.tobytes()
+    assert max(one.strayed for one in seen) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_keeps_the_pace_of_the_wall_clock(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(paced.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(paced.time, "sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))
+    episode, seen = of_keys(horizon=3.0), []
+    hand = Hand(SCENARIO)
+    with driving_in_process(
+        episode.car, 0.5, lambda _episode: hand, lambda _situation: seen.append(clock[0]), lambda: Wish.NONE
+    ) as drive:
+        assert drive(episode).outcome == Outcome.TIMEOUT
+    assert np.diff(seen) == pytest.approx(0.6)  # 0.3 s of the episode at half speed
+
+
+def test_who_has_seen_enough_leaves():
+    controls = Controls()
+    controls.press("r")
+    episode = of_keys()
+    with driving_in_process(episode.car, 1e6, lambda _one: Hand(SCENARIO), lambda _s: None, controls.look) as drive:
+        with pytest.raises(LeftError):
+            drive(episode)
+        assert controls.take() is Wish.AGAIN
+        assert controls.look() is Wish.NONE
+        controls.press("q")
+        controls.press("r")
+        assert controls.take() is controls.take() is Wish.QUIT  # which nothing takes back
+
+
+def situation(car: CarState, adversary: AdversaryState) -> Situation:
+    return Onlooker(of_keys()).see(0, 0, car, adversary, -3.5, 0.01)
+
+
+def test_the_picture_is_to_scale():
+    """Half a metre to a half of a letter, each way: the car's area in halves, and the columns between both."""
+    car, adversary = CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)
+    lines = top_view(situation(car, adversary), 80, 18).plain.splitlines()
+    drawn = "".join(lines)
+    halves = 2 * drawn.count("█") + drawn.count("▀") + drawn.count("▄")
+    assert 9 * 3 <= halves <= 10 * 4  # 4.5 by 1.8 m: 9 by 3.6 halves
+    assert [len(line) for line in lines] == [80] * 18
+    (row,) = (number for number, line in enumerate(lines) if "●" in line)
+    body = [number for number, line in enumerate(lines) if "█" in line]
+    assert body[0] - row in (2, 3)  # from x = −3.5 m to −0.9 m, a letter's height is 1 m
+    front = max(line.rfind("█") for line in lines)
+    assert lines[row].index("●") - front == pytest.approx((10.0 - 2.25) / 0.5, abs=1)
+    moved = top_view(situation(CarState(0.0, -10.0, 0.0, 8.0), adversary), 80, 18).plain
+    assert max(line.count("█") for line in moved.splitlines()) <= 4  # it points down: 1.8 m wide
+
+
+@given(st.floats(-100.0, 100.0), st.floats(-20.0, 20.0))
+def test_both_are_in_the_picture(y, x):
+    """Up to the greatest scale: 4 m a letter, 320 m by 144 m."""
+    shown = top_view(situation(CarState(0.0, y, NORTH, 3.0), AdversaryState(x, 0.0, 0.0, 0.0)), 80, 18).plain
+    assert "●" in shown
+    assert set(shown) & set("█▀▄")
+
+
+@given(
+    st.floats(-8.0, 8.0), st.floats(-30.0, 30.0), st.floats(-math.pi, math.pi), st.integers(1, 200), st.integers(1, 60)
+)
+def test_any_situation_can_be_drawn(x, y, heading, width, height):
+    shown = top_view(situation(CarState(x, y, heading, 3.0), AdversaryState(2.0, 1.0, 0.0, 0.0)), width, height)
+    assert [len(line) for line in shown.plain.split("\n")] == [width] * height
+
+
+@given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0))
+def test_the_clearance_is_the_distance_to_the_rectangle(x, y):
+    """To an axis-parallel rectangle, in closed form."""
+    found = clearance_at(SCENARIO, CarState(0.0, 0.0, NORTH, 1.0), AdversaryState(x, y, 0.0, 0.0))
+    away = math.hypot(max(abs(x) - 0.9, 0.0), max(abs(y) - 2.25, 0.0)) - 0.25
+    assert found == pytest.approx(max(away, 0.0), abs=1e-12)
+
+
+def test_a_line_is_said_for_each_second():
+    said: list[str] = []
+    lines, onlooker = Lines(said.append), Onlooker(of_keys())
+    for tick in (0, 0, *range(12)):
+        lines.show(
+            onlooker.see(tick, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), 0.0, 0.1)
+        )
+    assert [line.partition(",")[0] for line in said] == ["time 0.0 s", "time 1.2 s", "time 2.1 s", "time 3.0 s"]
+
+
+def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():
+    console = Console(width=80, height=24, file=io.StringIO())
+    screen = Screen("mine", KEYS, console)
+    screen.waiting = "waiting for /ego/acceleration_command: nobody publishes on it, but messages arrive on /elsewhere"
+    awaited = Onlooker(of_keys()).see(
+        0, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), math.nan, math.nan
+    )
+    for said in ("arrive on /elsewhere", "hit. r: again"):
+        screen.show(awaited)
+        console.print(screen)
+        assert isinstance(console.file, io.StringIO)
+        lines = console.file.getvalue().splitlines()
+        assert 22 <= len(lines) <= 24
+        assert said in " ".join(line.strip() for line in lines)
+        assert KEYS in lines[-1]
+        console.file = io.StringIO()
+        screen.over = "hit. r: again"
+
+
+def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
+    one_line(skd_here("drive"), 2, "keys of a terminal", "--safe synthetic", "--ticks N")
+    done = skd_here("drive", "--ticks", "4", "--rate-factor", "100")
+    assert done.returncode == 0
+    assert [line.partition(",")[0] for line in done.stdout.splitlines()] == [
+        "time 0.0 s",
+        "time 1.2 s",
+        "timeout; 4 ticks",
+    ]
+    one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
+    one_line(skd_here("drive", "--ticks", "1", "--controller", "external"), 2, "add --graph")
+    one_line(skd_here("drive", "--ticks", "1", "--command-type", "twist"), 2, "add --graph")
+
+
+def test_on_a_terminal_one_walks_by_keys(here):
+    terminal = Terminal([sys.executable, "-m", "skd_evaluator", "drive", "--multiplier", "0.5"], PYTHONPATH=str(here))
+    terminal.wait_for("clearance 1")  # it has begun
+    assert "arrows or w a s d: walk" in terminal.text
+    terminal.press("\x1b[B")
+    ended = terminal.wait_for(r"(collision|arrived).* r: again").group(0)
+    terminal.press("r")
+    terminal.wait_for(r"time 0\.")
+    terminal.press("q")
+    assert terminal.finish() == 0
+    last = terminal.text.rstrip().splitlines()[-1].strip()
+    assert last in ended  # what has ended is said again, where it stays
+    assert re.fullmatch(r"(collision after [\d.]+ s at [\d.]+ m/s|arrived); \d+ ticks", last)

@@ -1,0 +1,194 @@
+"""The regulator's grids in the report of a campaign: which cells, which colours, what stands out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from skd_evaluator.assessing.library import assess
+from skd_evaluator.campaign.judge.static_tests import place_of
+from skd_evaluator.campaign.run.static_test import static_tests
+from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.subjects import Subject, read_subjects
+from skd_evaluator.report.ncap.of_results import views_of
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.errors import UsageError
+
+KMH = 1.0 / 3.6
+SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/campaign/assessment.schema.json"
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory) -> Subject:
+    """A small assessment on three of the seven places of a protocol."""
+    out = tmp_path_factory.mktemp("regulator") / "out"
+    assess(scenario="cpna", multiplier=1.25, safe="regulatory", safe_count=3, objective="deformation", margin_limit=0,
+           kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", workers=1, out=out)  # fmt: skip
+    (found,) = read_subjects([out])
+    return found
+
+
+@dataclass(frozen=True)
+class Found:
+    """A result of one impact place, as the view wants it."""
+
+    figures: dict[str, Any]
+    scenario: Scenario
+    margins: tuple[np.ndarray, ...]
+
+
+def found(
+    source: str,
+    speed: float,
+    place: float,
+    *,
+    touched: float = 0.0,
+    margin: float = 1.0,
+    car: str = "x:Y",
+    **changes: Any,
+) -> Found:
+    """Return a result at a test speed, km/h, whose car touches the target at a speed, km/h, if it does."""
+    scenario = changed_scenario(source, {"car.start_speed": speed * KMH, "protocol.impact_places": [place], **changes})
+    test = {
+        "place": place,
+        "touched": touched > 0.0,
+        "target": touched > 0.0,
+        "impact_speed": touched * KMH,
+        "speed_ahead": 0.0,
+        "fastest": speed * KMH,
+        "aborted": "",
+    }
+    figures = {
+        "static_tests": [test],
+        "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deformation": 2.0}],
+        "controller": car,
+        "multiplier": 1.0,
+        "eta_max": 5.0,
+        "margin_converged": True,
+        "margin_note": "",
+        "equivalent_multiplier_text": None,
+        **dict.fromkeys(("knowledge", "simulations", "maximum_distance", "options")),
+    }
+    return Found(figures, scenario, (np.array([margin, margin]),))
+
+
+def test_an_assessment_has_the_static_test_of_each_of_its_places(subject):
+    tests = subject.figures["static_tests"]
+    names = [str(row["name"]) for row in subject.figures["per_safe_trajectory"]]
+    assert [one["place"] for one in tests] == [place_of(name) for name in names]
+    by_hand = {one.place: one for one in static_tests(load_scenario("cpna"), CarUnderTest("basic", multiplier=1.25))}
+    assert len(tests) == 3 < len(by_hand)
+    for one in tests:
+        assert one["touched"] == by_hand[one["place"]].touched
+        assert one["impact_speed"] == by_hand[one["place"]].impact_speed
+    jsonschema.validate(dict(subject.figures), json.loads(SCHEMA.read_text(encoding="utf-8")))
+
+
+def test_the_page_has_the_grid_and_frames_what_is_narrow(subject):
+    page = render([subject])
+    assert '<section id="regulator"' in page
+    assert "This is not an official rating." in page
+    narrow = dataclasses.replace(subject)
+    narrow.__dict__["margins"] = tuple(np.array([0.1]) for _ in subject.margins)
+    shown = render([narrow])
+    green = sum(cell.colour == "green" for cell in views_of([narrow], 0.5)[0].grid.cells)
+    assert shown.count('class="green narrow"') == green > 0
+    assert "0.10 m !" in shown
+    figures = {key: value for key, value in subject.figures.items() if key != "static_tests"}
+    assert '<section id="regulator"' not in render([dataclasses.replace(subject, figures=figures)])
+
+
+def test_colours_are_those_of_the_matrix_at_each_speed():
+    """2026: hit at 5 km/h it is brown at 30 km/h, orange at 40, yellow from 50 on, and red below 30."""
+    hit = {20.0: "red", 30.0: "brown", 40.0: "orange", 50.0: "yellow", 60.0: "yellow"}
+    (view,) = views_of([found("cpna", speed, 50.0, touched=5.0) for speed in reversed(hit)], 0.5)
+    assert [(cell.speed, cell.colour) for cell in view.grid.cells] == list(hit.items())
+    assert [row.label for row in view.layout.rows] == ["20", "30", "40", "50", "60"]
+    (passed,) = views_of([found("cpna", 30.0, place, margin=0.05) for place in (25.0, 75.0)], 0.5)
+    assert [(cell.colour, cell.is_narrow(0.5)) for cell in passed.grid.cells] == [("green", True)] * 2
+    assert passed.layout.columns == ("25 %", "75 %")
+
+
+def test_each_car_and_encounter_has_a_grid_and_seeds_share_their_cells():
+    results = [found("cpna", 30.0, 50.0, margin=margin, car=car) for margin in (1.0, 3.0) for car in ("x:Y", "x:Z")]
+    views = views_of([*results, found("cpfa", 30.0, 50.0)], 0.5)
+    assert [(view.car, view.grid.encounter) for view in views] == [("x:Y", "cpna"), ("x:Z", "cpna"), ("x:Y", "cpfa")]
+    assert [len(view.grid.cells) for view in views] == [1, 1, 1]
+    assert views[0].grid.cells[0].margins == (1.0, 1.0, 3.0, 3.0)
+    assert views[0].grid.cells[0].margin == 2.0
+
+
+def test_columns_are_target_speeds_where_the_matrix_has_these():
+    place = load_scenario("ccftap").protocol.impact_places[0]
+    results = [found("ccftap", speed, place, touched=9.0, **{"protocol.speed": 45.0 * KMH}) for speed in (10.0, 20.0)]
+    (view,) = views_of([found("ccftap", 10.0, place), *results], 0.5)
+    assert view.layout.columns == ("30 km/h", "45 km/h")
+    assert [cell.colour for cell in view.grid.cells] == ["green", "red", "red"]
+
+
+@pytest.mark.parametrize(
+    ("result", "why"),
+    [
+        (found("cpna", 35.0, 50.0), "no test at 35 km/h"),
+        (found("cpna", 30.0, 100.0), "no impact place of 100 %"),
+        (found("cpna", 30.0, 50.0, **{"adversary.radius": 0.1}), "section adversary is not that of cpna"),
+        (found("cpna", 30.0, 50.0, **{"protocol.speed": 2.0}), "section protocol is not that of cpna"),
+        (found("cpna", 30.0, 50.0, **{"name": "mine"}), "none of the tests of 2026"),
+    ],
+)
+def test_what_is_no_test_has_no_colour_and_says_why(result, why):
+    (view,) = views_of([result], 0.5)
+    (cell,) = view.grid.cells
+    assert cell.colour == ""
+    assert why in cell.why
+    assert cell.margin == 1.0
+    assert any(why in line for line in view.reasons)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"impact_speed": 3.0},
+        {"target": True},
+        {"touched": True, "impact_speed": 30.0},
+        {"touched": True, "aborted": "a node was silent"},
+        {"colour": "green"},
+        {"place": "left"},
+    ],
+)
+def test_a_test_that_contradicts_itself_is_refused(subject, tmp_path, change):
+    folder = tmp_path / "forged"
+    shutil.copytree(subject.folder, folder)
+    path = folder / "assessment.json"
+    figures = json.loads(path.read_text(encoding="utf-8"))
+    untouched = {"touched": False, "target": False, "impact_speed": 0.0, "speed_ahead": 0.0}
+    figures["static_tests"][0] |= {**untouched, **change}
+    path.write_text(json.dumps(figures), encoding="utf-8")
+    (folder / "manifest.sha256").unlink()
+    with pytest.raises(UsageError, match="forged"):
+        read_subjects([folder])
+
+
+def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeypatch):
+    """It brakes nowhere, and raises where the car starts in the middle of its range, which no attempt does."""
+    (tmp_path / "fails_alone.py").write_text(
+        "class Car:\n"
+        "    def reset(self, scenario, rng): self.strict = scenario.car.start_gap_range == 0.0\n"
+        "    def command(self, car, adversary): return 1 / 0 if self.strict else 0.0\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deformation", margin_limit=0,
+                    kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", knowledge="nothing",
+                    workers=1)  # fmt: skip
+    (test,) = rating.static_tests
+    assert "ZeroDivisionError" in test["aborted"]
+    assert rating.as_dict()["hit_rate"] == 1.0

@@ -1,0 +1,81 @@
+"""CommonRoad's reactive planner as a car: it brakes and starts again, and keeps nothing but what the car keeps."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from skd_sim.controllers import Controller
+from skd_sim.encounter.road import HEADING_NORTH
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
+from skd_sim.state import AdversaryState, CarState
+
+pytest.importorskip(
+    "commonroad_rp", reason="commonroad-reactive-planner is not installed: examples/commonroad_planner/README.md"
+)
+
+from commonroad_planner import FULL_BRAKE, ReactivePlannerCar
+
+CROSSING = load_scenario("crossing")
+RNG = np.random.default_rng(0)
+NOBODY = AdversaryState(500.0, 0.0, 0.0, 0.0)
+
+
+def ready() -> ReactivePlannerCar:
+    car = ReactivePlannerCar()
+    assert isinstance(car, Controller)
+    car.reset(CROSSING, RNG)
+    return car
+
+
+def at(y: float, speed: float) -> CarState:
+    return CarState(0.0, y, HEADING_NORTH, speed)
+
+
+def test_on_a_free_road_it_keeps_the_speed_that_it_starts_with():
+    assert abs(ready().command(at(-16.0, CROSSING.car.start_speed), NOBODY)) < 0.1
+
+
+def test_it_brakes_for_who_will_be_in_its_way_and_not_for_who_will_be_gone():
+    driving = at(-16.0, CROSSING.car.start_speed)
+    assert ready().command(driving, AdversaryState(0.0, 0.0, 0.0, 0.0)) < -0.5
+    assert ready().command(driving, AdversaryState(1.2, 0.0, 2.5, 0.0)) > -0.3
+
+
+def test_it_stops_before_who_stands_and_drives_on_when_they_are_gone():
+    car, y, speed = ready(), -16.0, CROSSING.car.start_speed
+    for place in [AdversaryState(0.0, 0.0, 0.0, 0.0)] * 15 + [NOBODY] * 3:
+        command = car.command(at(y, speed), place)
+        after = max(0.0, speed + CROSSING.time_step * command)
+        y, speed = y + 0.5 * CROSSING.time_step * (speed + after), after
+        if place is not NOBODY:
+            assert y + CROSSING.car.front < -0.25 + 0.02  # it plans up to contact, and its accelerations are no steps
+            stopped = speed
+    assert stopped < 0.05
+    assert speed > 0.3
+
+
+def test_where_no_plan_is_free_it_brakes_fully():
+    assert ready().command(at(-3.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)) == -FULL_BRAKE
+
+
+def test_answers_do_not_depend_on_what_other_cars_were_asked():
+    """The planner is one for all cars of a process; copies that part ways answer as cars that were never copied."""
+    first, second = AdversaryState(-1.5, 0.0, 1.25, 0.0), AdversaryState(0.0, 1.0, 0.0, 0.0)
+    alone = []
+    for way in ((first, second), (first, first)):
+        car = ready()
+        alone.append([car.command(at(-12.0 + step, 7.0), place) for step, place in enumerate(way)])
+    car = ready()
+    assert car.command(at(-12.0, 7.0), first) == alone[0][0]
+    copies = copy.deepcopy(car), car
+    together = [one.command(at(-11.0, 7.0), place) for one, place in zip(copies, (second, first), strict=True)]
+    assert together == [alone[0][1], alone[1][1]]
+
+
+@pytest.mark.parametrize(("name", "says"), [("right_turn", "has curves"), ("ccrs", "predicts a disc.*is a car")])
+def test_what_it_cannot_drive_is_refused(name, says):
+    with pytest.raises(UsageError, match=says):
+        ReactivePlannerCar().reset(load_scenario(name), RNG)

@@ -1,0 +1,69 @@
+"""What of the adapter to MetaDrive needs no MetaDrive: its pedals' arithmetic, and what it says where there is none."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skd_sim.controllers import make_controller
+from skd_sim.errors import UsageError
+from skd_sim.simulation.metadrive.pedals import Measured, Pedals
+from skd_sim.simulation.named_simulator import make_simulator, repeats_itself
+
+PEDALS = Pedals(
+    tuple(Measured(one, -20.0 * min(one, 0.4) - 5.0 * max(0.0, one - 0.4)) for one in Pedals.BRAKES),
+    tuple(Measured(one, 2.5 * one) for one in Pedals.THROTTLES),
+    -0.3,
+)
+
+
+def test_limits_are_what_full_pedals_did() -> None:
+    assert tuple(PEDALS.limits) == pytest.approx((-11.0, 2.5))
+
+
+@given(st.floats(-11.0, 2.5))
+def test_an_acceleration_comes_back(acceleration: float) -> None:
+    pedal = PEDALS.pedal(acceleration)
+    assert -1.0 <= pedal <= 1.0
+    assert pedal != 0.0  # with no pedal at all MetaDrive's cars roll against a brake
+    assert PEDALS.acceleration(pedal) == pytest.approx(acceleration, abs=1e-4)
+
+
+@given(st.floats(-1.0, 1.0))
+def test_a_pedal_comes_back(pedal: float) -> None:
+    again = PEDALS.pedal(PEDALS.acceleration(pedal))
+    assert again == pytest.approx(pedal, abs=1e-5) or pedal == 0.0
+
+
+def test_coasting_is_no_pedal() -> None:
+    assert PEDALS.acceleration(0.0) == -0.3
+
+
+def test_more_brake_that_does_less_is_level() -> None:
+    less = Pedals((Measured(0.5, -8.0), Measured(1.0, -7.0)), (Measured(1.0, 2.0),), -0.3)
+    assert less.limits.least == -8.0
+    assert less.pedal(-8.0) >= -1.0
+    assert less.acceleration(-1.0) == -8.0
+    assert np.all(np.diff([less.acceleration(one) for one in np.linspace(-1.0, -1e-3, 50)]) >= 0.0)
+
+
+@pytest.mark.parametrize("version", [None, "0.3.0.1"])
+def test_without_metadrive_one_line_says_how_to_install_it(monkeypatch, version: str | None) -> None:
+    def found(name: str) -> str:
+        if version is None:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version
+
+    monkeypatch.setattr(importlib.metadata, "version", found)
+    for make in (
+        lambda: make_simulator("metadrive"),
+        lambda: repeats_itself("metadrive"),
+        lambda: make_controller("metadrive_expert"),
+    ):
+        with pytest.raises(UsageError, match=r'MetaDrive 0\.4\.3, and .*pip install -e "\.\[metadrive\]"') as error:
+            make()
+        assert "\n" not in str(error.value)
+        assert (version or "not installed") in str(error.value)
