@@ -12,9 +12,9 @@ from bag_tools import read_items
 from common import wait_until
 from rclpy.serialization import deserialize_message, serialize_message
 from skd_evaluator.bags.writer import RecordedMessage
-from skd_evaluator.ros import bags_behind
-from skd_evaluator.ros.bags_behind import BagsBehind
-from skd_evaluator.ros.recording import Recording, write_recording
+from skd_evaluator.ros.recording import bags_behind
+from skd_evaluator.ros.recording.bags_behind import BagsBehind
+from skd_evaluator.ros.recording.recording import Recording, write_recording
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.episode.episode import EpisodeLog
 from skd_sim.messages.command_messages import message_class

@@ -50,7 +50,6 @@ from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
-from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
 from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.live_figures import LiveFigures
 from skd_evaluator.ros.markers import episode_markers
@@ -60,7 +59,8 @@ from skd_evaluator.ros.readiness.readiness import Readiness
 from skd_evaluator.ros.readiness.receipts import ReceivedReceipts
 from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
-from skd_evaluator.ros.recording import Recording, write_recording
+from skd_evaluator.ros.recording.bag_recorder import SETTLE, BagRecorder
+from skd_evaluator.ros.recording.recording import Recording, write_recording
 
 _PLAIN = CommandOptions()
 _OPEN = Seal()

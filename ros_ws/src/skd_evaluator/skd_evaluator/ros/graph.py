@@ -14,8 +14,6 @@ from skd_sim.messages.seal import KEY_SIZE, Seal
 from skd_sim.nodes.composition.place import Place
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
-from skd_evaluator.ros.bag_recorder import SETTLE
-from skd_evaluator.ros.bags_behind import BagsBehind
 from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
@@ -24,6 +22,8 @@ from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATO
 from skd_evaluator.ros.programs.processes import Supervisor
 from skd_evaluator.ros.programs.programs import graph_programs
 from skd_evaluator.ros.readiness.lifecycle import resetting
+from skd_evaluator.ros.recording.bag_recorder import SETTLE
+from skd_evaluator.ros.recording.bags_behind import BagsBehind
 
 _CERTAIN = 1.0 / 3.0
 """Share of the time that a stack has to start after which commands that come elsewhere will not come here."""

@@ -18,7 +18,7 @@ from typing import IO
 
 from skd_sim.ros_environment import node_variables
 
-from skd_evaluator.ros.recording import Recording, write_recording
+from skd_evaluator.ros.recording.recording import Recording, write_recording
 
 _FROM = 8
 """Bags after which a process is worth its start."""
@@ -113,7 +113,7 @@ class BagsBehind:
 
 def _started() -> subprocess.Popen[bytes]:
     popen = subprocess.Popen(
-        [sys.executable, "-P", "-m", "skd_evaluator.ros.bags_behind"],
+        [sys.executable, "-P", "-m", "skd_evaluator.ros.recording.bags_behind"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -18,8 +18,8 @@ from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EPISODE, EPISOD
 
 from skd_evaluator.bags.writer import RecordedMessage
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
-from skd_evaluator.ros.recording import Recording
-from skd_evaluator.ros.scenery import Scenery
+from skd_evaluator.ros.recording.recording import Recording
+from skd_evaluator.ros.recording.scenery import Scenery
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
