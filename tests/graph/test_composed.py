@@ -45,12 +45,14 @@ HEARD = {
     support.ADVERSARY_ODOMETRY: Odometry,
     support.ACCELERATION_COMMAND: AccelStamped,
     support.VELOCITY_COMMAND: TwistStamped,
+    support.BELIEVED_CAR: Odometry,
     support.EPISODE_RESULT: EpisodeResult,
     support.EPISODE_RECEIPT: EpisodeReceipt,
     support.EPISODE: EpisodeMsg,
 }
 EVERY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RUNS, IDS = itertools.count(), itertools.count(1 << 20)
+_ANSWERS = (support.ACCELERATION_COMMAND, support.VELOCITY_COMMAND, support.BELIEVED_CAR)
 Told = dict[str, list[tuple[int, str]]]
 
 
@@ -158,7 +160,7 @@ def run(evaluator: Any, domain: int, bags: Path, episodes: list[Episode], begin:
 def answers(told: Told, topic: str) -> set[tuple[int, str]]:
     """Return what was said on a topic, but for answers to a last state, for which nobody waits."""
     ends = {time for name, said in told.items() if name.endswith(support.EPISODE_RESULT) for time, _ in said}
-    return {one for one in told[topic] if not (topic.endswith("_command") and one[0] in ends)}
+    return {one for one in told[topic] if not (topic.endswith(_ANSWERS) and one[0] in ends)}
 
 
 class Graph(NamedTuple):
