@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -10,20 +11,38 @@ from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.run.beside import Beside
+from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaign.store.results import ResultFolder, episode_summary, write_assessment, write_json
 
 
-def fill(folder: Path, rating: Rating) -> None:
-    """Write everything that an assessment leaves on disk."""
+def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
+    """Write everything that an assessment leaves on disk.
+
+    Args:
+        folder: folder that is filled.
+        rating: rating of the car.
+        may_fork: whether another process may draw some of the pictures: not where other threads run, as those of ROS 2.
+    """
     from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
 
-    write_assessment(folder, rating)
-    for name, assessment in picture_names(rating).items():
-        save_trajectories(folder / name, rating, assessment)
-    if rating.vulnerability is not None:
-        from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+    (name, first), *others = picture_names(rating).items()
 
-        save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
+    def draw_the_others() -> None:
+        for other, assessment in others:
+            save_trajectories(folder / other, rating, assessment)
+        if rating.vulnerability is not None:
+            from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+
+            save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
+
+    with ExitStack() as stack:
+        forks = may_fork and available_workers() > 1
+        beside = stack.enter_context(Beside(draw_the_others)) if forks else None
+        write_assessment(folder, rating)
+        save_trajectories(folder / name, rating, first)
+        if beside is None or not beside.wait():
+            draw_the_others()
 
 
 def picture_names(rating: Rating) -> dict[str, Assessment]:

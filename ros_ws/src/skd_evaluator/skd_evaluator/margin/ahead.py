@@ -6,15 +6,13 @@ compiled there comes by the cache on disk, as in any later run, so nothing of a 
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 from skd_sim.kernels.compiler.kernel_cache import is_kept
-from skd_sim.program.parent_death import end_with_parent
 
+from skd_evaluator.campaign.run.beside import Beside
 from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact_search import search_least_way
@@ -31,39 +29,20 @@ def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], Non
     Args:
         wanted: whether any margin is to be computed; if not, nothing is done.
     """
-    beside = _begun() if wanted and available_workers() > 1 and not is_kept(search_least_way) else None
+    with ExitStack() as stack:
+        beside: Beside | None = None
+        if wanted and available_workers() > 1 and not is_kept(search_least_way):
+            beside = stack.enter_context(Beside(_compile))
 
-    def load() -> None:
-        nonlocal beside
-        if beside is not None:
-            os.waitpid(beside, 0)  # however it ended: what it has not compiled is compiled here
-            beside = None
-        if wanted:
-            warm_up_margins()
+        def load() -> None:
+            if beside is not None:
+                beside.wait()  # however it ended: what it has not compiled is compiled here
+            if wanted:
+                warm_up_margins()
 
-    try:
         yield load
-    finally:
-        if beside is not None:
-            os.kill(beside, signal.SIGKILL)
-            os.waitpid(beside, 0)
 
 
-def _begun() -> int:
-    """Fork a process that compiles and ends; return its number."""
-    parent = os.getpid()
-    if child := os.fork():
-        return child
-    try:
-        end_with_parent()
-        if os.getppid() != parent:  # it has ended before that
-            return 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
-        null = os.open(os.devnull, os.O_WRONLY)
-        for stream in (1, 2):  # what goes wrong here goes wrong again in the process that says so
-            os.dup2(null, stream)
-        warm_up_margins()
-        discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))
-    finally:
-        os._exit(0)
+def _compile() -> None:
+    warm_up_margins()
+    discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))

@@ -212,13 +212,16 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
             raise
         return print_what_there_is(plan, safe, recorder, begin, arguments)
     rating = replace(rating, seconds=time.perf_counter() - begin)
-    problem = out.save(lambda folder: _write(folder, rating, arguments))
+    problem = out.save(lambda folder: _write(folder, rating, arguments, may_fork=True))
     return print_result(rating, out, arguments, gate, problem)
 
 
-def _write(folder: Path, rating: Rating, arguments: argparse.Namespace) -> None:
+def _write(folder: Path, rating: Rating, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
     """Write an assessment, with its pictures if they are asked for."""
-    (fill if arguments.pictures else write_assessment)(folder, rating)
+    if arguments.pictures:
+        fill(folder, rating, may_fork=may_fork)
+    else:
+        write_assessment(folder, rating)
 
 
 def further_of(arguments: argparse.Namespace) -> Further:
