@@ -1,14 +1,21 @@
-"""How fast the node graph is: four processes in lockstep, and where their time goes.
+"""How fast the node graph is: four nodes in lockstep, and where their time goes.
 
-    python benchmarks/graph.py [--episodes 60] [--part ticks|control|real_time] [--json]
+    python benchmarks/graph.py [--episodes 60] [--part ticks|control|composed|real_time] [--turns 3] [--json]
 
-Three parts, all by default.
+Four parts, all by default.
 
 *ticks*: kamikaze episodes plan at every tick (1000 simulations, the default); replay episodes only pass messages on, so
 a tick of theirs is transport alone. Planning is timed in process, over the same episodes; recording by running them
 again with a bag each. Ticks are timed where the evaluator sees them.
 
 *control*: lockstep with a car that decides every 0.02 s, and nobody but SKD's own nodes listening.
+
+*composed*: simulator and adversary in the evaluator's process against processes of their own, in turns. In each turn
+both graphs run kamikaze episodes and then the car that decides every 0.02 s, and the kamikaze episodes again with a bag
+each. Printed are, for an episode or a control period, how many a second and the processor time of all processes of
+the graph, which says less of a busy machine's others: medians over the turns, and the median, the least and the
+greatest of the turns' ratios. A graph that records warms up until bags are written behind the episodes, as they are in
+a campaign after its first ones.
 
 *real_time*: states at 100 Hz, scans of 1,441 beams at 20 Hz with a subscriber in a process of its own, at rate 1; a
 state is late when it arrives a control period or more after its time.
@@ -32,7 +39,7 @@ from typing import Any
 
 from skd_adversary.adversary import make_adversary
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.graph_options import COMPOSED, SEPARATE, GraphOptions
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
@@ -45,9 +52,11 @@ from skd_sim.state import CarState
 TARGET_EPISODES, TARGET_RECORDED = 50.0, 35.0  # kamikaze episodes per second
 TARGET_TICK = 1e-3  # s, median of a tick without planning
 TARGET_CONTROL = 300.0  # control periods per second of wall time, in lockstep
+TARGET_COMPOSED = {"kamikaze": 150.0, "kamikaze, recorded": 100.0, "control": 4000.0}  # 1/s, of a composed graph
 TARGET_LATE = 0.01  # share of states that come a control period late, at most
 WARM_UP = 5  # episodes
-PARTS = ("ticks", "control", "real_time")
+BEHIND = 300  # episodes, at most, until bags are written behind them
+PARTS = ("ticks", "control", "composed", "real_time")
 LISTENER = """
 import rclpy
 from rclpy.qos import qos_profile_sensor_data
@@ -170,6 +179,60 @@ def measure_control(episodes: int) -> dict[str, Any]:
     }
 
 
+def paces(
+    nodes: str, warm_up: list[Episode], kamikaze: list[Episode], control: list[Episode]
+) -> dict[str, tuple[float, float]]:
+    """Return, for graphs whose simulator and adversary run there, how many a second, and processor ms for each."""
+    found = {}
+    options = GraphOptions(nodes=nodes)
+    for recorded in (False, True):
+        with tempfile.TemporaryDirectory() as scratch:
+            bags = Path(scratch) / "bags" if recorded else None
+            with graph_session(
+                options, controller="basic", campaign="benchmark", log_folder=Path(scratch), record_to=bags
+            ) as evaluator:
+                watch = Watch(evaluator)
+                for number, episode in enumerate(warm_up):
+                    watch.run([episode])
+                    if evaluator._recorder._write.__self__._ready if recorded else number + 1 == WARM_UP:
+                        break
+                used = processor_seconds()
+                seconds, logs = watch.run(kamikaze)
+                pace = len(logs) / seconds, 1e3 * (processor_seconds() - used) / len(logs)
+                found["kamikaze, recorded" if recorded else "kamikaze"] = pace
+                if not recorded:
+                    watch.run(control[:1])
+                    used = processor_seconds()
+                    seconds, _ = watch.run(control[1:])
+                    periods = len(watch.ticks)
+                    found["control"] = periods / seconds, 1e3 * (processor_seconds() - used) / periods
+    return found
+
+
+def measure_composed(episodes: int, turns: int) -> dict[str, Any]:
+    """Composed against separate, in turns."""
+    plan = Plan(load_scenario("crossing"), safe_count=1)
+    safe = safe_trajectories(plan, InProcessRunner(1))[0]
+    attempts = [single_episode(plan, Mode.KAMIKAZE, attempt, safe) for attempt in range(BEHIND + episodes)]
+    batches = attempts[:BEHIND], attempts[BEHIND:], replays(episodes // 2 + 1, 0.02)
+    both = (SEPARATE, COMPOSED)
+    found = [{nodes: paces(nodes, *batches) for nodes in both} for _ in range(turns)]
+    result: dict[str, Any] = {"turns": turns}
+    for what in TARGET_COMPOSED:
+        result[what] = {}
+        for name, number in (("per_s", 0), ("processor_ms", 1)):
+            ratios = sorted(turn[COMPOSED][what][number] / turn[SEPARATE][what][number] for turn in found)
+            for nodes in both:
+                result[what][f"{name}_{nodes}"] = statistics.median(turn[nodes][what][number] for turn in found)
+            result[what][f"{name}_ratio"] = statistics.median(ratios)
+            result[what] |= {f"{name}_least": ratios[0], f"{name}_greatest": ratios[-1]}
+    met = {
+        f"{what} per second, composed": result[what][f"per_s_{COMPOSED}"] >= least
+        for what, least in TARGET_COMPOSED.items()
+    }
+    return {**result, "targets_met": met}
+
+
 def measure_real_time(episodes: int) -> dict[str, Any]:
     """Real time with states at 100 Hz and somebody who listens to scans at 20 Hz: how late states are."""
     period, scan_rate = 0.01, 20.0
@@ -269,6 +332,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=60, help="kamikaze episodes to measure (default 60)")
     parser.add_argument("--part", choices=PARTS, action="append", help="measure this only; can be given several times")
+    parser.add_argument("--turns", type=int, default=3, help="turns of composed and separate graphs (default 3)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     prepare_ros(GraphOptions())
@@ -278,10 +342,12 @@ def main() -> int:
         result = measure_ticks(arguments.episodes)
     if "control" in parts:
         result["control"] = measure_control(arguments.episodes)
+    if "composed" in parts:
+        result["composed"] = measure_composed(arguments.episodes, arguments.turns)
     if "real_time" in parts:
         result["real_time"] = measure_real_time(max(1, arguments.episodes // 6))
     met = dict(result.get("targets_met", {}))
-    for part in ("control", "real_time"):
+    for part in ("control", "composed", "real_time"):
         met |= result.get(part, {}).get("targets_met", {})
     if arguments.json:
         print(json.dumps(result, indent=2))
@@ -293,6 +359,9 @@ def main() -> int:
         for key in result[names[0]]:
             print(f"{key:28}" + "".join(f"{result[name][key]:21.2f}" for name in names))
         print("\nkamikaze, recorded: " + ", ".join(f"{name} {share:.0%}" for name, share in result["shares"].items()))
+    for what in TARGET_COMPOSED if "composed" in parts else ():
+        figures = result["composed"][what]
+        print(f"{what}: " + ", ".join(f"{name} {value:.4g}" for name, value in figures.items()))
     for part in ("control", "real_time"):
         figures = {name: value for name, value in result.get(part, {}).items() if name != "targets_met"}
         if figures:

@@ -131,7 +131,7 @@ def kill(pid: int, number: int) -> None:
 
 
 def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
-    with whole_graph(tmp_path) as (evaluator, token):
+    with whole_graph(tmp_path, GraphOptions(nodes="separate")) as (evaluator, token):
         assert_same_log(evaluator.run_episode(episode), expected)
         for node, number in (
             ("car_controller", signal.SIGTERM),

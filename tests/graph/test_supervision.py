@@ -42,7 +42,7 @@ def test_what_can_never_start_is_not_started_again_and_again(tmp_path: Path, pro
 
 
 def test_a_stopped_node_is_replaced(tmp_path: Path, episode: Episode, expected: EpisodeLog) -> None:
-    options = GraphOptions(command_timeout=30.0, startup_timeout=30.0)
+    options = GraphOptions(nodes="separate", command_timeout=30.0, startup_timeout=30.0)
     with whole_graph(tmp_path, options) as (evaluator, token):
         assert_same_log(evaluator.run_episode(episode), expected)
         for name in ("car_controller", "adversary", "vehicle_simulator"):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.node import Node
+from skd_msgs.msg import EpisodeResult
 from skd_sim.choices.frames import MAP_FRAME
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.road import HEADING_NORTH, road_pose
@@ -17,11 +18,13 @@ from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_car, write_velocity
 from skd_sim.messages.to_messages import car_to_odometry
+from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.support import (
     BELIEVED_CAR,
     EGO_ODOMETRY,
+    EPISODE_RESULT,
     STREAM,
     VELOCITY_COMMAND,
     Setting,
@@ -29,7 +32,6 @@ from skd_sim.nodes.support import (
     listen,
     run_node,
 )
-from skd_sim.program.secret import handed_secret
 from skd_sim.state import CarState
 
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
@@ -38,31 +40,26 @@ from skd_adversary.warm_up import warm_up_episodes
 _SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
 
 
-class AdversaryNode(Node):
+class AdversaryNode(ComposableNode):
     """Senses the car, through its sensor's noise, and answers with the velocity for the coming tick."""
 
-    def __init__(
-        self,
-        *,
-        context: Context | None = None,
-        seal: Seal | None = None,
-        make: Callable[[Episode], Adversary] | None = None,
-    ) -> None:
+    def __init__(self, place: Place | None = None, *, make: Callable[[Episode], Adversary] | None = None) -> None:
         """Declare parameters and topics.
 
         Args:
-            context: ROS context of the node; by default that of the process.
-            seal: opens what is announced; by default with the key that the process was handed.
+            place: where it runs; by default in a process of its own.
             make: makes the adversary of each episode; by default the one that the episode says, whose planner is
                 compiled first.
         """
-        super().__init__("adversary", context=context)
-        seal = Seal(handed_secret()) if seal is None else seal
+        place = place or Place.alone()
+        super().__init__("adversary", place)
+        seal = Seal(place.secret)
         settings = declare(self, _SETTINGS)
         if make is None and settings["warm_up"]:
             warm_up()
-        self._make = make_adversary if make is None else make
+        self._make = make
         self._adversary: Adversary | None = None
+        self._over = False
         self._next_tick = 0
         self._answer: tuple[int, bytes] | None = None
         self._command = self.create_publisher(TwistStamped, VELOCITY_COMMAND, STREAM)
@@ -73,16 +70,28 @@ class AdversaryNode(Node):
             self, lambda message: message_to_episode(seal.open(message)), self._on_begin, self._on_frame
         )
         listen(self, Odometry, EGO_ODOMETRY, read_car, self._follower.deliver)
+        if place.exchange is not None:  # on the wire a result comes when the last state is answered already
+            self.create_subscription(EpisodeResult, EPISODE_RESULT, self._on_result, STREAM)
 
     def _on_begin(self, episode: Episode) -> None:
-        self._adversary = self._make(episode)
+        self._adversary = (self._make or make_adversary)(episode)
         self._next_tick = 0
         self._answer = None
+        self._over = False
         self._receipts.send(episode, self._follower.announced)
 
+    def _on_result(self, result: Any) -> None:
+        start = self._follower.announced
+        if start is not None and (result.campaign, result.start) == (start.campaign, start.header.stamp):
+            self._over = True
+
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
-        if period:
-            return  # the car decides in between, the adversary does not
+        if not period:  # the car decides in between, the adversary does not
+            self.later(partial(self._decide, tick, stamp, car))
+
+    def _decide(self, tick: int, stamp: int, car: CarState) -> None:
+        if self._over:
+            return  # nobody waits for an answer to the last state
         if self._answer is not None and self._answer[0] == stamp:
             self._command.publish(self._answer[1])  # a tick repeated while other nodes start
             return

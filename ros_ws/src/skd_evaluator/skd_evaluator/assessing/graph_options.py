@@ -7,10 +7,14 @@ from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
-from skd_sim.choices.options import Lists, options_of
+from skd_sim.choices.options import Lists, Names, options_of
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.errors import UsageError
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
+COMPOSED, SEPARATE = "composed", "separate"
+OF_NO_RESULT = frozenset({"graphs", "nodes"})
+"""Options that change how long it takes, and no number of what comes out."""
 RESETS = (JUMP, INITIAL_POSE, LIFECYCLE, RESTART)
 
 
@@ -84,7 +88,15 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         commands=("assess", "probe"),
         launches=(),
     )
-
+    nodes: str = graph_option(
+        SEPARATE,
+        "where simulator and adversary run: separate (each in a process of its own), or composed (in the process of "
+        "the command, so that what they say to each other does not go through the network, which is faster). They are "
+        "separate anyway in real time, with a quiet time, with several graphs and with a simulator that is not SKD's",
+        choices=Names((COMPOSED, SEPARATE)),
+        launches=(),
+        commands=("assess", "episode", "probe"),
+    )
     open_episodes: bool = graph_option(
         False,
         "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "
@@ -103,6 +115,12 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     def answers_each_state(self) -> bool:
         """Whether every state certainly gets a command of its own."""
         return self.pacing == LOCKSTEP and self.quiet_time is None
+
+    def composes(self, simulator: str) -> bool:
+        """Return whether simulator and adversary share the evaluator's process, if that is a simulator's name."""
+        # Planning would keep a clock waiting, one graph another, and nobody knows what code of others does.
+        alone = self.graphs == 1 and is_own_world(simulator)
+        return self.nodes == COMPOSED and self.answers_each_state and alone
 
     def simulator_parameters(self) -> dict[str, Any]:
         """Return the parameters of the simulator's node by name."""

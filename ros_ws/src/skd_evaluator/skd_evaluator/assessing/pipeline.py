@@ -16,7 +16,7 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
@@ -83,7 +83,7 @@ def learned_plan(
     """
     how = None
     if graph is not None:
-        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name != "graphs"}
+        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
     command = None if graph is None else graph.controller_command
     return learned(plan, runner, progress, say=say, command=command, graph=how)
 

@@ -241,6 +241,7 @@ class Campaign:
             session = graphs_session(
                 replace(graph, graphs=graphs),
                 controller=cell.plan.controller,
+                simulator=cell.plan.simulator,
                 campaign=campaign_name(cell.plan.car),
                 log_folder=logs,
                 record_to=None,

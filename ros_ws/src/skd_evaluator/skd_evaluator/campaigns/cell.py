@@ -17,7 +17,7 @@ from skd_sim.inputs.outside import sha256_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.campaign.judge.held_kamikazes import BUDGETS, held_attempts
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
@@ -174,7 +174,9 @@ def _identity(
     files += [path for path in map(module_file, others) if path is not None]
     graph: dict[str, Any] = {}
     if values["graph"]:  # else these are of no effect
-        graph = {option.name: values[option.name] for option in options_of(GraphOptions) if option.name != "graphs"}
+        graph = {
+            option.name: values[option.name] for option in options_of(GraphOptions) if option.name not in OF_NO_RESULT
+        }
     return {
         **options,
         **{name: values[name] for name in further},

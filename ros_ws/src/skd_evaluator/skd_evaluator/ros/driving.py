@@ -10,7 +10,6 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from nav_msgs.msg import Odometry
-from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from skd_adversary.adversary import Adversary, make_adversary
@@ -20,8 +19,8 @@ from skd_sim.episode.command_ages import CommandAges
 from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.lockstep.commands import Quantity
 from skd_sim.messages.command_messages import car_commands
-from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary
+from skd_sim.nodes.composition.place import Place
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.support import ADVERSARY_ODOMETRY, listen
 from skd_sim.state import AdversaryState, CarState
@@ -38,12 +37,11 @@ _FAREWELL = 2.0  # s for the node's thread to end
 class DrivingNode(AdversaryNode):
     """The adversary's node, moved by a hand or along φ; it shows each state of the car as it comes."""
 
-    def __init__(self, context: Context, seal: Seal, commands: CommandOptions, hand_for: HandFor, show: Show) -> None:
+    def __init__(self, place: Place, commands: CommandOptions, hand_for: HandFor, show: Show) -> None:
         """Declare its topics.
 
         Args:
-            context: ROS context of the graph.
-            seal: opens what is announced.
+            place: where it runs.
             commands: what the car under test publishes.
             hand_for: gives who moves the adversary.
             show: called with each situation.
@@ -52,10 +50,10 @@ class DrivingNode(AdversaryNode):
         def make(episode: Episode) -> Adversary:
             return hand_for(episode) or make_adversary(episode)
 
-        super().__init__(context=context, seal=seal, make=make)
+        super().__init__(place, make=make)
         heard = car_commands(commands)
         self._show, self._unit = show, _UNITS[heard.format.quantity]
-        self._place = (-1, -1)
+        self._moment = (-1, -1)
         self._seen: dict[int, tuple[int, int, CarState]] = {}
         self._there: dict[int, AdversaryState] = {}
         self._ages = CommandAges(waited_for=False)
@@ -66,7 +64,7 @@ class DrivingNode(AdversaryNode):
 
     def _on_begin(self, episode: Episode) -> None:
         super()._on_begin(episode)
-        self._onlooker, self._place = Onlooker(episode, self._unit), (-1, -1)
+        self._onlooker, self._moment = Onlooker(episode, self._unit), (-1, -1)
         self._seen.clear()
         self._there.clear()
         self._ages.begin()
@@ -75,9 +73,9 @@ class DrivingNode(AdversaryNode):
     def _on_frame(self, tick: int, period: int, stamp: int, car: CarState) -> None:
         super()._on_frame(tick, period, stamp, car)
         now = time.monotonic()
-        if not math.isnan(self._drive) and (tick, period) != self._place:
+        if not math.isnan(self._drive) and (tick, period) != self._moment:
             self._ages.use(now)
-        self._place = tick, period
+        self._moment = tick, period
         self._ages.publish(stamp, now)
         self._seen[stamp] = tick, period, car
         self._look(stamp)
@@ -87,7 +85,7 @@ class DrivingNode(AdversaryNode):
         self._look(stamp)
 
     def _on_drive(self, stamp: int | None, command: tuple[float, float]) -> None:
-        if self._place != (-1, -1):
+        if self._moment != (-1, -1):
             self._drive = command[0]
             self._ages.come(stamp or None, time.monotonic())
 
@@ -119,9 +117,9 @@ class Watched:
         self._evaluator: Evaluator | None = None
 
     @contextmanager
-    def adversary(self, context: Context, seal: Seal) -> Iterator[Node]:
-        """Run the adversary's node in a thread, as long as this lasts, and yield it."""
-        node = DrivingNode(context, seal, self._commands, self._hand_for, self._show)
+    def adversary(self, place: Place) -> Iterator[Node]:
+        """Run the adversary's node at a place, in a thread, as long as this lasts, and yield it."""
+        node = DrivingNode(place, self._commands, self._hand_for, self._show)
         over = threading.Event()
         thread = threading.Thread(target=_spin, args=(node, over), name="skd-drive", daemon=True)
         thread.start()

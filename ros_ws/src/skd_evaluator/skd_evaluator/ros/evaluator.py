@@ -12,7 +12,6 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
@@ -29,6 +28,7 @@ from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.messages.to_messages import episode_to_message
 from skd_sim.nodes.command_search import kind_name
+from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.nodes.support import (
     ADVERSARY_ODOMETRY,
@@ -50,7 +50,7 @@ from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
-from skd_evaluator.ros.bag_recorder import SETTLE, BagRecorder
+from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.live_figures import LiveFigures
 from skd_evaluator.ros.markers import episode_markers
 from skd_evaluator.ros.readiness.failures import Failures
@@ -59,6 +59,8 @@ from skd_evaluator.ros.readiness.readiness import Readiness
 from skd_evaluator.ros.readiness.receipts import ReceivedReceipts
 from skd_evaluator.ros.readiness.simulator_check import OneSimulator, refuted
 from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
+from skd_evaluator.ros.recording.bag_recorder import SETTLE, BagRecorder
+from skd_evaluator.ros.recording.recording import Recording, write_recording
 
 _PLAIN = CommandOptions()
 _OPEN = Seal()
@@ -79,7 +81,7 @@ def _stamped(command: tuple[int | None, Any]) -> tuple[int, Any]:
     return command[0] or 0, command[1]
 
 
-class Evaluator(Node):
+class Evaluator(ComposableNode):
     """Runs episodes through the graph; an `EpisodeRunner`.
 
     Attributes:
@@ -87,14 +89,17 @@ class Evaluator(Node):
         readiness: whether the stack is ready for the next episode, from `begin_campaign` on.
     """
 
-    def __init__(self, context: Context | None = None, name: str = "evaluator") -> None:
+    def __init__(
+        self, context: Context | None = None, name: str = "evaluator", composed: Composed | None = None
+    ) -> None:
         """Make the topics on which it speaks; it listens from `begin_campaign` on.
 
         Args:
             context: ROS context of the graph; by default that of the process.
             name: name of the node; several nodes in one process need different names.
+            composed: the nodes with which it shares its process, if there are any.
         """
-        super().__init__(name, context=context)
+        super().__init__(name, Place(context=context, exchange=composed.exchange if composed else None))
         self._next_start = NANOSECONDS
         self._samples = Samples()
         self._result: tuple[Result, int] | None = None
@@ -103,7 +108,9 @@ class Evaluator(Node):
         self._recorder: BagRecorder | None = None
         self._looked = 0.0
         self._streams: list[Any] = []
-        self._spinner = LockstepExecutor(self)
+        self._spinner = LockstepExecutor(self, composed.exchange.deliver) if composed else LockstepExecutor(self)
+        for other in composed.nodes if composed else ():
+            self._spinner.add_node(other)
         self._episode_publisher = self.create_publisher(EpisodeMsg, EPISODE, LATCHED)
         self._assessment_publisher = self.create_publisher(AssessmentMsg, ASSESSMENT, LATCHED)
         self._marker_publisher = self.create_publisher(MarkerArray, MARKERS, LATCHED)
@@ -124,6 +131,7 @@ class Evaluator(Node):
         seal: Seal = _OPEN,
         anew: bool = False,
         settle: float = SETTLE,
+        write: Callable[[Recording], None] = write_recording,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
         patience: float = math.inf,
@@ -144,6 +152,7 @@ class Evaluator(Node):
             anew: whether the car under test is started anew for each episode, so that each is like a first one.
             settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
                 there is certainly one of each tick, short where a node sends them when it likes.
+            write: writes what was recorded of an episode, now or behind it.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
             patience: s after which a stack that sends its commands elsewhere, or so that they are not taken, ends the
@@ -175,7 +184,9 @@ class Evaluator(Node):
             self._listen(CLOCK, Clock, read_clock)
             self._listen(drive_topic, driven.kind, lambda data: _stamped(driven.read(data)))
             self._listen(walk_topic, TwistStamped, read_linear)
-            self._recorder = BagRecorder(self, record_to, drive_topic, walk_topic, own_world=own_world, patience=settle)
+            self._recorder = BagRecorder(
+                self, record_to, drive_topic, walk_topic, own_world=own_world, patience=settle, write=write
+            )
             if own_world:  # another simulator need not publish any
                 self._streams.append(self._recorder.scenery.transforms)
 
@@ -286,6 +297,7 @@ class Evaluator(Node):
         start = self._next_start
         self._key = EpisodeKey(self._campaign, episode.episode_id, start)
         latest_end = tick_stamp(start, episode.scenario.ticks, episode.scenario.time_step)
+        self._next_start = next_start(latest_end)  # also where an error ends this one
         self._episode = episode
         self._samples.clear()
         self._figures.begin(episode, start, with_phi=self._seal.is_open)
@@ -296,11 +308,11 @@ class Evaluator(Node):
         message = self._seal.shut(specification)
         self._heard = self._published = time.monotonic()
         if hindrance is None:
-            self._announcer.announce(message)
+            announcement = self._announcer.announce(message)
             self._receipts.begin(episode, self._campaign, start)
-            self._episode_publisher.publish(message)
+            self._episode_publisher.publish(announcement)
             self._first_commands.begin(start)
-            problem = self._wait(episode, start, message)
+            problem = self._wait(episode, start, announcement)
             self._first_commands.end()
         else:
             problem = hindrance
@@ -348,7 +360,7 @@ class Evaluator(Node):
             ticks += 1
         return ticks
 
-    def _wait(self, episode: Episode, start: int, message: Any) -> str:
+    def _wait(self, episode: Episode, start: int, announcement: bytes) -> str:
         """Return when the result and all that belongs to it are here, or, with the reason, when they cannot come."""
         self._simulator.require()
         self._require_one_evaluator()
@@ -371,7 +383,7 @@ class Evaluator(Node):
                 self._first_commands.look(state_came=bool(self._samples.car))
                 if now - self._published > _REPEAT:
                     self._published = now
-                    self._episode_publisher.publish(message)
+                    self._episode_publisher.publish(announcement)
             problem = self._look_after_processes() or self._simulator.foreign_sender()
             self._simulator.require()
             if problem is None and self._result is not None and now - max(self._heard, self._ended) > _LOST:

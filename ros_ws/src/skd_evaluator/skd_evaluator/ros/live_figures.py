@@ -6,7 +6,7 @@ Standard messages of one number each. What tells φ is published only where ever
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
 
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -66,7 +66,7 @@ class LiveFigures:
             self._deformation.publish(Float64(data=seen.strayed))
 
 
-def recorded_figures(log: EpisodeLog, start: int, names: dict[str, Any]) -> list[RecordedMessage]:
+def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> list[RecordedMessage]:
     """Return the figures of an episode for its recording.
 
     Args:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.simulators import WORLD
 from skd_sim.episode.aborts import counts_in_words
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import command_format
@@ -62,6 +63,7 @@ def graph_session(
     options: GraphOptions,
     *,
     controller: str,
+    simulator: str = WORLD,
     campaign: str,
     log_folder: Path,
     record_to: Path | None,
@@ -73,6 +75,7 @@ def graph_session(
     Args:
         options: how to run it.
         controller: name of the car under test, as in `Plan`.
+        simulator: name of the simulator, likewise.
         campaign: name of the campaign.
         log_folder: folder for the processes' output.
         record_to: folder for one bag per episode; none: do not record.
@@ -87,7 +90,7 @@ def graph_session(
 
     domain = choose_domain()
     say = say or _say
-    setting = GraphSetting(options, controller, campaign, record_to, say, watched)
+    setting = GraphSetting(options, controller, simulator, campaign, record_to, say, watched)
     with running_graph(setting, domain, log_folder) as evaluator:
         if CarUnderTest(controller).is_external and not options.controller_command:
             _say_what_is_awaited(evaluator, options.command_topic, domain, say)
@@ -100,6 +103,7 @@ def graphs_session(
     options: GraphOptions,
     *,
     controller: str,
+    simulator: str = WORLD,
     campaign: str,
     log_folder: Path,
     record_to: Path | None,
@@ -107,7 +111,12 @@ def graphs_session(
     """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
     if options.graphs == 1:
         with graph_session(
-            options, controller=controller, campaign=campaign, log_folder=log_folder, record_to=record_to
+            options,
+            controller=controller,
+            simulator=simulator,
+            campaign=campaign,
+            log_folder=log_folder,
+            record_to=record_to,
         ) as evaluator:
             yield evaluator
         return
@@ -117,7 +126,7 @@ def graphs_session(
     domains = [choose_domain()]
     while len(domains) < options.graphs:
         domains.append(free_domain(domains))
-    setting = GraphSetting(options, controller, campaign, record_to, without_echo(_say))
+    setting = GraphSetting(options, controller, simulator, campaign, record_to, without_echo(_say))
     failures = Failures(_say, log_folder)
     make = partial(_graph_of_pool, setting, domains, log_folder)
     with (

@@ -12,6 +12,7 @@ import copy
 import hashlib
 import hmac
 import os
+from array import array
 from typing import Any, Final
 
 from cryptography.exceptions import InvalidTag
@@ -49,7 +50,8 @@ class Seal:
         for field in _PLAIN:
             setattr(shut, field, copy.copy(getattr(message, field)))
         nonce = os.urandom(_NONCE_SIZE)
-        shut.sealed = nonce + self._cipher.encrypt(nonce, serialize_message(message), None)
+        # As an array: of any other sequence rosidl's own check looks at each byte.
+        shut.sealed = array("B", nonce + self._cipher.encrypt(nonce, serialize_message(message), None))
         return shut
 
     def open(self, message: Any) -> Any:

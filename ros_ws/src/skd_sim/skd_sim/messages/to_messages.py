@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from array import array
@@ -16,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from skd_sim.choices.frames import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames
 from skd_sim.choices.options import options_of, options_to_text
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import controller_seed
 from skd_sim.episode.stamps import NANOSECONDS
@@ -169,6 +171,12 @@ def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
     return message
 
 
+@functools.lru_cache(maxsize=64)
+def _scenario_text(scenario: Scenario) -> str:
+    """Return a scenario as text; a campaign has the same one over and over."""
+    return json.dumps(scenario.as_dict())
+
+
 def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMsg:
     """Return the message of an episode that starts at `start` (ns)."""
     message = EpisodeMsg()
@@ -179,7 +187,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.seed = episode.seed
     message.mode = int(episode.mode)
     message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
-    message.scenario = json.dumps(episode.scenario.as_dict())
+    message.scenario = _scenario_text(episode.scenario)
     for one in options_of(Episode):
         if one.field:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))

@@ -16,6 +16,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 _LONGEST_WAIT = 0.05  # s, for a signal may come unseen; an idle node then looks at services and events
 _LOOK_PERIOD = 0.5  # s between such looks of a busy one
@@ -25,13 +26,19 @@ _NANOSECONDS = 1_000_000_000
 
 
 class LockstepExecutor(SingleThreadedExecutor):
-    """Runs the callbacks of one node in the thread that spins; none of them may be a coroutine."""
+    """Runs the callbacks of nodes in the thread that spins; none of them may be a coroutine."""
 
-    def __init__(self, node: Node) -> None:
-        """Take a node; it may get and lose subscriptions and timers at any time."""
+    def __init__(self, node: Node, deliver: Callable[[], bool] = lambda: False) -> None:
+        """Take a node, which may get and lose subscriptions and timers at any time; `add_node` takes more.
+
+        Args:
+            node: the first node.
+            deliver: hands over what the nodes say to each other by a call; returns whether there was anything.
+        """
         super().__init__(context=node.context)
         self._stale = True
-        self._node = node
+        self._members: list[Node] = []
+        self._deliver = deliver
         self._subscriptions: list[Any] = []
         self._timers: list[Any] = []
         self._wait_set: Any = None
@@ -39,6 +46,12 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._left: list[Any] = []
         self._looked = 0.0
         self.add_node(node)
+
+    def add_node(self, node: Node) -> bool:
+        """Take another node of the same context."""
+        self._members.append(node)
+        self._stale = True
+        return bool(super().add_node(node))
 
     def leave(self, subscription: Any) -> None:
         """Look at a subscription only with everything else, and when `take` is called: each that waits costs time."""
@@ -51,6 +64,9 @@ class LockstepExecutor(SingleThreadedExecutor):
         Raises:
             ExternalShutdownException: the context is shut down.
         """
+        self._deliver()
+        if not isinstance(subscription, Subscription):
+            return  # what comes by a call has come
         with self._ended_context(), subscription.handle:
             while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 subscription.callback(taken[0])
@@ -73,7 +89,7 @@ class LockstepExecutor(SingleThreadedExecutor):
             self._let_go()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Release the node and the wait set."""
+        """Release the nodes and the wait set."""
         self._let_go()
         return bool(super().shutdown(timeout_sec))
 
@@ -130,11 +146,11 @@ class LockstepExecutor(SingleThreadedExecutor):
             raise ExternalShutdownException
 
     def _collect(self) -> None:
-        """Make the wait set of what the node has now, and see that none of it is destroyed while it is in use."""
+        """Make the wait set of what the nodes have now, and see that none of it is destroyed while it is in use."""
         self._let_go()
         self._stale = False
-        self._subscriptions = [one for one in self._node.subscriptions if one not in self._left]
-        self._timers = list(self._node.timers)
+        self._subscriptions = [one for node in self._members for one in node.subscriptions if one not in self._left]
+        self._timers = [timer for node in self._members for timer in node.timers]
         counts = len(self._subscriptions), 2, len(self._timers), 0, 0, 0
         self._wait_set = rclpy_implementation.WaitSet(*counts, self._context.handle)
         handles = [entity.handle for entity in (*self._subscriptions, *self._timers, self._guard, self._sigint_gc)]
@@ -148,13 +164,14 @@ class LockstepExecutor(SingleThreadedExecutor):
 
     def _run_what_is_ready(self) -> bool:
         """Run all that is ready, one message of each topic at a time; return whether there was anything."""
-        any_ran = False
+        any_ran = self._deliver()
         for timer in self._timers:
             if self._stale:
                 return any_ran
             if timer.handle.is_timer_ready():
                 timer.handle.call_timer()
                 timer.callback()
+                self._deliver()
                 any_ran = True
         for _ in range(_ROUNDS):
             took = False
@@ -164,6 +181,7 @@ class LockstepExecutor(SingleThreadedExecutor):
                 taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                 if taken is not None:
                     subscription.callback(taken[0])
+                    self._deliver()
                     took = any_ran = True
             if not took:
                 break

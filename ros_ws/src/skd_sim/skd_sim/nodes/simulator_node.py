@@ -14,7 +14,6 @@ from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
@@ -34,6 +33,7 @@ from skd_sim.messages.from_messages import from_stamp, message_to_episode
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_linear
 from skd_sim.messages.to_messages import to_stamp
+from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.initial_pose import InitialPose
 from skd_sim.nodes.receipts import Receipts
 from skd_sim.nodes.state_publisher import StatePublisher
@@ -49,7 +49,6 @@ from skd_sim.nodes.support import (
     settings_of,
 )
 from skd_sim.nodes.topic_senders import TopicSenders
-from skd_sim.program.secret import handed_secret
 from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError, require_others
 from skd_sim.simulation.world import Contact
 
@@ -59,7 +58,7 @@ SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 _WATCH_PERIOD = 0.05  # s of wall time
 
 
-class SimulatorNode(Node):
+class SimulatorNode(ComposableNode):
     """Ground truth of the graph; one episode at a time."""
 
     def __init__(
@@ -69,6 +68,7 @@ class SimulatorNode(Node):
         settings: Sequence[Setting] = SIMULATOR_SETTINGS,
         *,
         clock: bool = True,
+        place: Place | None = None,
     ) -> None:
         """Declare parameters and topics, make the simulator; then wait for an episode.
 
@@ -77,14 +77,16 @@ class SimulatorNode(Node):
             make: makes the simulator from the values of all parameters.
             settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
             clock: whether it publishes `/clock`; a simulator may do so itself.
+            place: where it runs; by default in a process of its own.
         """
-        super().__init__(name)
+        place = place or Place.alone()
+        super().__init__(name, place)
         self._settings = declare(self, settings)
         self._name = name
         self._simulator = make(self._settings)
         self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
         self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
-        self._seal = Seal(handed_secret())
+        self._seal = Seal(place.secret)
         self._receipts = Receipts(self, self._seal, "skd_sim")
         self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
         self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)

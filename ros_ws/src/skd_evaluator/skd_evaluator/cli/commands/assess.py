@@ -250,6 +250,7 @@ def _assess_graph(
         session = graphs_session(
             graph_options(arguments),
             controller=plan.controller,
+            simulator=plan.simulator,
             campaign=campaign_name(plan.car),
             log_folder=scratch.logs,
             record_to=scratch.folder / "bags" if arguments.record else None,

@@ -46,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         session = graph_session(
             graph_options(arguments),
             controller=plan.controller,
+            simulator=plan.simulator,
             campaign=campaign_name(plan.car),
             log_folder=scratch.logs,
             record_to=scratch.folder / "bags",

@@ -18,7 +18,7 @@ from skd_evaluator.ros.programs.processes import Program, python_node, ros_param
 
 
 def graph_programs(
-    options: GraphOptions, controller: str, environment: Mapping[str, str], secret: bytes
+    options: GraphOptions, controller: str, environment: Mapping[str, str], secret: bytes | None
 ) -> dict[str, Program]:
     """Return the graph's processes, beside the evaluator's own.
 
@@ -26,17 +26,18 @@ def graph_programs(
         options: how to run the graph.
         controller: name of the car under test.
         environment: variables that they inherit.
-        secret: that simulator and adversary are handed.
+        secret: that simulator and adversary are handed; None: they are none of these processes.
 
     Raises:
         UsageError: the controller's command is no command line.
     """
     simulator = options.simulator_parameters()
     ours = node_variables(environment)
-    programs = {
-        SIMULATOR: Program(python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator)), ours, secret),
-        ADVERSARY: Program(python_node("skd_adversary.start", "adversary"), ours, secret),
-    }
+    programs = {}
+    if secret is not None:
+        command = python_node("skd_sim.start", "vehicle_simulator", *ros_parameters(simulator))
+        programs[SIMULATOR] = Program(command, ours, secret)
+        programs[ADVERSARY] = Program(python_node("skd_adversary.start", "adversary"), ours, secret)
     if not CarUnderTest(controller).is_external:
         programs[CONTROLLER] = Program(python_node("skd_sim.start", "car_controller"), ours)
     elif options.controller_command:

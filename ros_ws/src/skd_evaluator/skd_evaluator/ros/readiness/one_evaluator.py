@@ -11,6 +11,7 @@ from collections import deque
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.nodes.publishers import living_publishers, publisher_names
 from skd_sim.nodes.support import EPISODE, LATCHED
@@ -36,14 +37,24 @@ class OneEvaluator:
         """
         self._node, self._campaign = node, campaign
         self._own: deque[Any] = deque(maxlen=_REMEMBERED)
+        self._own_bytes: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._foreign: deque[Any] = deque(maxlen=_REMEMBERED)
-        self.subscription = node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
+        self.subscription = node.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED, raw=True)
 
-    def announce(self, message: Any) -> None:
-        """Note what the evaluator is about to announce."""
+    def announce(self, message: Any) -> bytes:
+        """Note what the evaluator is about to announce, and return the bytes that it has to publish for that.
+
+        What is between fields is left to chance by whoever makes bytes of a message.
+        """
+        data = bytes(serialize_message(message))
         self._own.append(message)
+        self._own_bytes.append(data)
+        return data
 
-    def _on_episode(self, message: Any) -> None:
+    def _on_episode(self, data: bytes) -> None:
+        if bytes(data) in self._own_bytes:
+            return
+        message = deserialize_message(data, EpisodeMsg)
         if message.campaign == self._campaign and message not in self._own:
             self._foreign.append(message)
 

@@ -100,6 +100,7 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
         session = graphs_session(
             graph_options(arguments),
             controller=car.controller,
+            simulator=arguments.simulator,
             campaign=f"probe-{campaign_name(car)}",
             log_folder=scratch.logs,
             record_to=scratch.folder / "bags",

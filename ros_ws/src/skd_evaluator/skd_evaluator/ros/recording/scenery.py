@@ -1,29 +1,23 @@
-"""What a bag holds so that RViz and Foxglove replay it as it was seen: transforms, the car's looks, markers.
+"""What a bag holds so that RViz and Foxglove replay it as it was seen: transforms and the car's looks.
 
-Nothing of it is needed to compute anything. Transforms and looks are those that were heard, of whoever sent them; what
-is latched is in every bag, at the episode's start. Markers and figures are made when the bag is written.
+Nothing of it is needed to compute anything. They are those that were heard, of whoever sent them; what is latched is in
+every bag, at the episode's start. Markers and figures are made when the bag is written (`recording`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from skd_sim.episode.episode import EpisodeLog
-from skd_sim.episode.stamps import tick_stamp
 from skd_sim.messages.stream_cdr import CdrError, read_transforms
-from skd_sim.nodes.support import CLEARANCE, DEFORMATION, MARKERS, ROBOT_DESCRIPTION, STREAM, TF, TF_STATIC
+from skd_sim.nodes.support import ROBOT_DESCRIPTION, STREAM, TF, TF_STATIC
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.bags.writer import RecordedMessage
-from skd_evaluator.ros.live_figures import recorded_figures
-from skd_evaluator.ros.markers import fixed_markers, moving_markers
 
 # As tf2 listens: each of several nodes may have latched transforms of its own.
 _LATCHED = QoSProfile(
@@ -32,8 +26,6 @@ _LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-
-_TOPICS = (TF, TF_STATIC, ROBOT_DESCRIPTION, MARKERS, CLEARANCE, DEFORMATION)
 
 
 class Scenery:
@@ -54,7 +46,7 @@ class Scenery:
             log_time: returns the simulation time (ns) at which a message with a stamp (ns) is logged, or none.
         """
         self._keep, self._log_time = keep, log_time
-        self._names = {topic: node.resolve_topic_name(topic) for topic in _TOPICS}
+        self._names = {topic: node.resolve_topic_name(topic) for topic in (TF, TF_STATIC, ROBOT_DESCRIPTION)}
         self._fixed: dict[str, Any] = {}
         self._description: bytes | None = None
         self.transforms = node.create_subscription(TFMessage, TF, self._on_transforms, STREAM, raw=True)
@@ -75,8 +67,8 @@ class Scenery:
     def _on_description(self, data: bytes) -> None:
         self._description = bytes(data)
 
-    def messages(self, log: EpisodeLog, start: int) -> list[RecordedMessage]:
-        """Return what was latched when an episode started at `start` (ns), its markers and its figures."""
+    def latched(self, start: int) -> list[RecordedMessage]:
+        """Return what was latched when an episode started at `start` (ns)."""
         found = []
         if self._fixed:
             fixed = serialize_message(TFMessage(transforms=list(self._fixed.values())))
@@ -85,19 +77,4 @@ class Scenery:
             found.append(
                 RecordedMessage(self._names[ROBOT_DESCRIPTION], String, start, self._description, latched=True)
             )
-        return [*found, *self._markers(log, start), *recorded_figures(log, start, self._names)]
-
-    def _markers(self, log: EpisodeLog, start: int) -> list[RecordedMessage]:
-        episode, found = log.episode, []
-        walked = [(float(x), float(y)) for x, y in log.adversary]
-        for tick, car in enumerate(log.car):
-            stamp = tick_stamp(start, tick, episode.scenario.time_step)
-            place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None
-            markers = moving_markers(
-                episode.scenario, place, walked[: tick + 1], tick * episode.scenario.time_step, stamp
-            )
-            if not tick:
-                markers = [*fixed_markers(episode, stamp), *markers]
-            data = serialize_message(MarkerArray(markers=markers))
-            found.append(RecordedMessage(self._names[MARKERS], MarkerArray, stamp, data, latched=True))
         return found

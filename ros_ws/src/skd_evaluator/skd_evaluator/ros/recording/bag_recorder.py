@@ -14,11 +14,12 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.support import CLOCK, EPISODE, EPISODE_RESULT, TF
+from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EPISODE, EPISODE_RESULT, MARKERS, TF
 
-from skd_evaluator.bags.writer import RecordedMessage, write_bag
+from skd_evaluator.bags.writer import RecordedMessage
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
-from skd_evaluator.ros.scenery import Scenery
+from skd_evaluator.ros.recording.recording import Recording
+from skd_evaluator.ros.recording.scenery import Scenery
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
@@ -32,7 +33,15 @@ class BagRecorder:
     """
 
     def __init__(
-        self, node: Node, folder: Path, drive_topic: str, walk_topic: str, *, own_world: bool, patience: float
+        self,
+        node: Node,
+        folder: Path,
+        drive_topic: str,
+        walk_topic: str,
+        *,
+        own_world: bool,
+        patience: float,
+        write: Callable[[Recording], None],
     ) -> None:
         """Record nothing yet.
 
@@ -43,12 +52,14 @@ class BagRecorder:
             walk_topic: topic of the adversary's commands, resolved.
             own_world: whether the simulator is SKD's own, and so publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
+            write: writes a recording, or has it written.
         """
         self._node = node
         self._folder = folder
         self._drive_topic, self._walk_topic = drive_topic, walk_topic
         self._own_world = own_world
         self._patience = patience
+        self._write = write
         self._messages: list[RecordedMessage] = []
         self._key = EpisodeKey("", -1, 0)
         self._now = self._latest_end = 0
@@ -125,7 +136,7 @@ class BagRecorder:
             listen(SETTLE)
 
     def write(self, specification: Any, log: EpisodeLog, result: Result, end: int, *, unsaid: bool) -> None:
-        """Write the bag of the episode.
+        """Write the bag of the episode, or have it written.
 
         Args:
             specification: the message that began the episode.
@@ -140,7 +151,7 @@ class BagRecorder:
             said = " and ".join(lacking)
             self._node.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
         spec = self._own(EPISODE, specification, self._key.start)
-        messages = [spec, *self.scenery.messages(log, self._key.start), *self._messages]
+        messages = list(self._messages)
         if unsaid:
             ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)
             ending.header.stamp = to_stamp(end)
@@ -155,7 +166,20 @@ class BagRecorder:
         mode = log.episode.mode.name.lower()
         if log.episode.mode == Mode.KAMIKAZE:
             mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
-        write_bag(self._folder / f"{mode}_{log.episode.episode_id:016x}", messages)
+        self._write(
+            Recording(
+                self._folder / f"{mode}_{log.episode.episode_id:016x}",
+                spec.data,
+                self._key.start,
+                {topic: self._node.resolve_topic_name(topic) for topic in (MARKERS, CLEARANCE, DEFORMATION)},
+                log.adversary,
+                log.car,
+                log.outcome,
+                log.impact_time,
+                [spec, *self.scenery.latched(self._key.start)],
+                messages,
+            )
+        )
 
     def _own(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
         data = serialize_message(message)

@@ -1,0 +1,1 @@
+"""What is recorded of episodes, and the bags that it becomes."""

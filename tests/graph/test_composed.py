@@ -1,0 +1,272 @@
+"""Simulator and adversary in the evaluator's process: the same bits and messages, the same ends."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import threading
+from array import array
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import rclpy
+from bag_tools import read_items
+from common import new_domain, wait_until
+from geometry_msgs.msg import AccelStamped, TwistStamped
+from graph_support import assert_same_log, pids_with, whole_graph
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from skd_adversary.nodes import adversary_node
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.errors import AssessmentError
+from skd_msgs.msg import Episode as EpisodeMsg
+from skd_msgs.msg import EpisodeReceipt, EpisodeResult
+from skd_sim.choices.simulators import WORLD
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.episode.stamps import NANOSECONDS
+from skd_sim.messages.command_messages import message_class
+from skd_sim.messages.from_messages import from_stamp
+from skd_sim.nodes import support
+from tf2_msgs.msg import TFMessage
+
+HEARD = {
+    support.CLOCK: Clock,
+    support.TF: TFMessage,
+    support.EGO_ODOMETRY: Odometry,
+    support.ADVERSARY_ODOMETRY: Odometry,
+    support.ACCELERATION_COMMAND: AccelStamped,
+    support.VELOCITY_COMMAND: TwistStamped,
+    support.BELIEVED_CAR: Odometry,
+    support.EPISODE_RESULT: EpisodeResult,
+    support.EPISODE_RECEIPT: EpisodeReceipt,
+    support.EPISODE: EpisodeMsg,
+}
+EVERY = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RUNS, IDS = itertools.count(), itertools.count(1 << 20)
+_ANSWERS = (support.ACCELERATION_COMMAND, support.VELOCITY_COMMAND, support.BELIEVED_CAR)
+Told = dict[str, list[tuple[int, str]]]
+
+
+@contextlib.contextmanager
+def somebody(domain: int) -> Iterator[Any]:
+    """Give a node that is not of the graph."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    node = rclpy.create_node("somebody", context=context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+@contextlib.contextmanager
+def listening(domain: int) -> Iterator[Told]:
+    """Give what a node that is not of the graph hears, by topic, as far as the clock does not decide it."""
+    told: Told = defaultdict(list)
+    ended = threading.Event()
+    with somebody(domain) as node:
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+
+        def listen(topic: str, kind: type) -> None:
+            latched = topic in (support.EPISODE, support.EPISODE_RECEIPT)
+            node.create_subscription(
+                kind,
+                topic,
+                lambda message: told[topic].append((when(message), timeless(message))),
+                EVERY if latched else support.STREAM,
+            )
+
+        def spin() -> None:
+            while not ended.is_set():
+                executor.spin_once(timeout_sec=0.05)
+
+        for topic, kind in HEARD.items():
+            listen(topic, kind)
+        thread = threading.Thread(target=spin)
+        thread.start()
+        try:
+            yield told
+        finally:
+            ended.set()
+            thread.join()
+            executor.shutdown()
+
+
+def when(message: Any) -> int:
+    """Return a message's own time, ns."""
+    if isinstance(message, TFMessage):
+        message = message.transforms[0]
+    stamps = {Clock: "clock", EpisodeReceipt: "start"}
+    return from_stamp(getattr(message, stamps[type(message)]) if type(message) in stamps else message.header.stamp)
+
+
+def timeless(message: Any) -> str:
+    """Return all that a message says, but how long somebody took; its bytes have gaps, in which anything may be."""
+    if isinstance(message, EpisodeResult):
+        message.command_ages, message.greatest_delay = array("f"), 0.0
+    return repr(message)
+
+
+class Ran(NamedTuple):
+    """A graph's episodes, the messages that somebody heard of them, and those in each bag."""
+
+    logs: list[EpisodeLog]
+    heard: Told
+    bags: list[Told]
+
+
+def has_come(told: Told, stamp: int) -> bool:
+    """Return whether something from a stamp (ns) on has come on each topic."""
+    return all(any(time >= stamp for time, _ in [*told[topic]]) for topic in HEARD)
+
+
+def run(evaluator: Any, domain: int, bags: Path, episodes: list[Episode], begin: int) -> Ran:
+    """Run episodes with a listener, who hears all topics by then, from a stamp (ns) on; the last is not looked at."""
+    with listening(domain) as told:
+
+        def all_heard() -> bool:
+            evaluator.run_episode(dataclasses.replace(episodes[0], episode_id=episodes[0].episode_id + next(IDS)))
+            return has_come(told, evaluator._key.start)
+
+        wait_until(all_heard, "all publishers")
+        evaluator._next_start = begin
+        logs = [evaluator.run_episode(one) for one in episodes]
+        last = evaluator._key.start
+        # Each topic is heard in its order: who has heard of the last episode has heard all of those before.
+        wait_until(lambda: has_come(told, last), "the last messages")
+        heard = {topic: [one for one in messages if begin <= one[0] < last] for topic, messages in told.items()}
+    contents: list[Told] = []
+    for log in logs[:-1]:
+        (path,) = bags.glob(f"*_{log.episode.episode_id:016x}")
+        content: Told = defaultdict(list)
+        for item in read_items(path.glob("*.mcap")):
+            message = deserialize_message(item.data, message_class(item.type_name))
+            content[item.topic].append((item.log_time, timeless(message)))
+        contents.append(content)
+    return Ran(logs[:-1], heard, contents)
+
+
+def answers(told: Told, topic: str) -> set[tuple[int, str]]:
+    """Return what was said on a topic, but for answers to a last state, for which nobody waits."""
+    ends = {time for name, said in told.items() if name.endswith(support.EPISODE_RESULT) for time, _ in said}
+    return {one for one in told[topic] if not (topic.endswith(_ANSWERS) and one[0] in ends)}
+
+
+class Graph(NamedTuple):
+    """A composed graph that tests share, in the order in which they stand here."""
+
+    evaluator: Any
+    token: str
+    domain: int
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """A graph whose simulator and adversary are in this process, and which records."""
+    folder, domain = tmp_path_factory.mktemp("composed"), new_domain()
+    options = GraphOptions(open_episodes=True, command_timeout=30.0, nodes="composed")
+    with whole_graph(folder, options, record_to=folder / "bags", domain=domain) as (evaluator, token):
+        yield Graph(evaluator, token, domain, folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "simulator", "composed"),
+    [
+        ({}, WORLD, True),
+        ({"nodes": "separate"}, WORLD, False),
+        ({"pacing": "real_time"}, WORLD, False),
+        ({"quiet_time": 0.1}, WORLD, False),
+        ({"graphs": 2}, WORLD, False),
+        ({}, "somebody's", False),
+    ],
+)
+def test_where_nodes_run(changes: dict[str, Any], simulator: str, composed: bool) -> None:
+    assert GraphOptions(**{"nodes": "composed", **changes}).composes(simulator) == composed
+
+
+def test_same_bits_and_messages(graph: Graph, tmp_path: Path, episode: Episode, replay: Episode) -> None:
+    """In process, composed and separate are the same, and who listens hears and records the same."""
+    lines = " ".join(pids_with(graph.token).values())
+    assert "car_controller" in lines
+    assert not any(name in lines for name in ("vehicle_simulator", "adversary"))
+    periods = dataclasses.replace(replay.scenario, control_period=0.1)  # the car decides between ticks, too
+    third = dataclasses.replace(replay, scenario=periods, episode_id=replay.episode_id + 1)
+    number_of_run = next(RUNS)  # if this test is run again, names of bags and stamps are taken
+    begin = (number_of_run + 1) * 10_000 * NANOSECONDS
+    episodes = [
+        dataclasses.replace(one, episode_id=one.episode_id + 100 * number_of_run + number)
+        for number, one in enumerate((episode, replay, third, episode))
+    ]
+    composed = run(graph.evaluator, graph.domain, graph.folder / "bags", episodes, begin)
+    domain, options = new_domain(), GraphOptions(open_episodes=True, nodes="separate")
+    with whole_graph(tmp_path, options, record_to=tmp_path / "bags", domain=domain) as (evaluator, token):
+        assert all(name in " ".join(pids_with(token).values()) for name in ("vehicle_simulator", "adversary"))
+        separate = run(evaluator, domain, tmp_path / "bags", episodes, begin)
+    for one, left, right in zip(episodes[:-1], composed.logs, separate.logs, strict=True):
+        assert left.outcome != Outcome.ABORTED
+        assert_same_log(left, right)
+        assert_same_log(left, run_episode(one))
+    for left, right in zip([composed.heard, *composed.bags], [separate.heard, *separate.bags], strict=True):
+        assert set(left) == set(right)
+        for topic in left:  # which topic is first is chance; tick 0 may be repeated
+            assert answers(left, topic) == answers(right, topic), topic
+    assert {topic.lstrip("/") for topic in composed.heard} == {topic.lstrip("/") for topic in HEARD}
+
+
+def test_an_adversary_that_fails(
+    graph: Graph, monkeypatch: pytest.MonkeyPatch, episode: Episode, expected: EpisodeLog
+) -> None:
+    """The episode is lost, and says why; the next one is not."""
+
+    def make(_episode: Episode) -> Any:
+        raise ZeroDivisionError("of\nits own")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(adversary_node, "make_adversary", make)
+        log = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS)))
+    assert log.outcome == Outcome.ABORTED
+    assert log.reason == "failed: adversary: ZeroDivisionError: of"
+    assert "Traceback" in (graph.folder / "adversary.log").read_text()
+    again = graph.evaluator.run_episode(dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS)))
+    assert_same_log(again, run_episode(again.episode))
+    assert expected.outcome != Outcome.ABORTED
+
+
+def test_somebody_else_who_speaks(graph: Graph, episode: Episode) -> None:
+    """Whoever publishes what is the nodes' own, is named, although none of them listens to it."""
+    evaluator = graph.evaluator
+    with somebody(graph.domain) as node:
+
+        def run_beside(kind: type, topic: str) -> EpisodeLog:
+            publisher = node.create_publisher(kind, topic, support.STREAM)
+            wait_until(lambda: evaluator.count_publishers(topic) == 2, topic)
+            try:
+                log: EpisodeLog = evaluator.run_episode(
+                    dataclasses.replace(episode, episode_id=episode.episode_id + next(IDS))
+                )
+            finally:
+                node.destroy_publisher(publisher)
+                wait_until(lambda: evaluator.count_publishers(topic) == 1, topic)
+            return log
+
+        log = run_beside(TwistStamped, support.VELOCITY_COMMAND)
+        assert kind_of(log.reason) == AbortKind.SECOND_SENDER
+        assert log.reason.endswith("2 nodes publish adversary/velocity_command, one may: /adversary, /somebody")
+        with pytest.raises(
+            AssessmentError, match=r"2 nodes publish /ego/odometry, .*: /somebody and /vehicle_simulator"
+        ):
+            run_beside(Odometry, support.EGO_ODOMETRY)
+        with pytest.raises(AssessmentError, match=r"2 nodes publish /skd/episode, .*: /evaluator and /somebody"):
+            run_beside(EpisodeMsg, support.EPISODE)
