@@ -200,7 +200,7 @@ def _learning_rollout_template(
     totals[USUAL] += (value - totals[USUAL]) / min(totals[ROLLOUTS], _MEMORY)
     ahead = 0.0
     if not terminal:
-        row = row_of(table, state, now)
+        row = row_of(table, state if made % 2 == 0 else moved, now)
         if row >= 0:
             action, best = best_tried(table, row)
             if action >= 0:

@@ -44,6 +44,7 @@ from skd_adversary.planning.search_tree import (
     SearchTree,
     add_child,
     clear_node,
+    note_value,
     empty_tree,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
@@ -248,9 +249,7 @@ def _pomcpow_template(
             node, action = path_node[level], path_action[level]
             value = path_reward[level] + discount * value
             tree.total[node] += 1
-            count = tree.statistics[node, action, VISITS] + np.float32(1.0)
-            tree.statistics[node, action, VISITS] = count
-            tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / count
+            note_value(tree, node, action, value)
         log.action[i], log.value[i] = path_action[0], value
         note_return(returns, path_action[0], value)
 
