@@ -26,7 +26,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.specialisation import specialise, unbound
 
 from skd_adversary.planning.rollouts import no_note, roll_out_kernel, rollout_kernel
-from skd_adversary.planning.search_tree import Float32Array, Int32Array
+from skd_adversary.planning.search_tree import Float32Array, IndexArray, Int32Array
 
 _rollout_action = _legal = _roll_out = _learning_rollout = _default_rollout = _random_rollout = unbound
 _HAS_LEGAL = False
@@ -233,7 +233,7 @@ def _begin(particles: FloatArray, source: int, state: FloatArray) -> None:
 def _practice_template(
     parameters: Any,
     particles: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     state: FloatArray,
     moved: FloatArray,
     table: Experience,

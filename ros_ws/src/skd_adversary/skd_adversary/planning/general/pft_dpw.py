@@ -32,12 +32,13 @@ from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VISITS,
+    IndexArray,
     Int32Array,
     SearchTree,
     add_child,
     clear_node,
-    note_value,
     empty_tree,
+    note_value,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
@@ -211,7 +212,7 @@ def _pft_dpw_template(
     leaf_parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     tree: SearchTree,
     beliefs: _Beliefs,
     tables: Tables,

@@ -40,12 +40,13 @@ from skd_adversary.planning.search_tree import (
     FIRST_CHILD,
     VALUE,
     VISITS,
+    IndexArray,
     Int32Array,
     SearchTree,
     add_child,
     clear_node,
-    note_value,
     empty_tree,
+    note_value,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
@@ -162,7 +163,7 @@ def _pomcpow_template(
     parameters: Any,
     leaf_parameters: Any,
     particles: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     tree: SearchTree,
     states: _States,
     tables: Tables,
