@@ -116,7 +116,7 @@ def _kernels(
 ) -> tuple[Callable[..., Any], ...]:
     bound = {"_initial": initial, "_step": step, "_likelihood": likelihood, "_reinvigorate": reinvigorate}
     templates = (_draw_template, _propagate_template, _reweigh_template, _reinvigorate_template)
-    return tuple(specialise(template, name, bound) for template in templates)
+    return tuple(specialise(template, name, bound, allocates=False) for template in templates)
 
 
 class ParticleBelief:

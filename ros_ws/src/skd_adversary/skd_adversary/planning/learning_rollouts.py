@@ -26,7 +26,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.specialisation import specialise, unbound
 
 from skd_adversary.planning.rollouts import no_note, roll_out_kernel, rollout_kernel
-from skd_adversary.planning.search_tree import Float32Array, Int32Array
+from skd_adversary.planning.search_tree import Float32Array, IndexArray, Int32Array
 
 _rollout_action = _legal = _roll_out = _learning_rollout = _default_rollout = _random_rollout = unbound
 _HAS_LEGAL = False
@@ -200,7 +200,7 @@ def _learning_rollout_template(
     totals[USUAL] += (value - totals[USUAL]) / min(totals[ROLLOUTS], _MEMORY)
     ahead = 0.0
     if not terminal:
-        row = row_of(table, state, now)
+        row = row_of(table, state if made % 2 == 0 else moved, now)
         if row >= 0:
             action, best = best_tried(table, row)
             if action >= 0:
@@ -233,7 +233,7 @@ def _begin(particles: FloatArray, source: int, state: FloatArray) -> None:
 def _practice_template(
     parameters: Any,
     particles: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     state: FloatArray,
     moved: FloatArray,
     table: Experience,

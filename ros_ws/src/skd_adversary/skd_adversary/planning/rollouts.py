@@ -44,8 +44,7 @@ def _roll_out_template(
         if terminal:
             break
         discounting *= discount
-        for k in range(state.shape[0]):
-            state[k] = moved[k]
+        state, moved = moved, state
     return value, first, made, terminal
 
 

@@ -30,15 +30,20 @@ from skd_adversary.planning.search_tree import (
     VALUE,
     VISITS,
     Float32Array,
+    IndexArray,
     Int32Array,
     SearchTree,
     add_child,
+    best_mean,
     clear_node,
+    most_tried_mean,
+    note_value,
 )
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
 _step = _observe = _leaf_value = _legal = _forbid = unbound
 _first_try = _widen = _taken = _profile = _add_reference = _rollout = unbound
+_ACTIONS = _SEEN = 0
 _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = _DRAWN = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
@@ -50,8 +55,8 @@ class Scratch(NamedTuple):
     moved: FloatArray  # s
     observation: FloatArray  # d
     seen: Float32Array  # d: the observation, for distances
-    path_node: Int32Array  # h
-    path_action: Int32Array  # h
+    path_node: IndexArray  # h
+    path_action: IndexArray  # h
     path_reward: FloatArray  # h
     other_state: FloatArray  # s
     other_observation: FloatArray  # d
@@ -71,7 +76,7 @@ class RootLog(NamedTuple):
 
 
 @kernel(allocates=False)
-def draw_roots(weights: FloatArray, roots: Int32Array, rng: np.random.Generator) -> None:
+def draw_roots(weights: FloatArray, roots: IndexArray, rng: np.random.Generator) -> None:
     """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
     count = roots.shape[0]
     offset = rng.random()
@@ -97,7 +102,7 @@ def _search_template(
     parameters: Any,
     leaf_parameters: Any,
     particles: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     tree: SearchTree,
     node_count: int,
     tables: Tables,
@@ -116,6 +121,8 @@ def _search_template(
     path_node, path_action, path_reward = scratch.path_node, scratch.path_action, scratch.path_reward
     likelihood, profile = scratch.likelihood, scratch.profile
     action_count = statistics.shape[1]
+    if _ACTIONS > 0 and (action_count != _ACTIONS or seen.shape[0] != _SEEN):
+        return -1  # never: it lets the compiler unroll the loops over them
     depth_limit = path_node.shape[0]
     last = tables.widening.shape[0] - 1
     steps = 0
@@ -138,8 +145,9 @@ def _search_template(
         _forbid(parameters, tree, 0, state)
     forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
+        source = roots[i]
         for k in range(state.shape[0]):
-            state[k] = particles[roots[i], k]
+            state[k] = particles[source, k]
         constant = exploration_from(exploration, scratch.returns)
         log.cell[i] = -1
         node = 0
@@ -160,8 +168,7 @@ def _search_template(
             depth += 1
             if terminal:
                 break
-            for k in range(state.shape[0]):
-                state[k] = moved[k]
+            state, moved = moved, state  # to copy numbers that were written just now would wait for them
             _observe(parameters, state, taken, observation, rng)
             for k in range(seen.shape[0]):
                 seen[k] = observation[k]
@@ -228,27 +235,15 @@ def _search_template(
             node, action = path_node[level], path_action[level]
             value = path_reward[level] + discount * value
             tree.total[node] += 1
-            count = statistics[node, action, VISITS] + np.float32(1.0)
-            statistics[node, action, VISITS] = count
-            statistics[node, action, VALUE] += (np.float32(value) - statistics[node, action, VALUE]) / count
+            note_value(tree, node, action, value)
             if level == 0:
                 log.action[i] = action
                 log.value[i] = value
             if backup == _MEAN:
                 continue
-            most = np.float32(0.0)
-            best = np.float32(-np.inf)
-            for a in range(action_count):
-                tried = statistics[node, a, VISITS]
-                mean = statistics[node, a, VALUE]
-                if backup == _BEST:
-                    if tried > 0.0 and mean > best:
-                        best = mean
-                elif tried > most or (tried == most and tried > 0.0 and mean > best):
-                    most = tried
-                    best = mean
-            value = float(best)
-        note_return(scratch.returns, log.action[i], log.value[i])
+            value = float(best_mean(tree, node) if backup == _BEST else most_tried_mean(tree, node))
+        if exploration < 0.0:
+            note_return(scratch.returns, log.action[i], log.value[i])
     return steps
 
 
@@ -265,6 +260,8 @@ def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[.
         model.draw_action,
         likelihood,
         learns,
+        model.action_count,
+        model.observation_dim,
     )
 
 
@@ -279,6 +276,8 @@ def _search_kernel(
     draw_action: Callable[..., Any] | None,
     likelihood: Callable[..., Any] | None,
     learns: bool,
+    actions: int,
+    seen: int,
 ) -> Callable[..., Any]:
     drawn = draw_action is not None
     bound: dict[str, Any] = {
@@ -286,6 +285,8 @@ def _search_kernel(
         "_observe": observe,
         "_first_try": kernel(inline=True)(_first_slot) if drawn else rollout_action,
         "_DRAWN": drawn,
+        "_ACTIONS": actions,
+        "_SEEN": seen,
         **action_kernels(name, draw_action, legal),
     }
     if leaf_value is not None:

@@ -11,6 +11,8 @@ from skd_sim.kernels.compilation import kernel
 
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]
+IndexArray = npt.NDArray[np.uint32]
+"""Numbers that index others. Without a sign: kernels need not see to what a negative index would mean."""
 
 VALUE, VISITS = range(2)
 CHILDREN, FIRST_CHILD = range(2)
@@ -28,9 +30,9 @@ class SearchTree(NamedTuple):
     children; they stand in the row of its oldest child. Elsewhere m = 0.
     """
 
-    statistics: Float32Array  # n × a × 2: mean return, number of visits
-    links: Int32Array  # n × a × 2: number of children, first of them
-    sibling: Int32Array  # n: next child of the same action
+    statistics: Float32Array  # n × a × 2: mean return, −∞ without any; number of visits
+    links: IndexArray  # n × a × 2: number of children, first of them
+    sibling: IndexArray  # n: next child of the same action
     total: Int32Array  # n: visits of all actions
     observation: FloatArray  # n × d: that led here, in full: a likelihood may be 0 where a number is not quite equal
     basis: Int32Array  # n × a × 2: row of the reference states, number of them so far
@@ -47,8 +49,8 @@ def empty_tree(
     """Return a tree that holds nothing but an unvisited root."""
     return SearchTree(
         statistics=np.zeros((nodes, actions, 2), np.float32),
-        links=np.zeros((nodes, actions, 2), np.int32),
-        sibling=np.zeros(nodes, np.int32),
+        links=np.zeros((nodes, actions, 2), np.uint32),
+        sibling=np.zeros(nodes, np.uint32),
         total=np.zeros(nodes, np.int32),
         observation=np.zeros((nodes, observation_dim)),
         basis=np.zeros((nodes if references else 0, actions, 2), np.int32),
@@ -64,10 +66,43 @@ def empty_tree(
 def clear_node(tree: SearchTree, node: int) -> None:
     """Make a node unvisited and childless."""
     for action in range(tree.statistics.shape[1]):
-        tree.statistics[node, action, VALUE] = 0.0
+        tree.statistics[node, action, VALUE] = -np.inf
         tree.statistics[node, action, VISITS] = 0.0
         tree.links[node, action, CHILDREN] = 0
     tree.total[node] = 0
+
+
+@kernel(inline=True)
+def note_value(tree: SearchTree, node: int, action: int, value: float) -> None:
+    """Note what an action of a node returned once more: its visits and its mean return."""
+    count = tree.statistics[node, action, VISITS] + np.float32(1.0)
+    before = tree.statistics[node, action, VALUE] if count > 1.0 else np.float32(0.0)
+    tree.statistics[node, action, VISITS] = count
+    tree.statistics[node, action, VALUE] = before + (np.float32(value) - before) / count
+
+
+@kernel(inline=True)
+def best_mean(tree: SearchTree, node: int) -> np.float32:
+    """Return the greatest mean return of a node's actions that were tried."""
+    best = np.float32(-np.inf)
+    for action in range(tree.statistics.shape[1]):
+        mean = tree.statistics[node, action, VALUE]
+        best = mean if mean > best else best
+    return best
+
+
+@kernel(inline=True)
+def most_tried_mean(tree: SearchTree, node: int) -> np.float32:
+    """Return the mean return of the action that was tried most; of several such, the greatest."""
+    most = np.float32(0.0)
+    best = np.float32(-np.inf)
+    for action in range(tree.statistics.shape[1]):
+        tried = tree.statistics[node, action, VISITS]
+        mean = tree.statistics[node, action, VALUE]
+        if tried > most or (tried == most and tried > 0.0 and mean > best):
+            most = tried
+            best = mean
+    return best
 
 
 @kernel(inline=True)

@@ -65,7 +65,7 @@ class TreePlanner(ABC):
         self._options = options
         self._rng = stream_of(rng)
         self._tree = tree
-        self._roots = np.zeros(options.simulations, np.int32)
+        self._roots = np.zeros(options.simulations, np.uint32)
         self._log = RootLog(
             np.full(options.simulations, -1, np.int32),
             np.zeros(options.simulations),
@@ -101,7 +101,7 @@ class TreePlanner(ABC):
     @property
     def values(self) -> Float32Array:
         """Estimated value of each action at the last belief planned from."""
-        values: Float32Array = self._tree.statistics[0, :, VALUE]
+        values: Float32Array = np.where(self.visits > 0.0, self._tree.statistics[0, :, VALUE], np.float32(0.0))
         return values
 
     @property

@@ -93,17 +93,12 @@ def choose(tree: SearchTree, node: int, exploration: float, tables: Tables, rng:
     best = np.float32(-np.inf)
     action = 0
     untried = 0
-    for a in range(action_count):
-        count = int(statistics[node, a, VISITS])
-        if count < 0:  # makes no sense here
-            continue
-        if count == 0:
-            untried += 1
-            continue
-        score = statistics[node, a, VALUE] + scale * tables.inverse_root[min(count, last)]
-        if score > best:
-            best = score
-            action = a
+    for a in range(action_count):  # without branches: which actions were tried, and which is best, is no pattern
+        count = int(statistics[node, a, VISITS])  # negative: makes no sense here
+        untried += 1 if count == 0 else 0
+        score = statistics[node, a, VALUE] + scale * tables.inverse_root[max(0, min(count, last))]  # −∞: not tried
+        action = a if score > best else action
+        best = score if score > best else best
     if untried > 0:
         pick = int(rng.random() * untried)
         for a in range(action_count):

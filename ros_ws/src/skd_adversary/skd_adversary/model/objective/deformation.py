@@ -71,6 +71,7 @@ _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) d
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
 _FORESIGHT = 25  # ticks
+_FORESEEN = 11  # numbers of a tick that is foreseen: see `_foresee_from`
 _MET, _LATE, _EARLY = range(3)  # how a plan ends: in a contact, with φ beyond the path, with the car beyond it
 _LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
 _EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
@@ -204,14 +205,32 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template(
-    "_velocity", "moving", "foreseen_acceleration", "last_changes", "contact", "pointing", "on_road", "left_behind"
-)
+@template("last_changes", "moving")
+def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
+    """Write the first row of `foreseen`: how a plan begins.
+
+    A row is the road user's place (x, y), m; the car's place, m, and speed, m/s; the greatest squared distance from φ
+    so far, m²; how much the car's speed changed in the tick before and in that before it, m/s; how the road user moves,
+    as `towards` takes it; its velocity in the tick before, m/s.
+
+    Args:
+        parameters: parameters of the model.
+        state: state in which the plan begins.
+        car_s: path coordinate at which the car's reference point is believed to be, m.
+        worst: greatest squared distance from φ so far, m².
+    """
+    kept = parameters.foreseen
+    kept[0, 0], kept[0, 1] = state[ADVERSARY_X], state[ADVERSARY_Y]
+    kept[0, 2], kept[0, 3], kept[0, 4] = car_s, state[CAR_SPEED], worst
+    kept[0, 5], kept[0, 6] = last_changes(parameters, state)
+    kept[0, 7], kept[0, 8] = moving(parameters, state)
+    kept[0, 9], kept[0, 10] = 0.0, 0.0
+
+
+@template("_velocity", "foreseen_acceleration", "contact", "pointing", "on_road", "left_behind")
 def _foreseen(
     parameters: Any,
     state: FloatArray,
-    car_s: float,
-    worst: float,
     now: int,
     switch: int,
     action: int,
@@ -219,28 +238,30 @@ def _foreseen(
 ) -> tuple[float, int, int]:
     """Play a plan against a car without noise: as φ until a tick, and one action from then on.
 
+    What as φ alone leads to is kept in `foreseen`, a row a tick (see `_foresee_from`), so that other plans begin where
+    they leave it: that one has to be played first.
+
     Args:
         parameters: parameters of the model.
         state: state in which the plan begins.
-        car_s: path coordinate at which the car's reference point is believed to be, m.
-        worst: greatest squared distance from φ so far, m².
         now: number of the tick now.
-        switch: tick from which on `action` is taken.
+        switch: tick from which on `action` is taken; `now` if that is as φ.
         action: action that is taken from then on.
-        bound: squared distance (m²) from φ beyond which the plan is of no interest.
+        bound: squared distance (m²) from φ from which on the plan is of no interest.
 
     Returns:
         Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
     """
-    p = parameters
-    x, y, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_SPEED]
-    change, change_before = last_changes(p, state)
-    _, along = on_road(p, x, y)
+    p, kept, row = parameters, parameters.foreseen, switch - now
+    x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
+    if worst >= bound:
+        return math.inf, _LATE, switch
+    change, change_before = kept[row, 5], kept[row, 6]
+    own_x, own_y = kept[row, 7], kept[row, 8]
+    vx_before, vy_before = kept[row, 9], kept[row, 10]
     edge = p.half_width + p.radius
-    own_x, own_y = moving(p, state)
-    vx_before, vy_before = 0.0, 0.0
-    for tick in range(now, now + _FORESIGHT):
-        own_x, own_y = _velocity(p, own_x, own_y, action if tick >= switch else _FOLLOW, tick)
+    for tick in range(switch, now + _FORESIGHT):
+        own_x, own_y = _velocity(p, own_x, own_y, action, tick)
         vx, vy = own_x, own_y
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what it did before, is not known to every model
@@ -272,6 +293,12 @@ def _foreseen(
         if speed_after == 0.0 and vy >= 0.0 and p.crossing * across >= -edge and tick + 1 >= p.path.shape[0]:
             return math.inf, _LATE, tick
         x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
+        if action == _FOLLOW:
+            row = tick + 1 - now
+            kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4] = x, y, car_s, speed, worst
+            kept[row, 5], kept[row, 6] = change, change_before
+            kept[row, 7], kept[row, 8] = own_x, own_y
+            kept[row, 9], kept[row, 10] = vx_before, vy_before
     return math.inf, _LATE, now
 
 
@@ -288,7 +315,7 @@ def _planned(plan: float, tick: int) -> int:
     return _FOLLOW if code < 0 or tick < code // 8 else code % 8
 
 
-@template("_foreseen", "on_road")
+@template("_foresee_from", "_foreseen", "on_road")
 def _plan(
     parameters: Any,
     state: FloatArray,
@@ -299,11 +326,12 @@ def _plan(
     """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
 
     As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
-    it failed are tried backwards, until it gets worse. Arguments as in `_foreseen`.
+    it failed are tried backwards, until it gets worse. Arguments as in `_foreseen` and `_foresee_from`.
     """
     p = parameters
     car_s = state[CAR_S] + _ERROR * rng.standard_normal()
-    _, how, end = _foreseen(p, state, car_s, worst, now, now + _FORESIGHT, _FOLLOW, math.inf)
+    _foresee_from(p, state, car_s, worst)
+    _, how, end = _foreseen(p, state, now, now, _FOLLOW, math.inf)
     if how == _MET:
         return _coded(now + _FORESIGHT, _FOLLOW)
     best = math.inf
@@ -314,7 +342,7 @@ def _plan(
         found = False
         for choice in range(3):
             action = _EARLY_ACTIONS[choice] if how == _EARLY else _LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, car_s, worst, now, switch, action, best)
+            squared, _, _ = _foreseen(p, state, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -349,7 +377,12 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
     """Return φ's velocities, and the rewards: a miss counts as η_max in the mean deformation, which a hit saves."""
     pace = path_velocities(np.asarray(path, dtype=np.float64), len(path) - 1, scenario.time_step)
-    return {"collision_reward": scenario.eta_max, "hit_speed": scenario.collision.hit_speed, "pace": pace}
+    return {
+        "collision_reward": scenario.eta_max,
+        "hit_speed": scenario.collision.hit_speed,
+        "pace": pace,
+        "foreseen": np.zeros((_FORESIGHT + 1, _FORESEEN)),  # room for `_foresee_from`
+    }
 
 
 def own_dim(points: int) -> int:

@@ -79,8 +79,8 @@ def step(
 
 
 @kernel(inline=True)
-def _diagonals(room: float, stride: float, ticks: float) -> int:
-    """Return how many diagonal steps, among straight ones, lead nearest to the edge of the path and not beyond.
+def _gains_by_diagonals(room: float, stride: float, ticks: float) -> bool:
+    """Return whether diagonal steps among straight ones lead nearer to the edge of the path than these alone.
 
     Args:
         room: way to the edge of the car's path, m.
@@ -88,18 +88,16 @@ def _diagonals(room: float, stride: float, ticks: float) -> int:
         ticks: number of ticks until the car is here; infinity if it will not come.
     """
     diagonal = DIRECTION_EAST[NORTH_EAST] * stride
-    nearest = math.inf
-    best = 0
-    for count in range(_MOST_DIAGONALS):
+    nearest = room - math.floor(room / stride) * stride
+    for count in range(1, _MOST_DIAGONALS):
         rest = room - count * diagonal
         if rest < 0.0:
             break
         straight = math.floor(rest / stride)
         rest -= straight * stride
-        if rest < nearest - 1e-9 and (count == 0 or straight + count + 0.5 < ticks):
-            nearest = rest
-            best = count
-    return best
+        if rest < nearest - 1e-9 and straight + count + 0.5 < ticks:
+            return True
+    return False
 
 
 @template("on_road")
@@ -125,7 +123,7 @@ def _way(parameters: Any, state: FloatArray) -> int:
     aside = p.path[p.path.shape[0] - 1, 1] - y
     if room >= diagonal:
         ticks = math.inf if stops_short else gap / (speed * p.time_step)
-        if _diagonals(room, stride, ticks) > 0 or room < stride:
+        if room < stride or _gains_by_diagonals(room, stride, ticks):
             return NORTH_EAST if aside > 0.0 else SOUTH_EAST
         if abs(aside) > 0.5 * diagonal:
             return NORTH_EAST if aside > 0.0 else SOUTH_EAST

@@ -31,13 +31,14 @@ from skd_adversary.planning.search import RootLog
 from skd_adversary.planning.search_tree import (
     CHILDREN,
     FIRST_CHILD,
-    VALUE,
     VISITS,
+    IndexArray,
     Int32Array,
     SearchTree,
     add_child,
     clear_node,
     empty_tree,
+    note_value,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
@@ -211,7 +212,7 @@ def _pft_dpw_template(
     leaf_parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     tree: SearchTree,
     beliefs: _Beliefs,
     tables: Tables,
@@ -281,9 +282,7 @@ def _pft_dpw_template(
             node, action, child = path_node[level], path_action[level], path_child[level]
             value = beliefs.reward[child] + discount * beliefs.going_on[child] * value
             tree.total[node] += 1
-            visits = tree.statistics[node, action, VISITS] + np.float32(1.0)
-            tree.statistics[node, action, VISITS] = visits
-            tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / visits
+            note_value(tree, node, action, value)
         log.action[i], log.value[i], log.cell[i] = path_action[0], value, path_child[0]
         note_return(scratch.returns, path_action[0], value)
 

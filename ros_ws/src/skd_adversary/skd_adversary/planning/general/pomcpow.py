@@ -40,11 +40,13 @@ from skd_adversary.planning.search_tree import (
     FIRST_CHILD,
     VALUE,
     VISITS,
+    IndexArray,
     Int32Array,
     SearchTree,
     add_child,
     clear_node,
     empty_tree,
+    note_value,
 )
 from skd_adversary.planning.tree_planner import TreePlanner
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return, tables_of
@@ -161,7 +163,7 @@ def _pomcpow_template(
     parameters: Any,
     leaf_parameters: Any,
     particles: FloatArray,
-    roots: Int32Array,
+    roots: IndexArray,
     tree: SearchTree,
     states: _States,
     tables: Tables,
@@ -248,9 +250,7 @@ def _pomcpow_template(
             node, action = path_node[level], path_action[level]
             value = path_reward[level] + discount * value
             tree.total[node] += 1
-            count = tree.statistics[node, action, VISITS] + np.float32(1.0)
-            tree.statistics[node, action, VISITS] = count
-            tree.statistics[node, action, VALUE] += (np.float32(value) - tree.statistics[node, action, VALUE]) / count
+            note_value(tree, node, action, value)
         log.action[i], log.value[i] = path_action[0], value
         note_return(returns, path_action[0], value)
 
