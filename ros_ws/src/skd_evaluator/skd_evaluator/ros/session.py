@@ -15,6 +15,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.aborts import counts_in_words
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import command_format
+from skd_sim.program.memory import give_back
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -105,12 +106,24 @@ def graphs_session(
     record_to: Path | None,
 ) -> Iterator[Evaluator | GraphPool]:
     """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
-    if options.graphs == 1:
-        with graph_session(
-            options, controller=controller, campaign=campaign, log_folder=log_folder, record_to=record_to
-        ) as evaluator:
-            yield evaluator
-        return
+    try:
+        if options.graphs == 1:
+            session = graph_session(
+                options, controller=controller, campaign=campaign, log_folder=log_folder, record_to=record_to
+            )
+            with session as evaluator:
+                yield evaluator
+        else:
+            with _pool(options, controller, campaign, log_folder, record_to) as pool:
+                yield pool
+    finally:
+        give_back()
+
+
+@contextmanager
+def _pool(
+    options: GraphOptions, controller: str, campaign: str, log_folder: Path, record_to: Path | None
+) -> Iterator[GraphPool]:
     from skd_evaluator.ros.graph import GraphSetting
     from skd_evaluator.ros.graph_pool import GraphPool, without_echo
 
