@@ -37,10 +37,16 @@ class Heap(ctypes.Structure):
     """What `mallinfo2(3)` answers: bytes of all arenas of the C library."""
 
     _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in (
-            "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost".split()  # as in malloc.h
-        )
+        ("arena", ctypes.c_size_t),
+        ("ordblks", ctypes.c_size_t),
+        ("smblks", ctypes.c_size_t),
+        ("hblks", ctypes.c_size_t),
+        ("hblkhd", ctypes.c_size_t),
+        ("usmblks", ctypes.c_size_t),
+        ("fsmblks", ctypes.c_size_t),
+        ("uordblks", ctypes.c_size_t),
+        ("fordblks", ctypes.c_size_t),
+        ("keepcost", ctypes.c_size_t),
     ]
 
 
@@ -48,7 +54,8 @@ def heap() -> Heap:
     """Return what the C library has handed out and keeps, of all threads."""
     library = ctypes.CDLL(None)
     library.mallinfo2.restype = Heap
-    return library.mallinfo2()
+    found: Heap = library.mallinfo2()
+    return found
 
 
 def state(scratch: Path) -> dict[str, float]:
