@@ -46,8 +46,8 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     if hit and nobody:
         found.append(
             f"nobody could be hit in the {result['margin_attempts']} attempts of which the margin is made, but {hit} "
-            f"other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few attempts show, and "
-            "neither the margin nor its interval knows of them; give a greater --kamikaze-count or --safe-count"
+            f"other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few attempts show, "
+            "and neither the margin nor its interval knows of them; give a greater --kamikaze-count or --safe-count"
         )
     if touched and not hit and nobody:
         found.append(
