@@ -48,6 +48,40 @@ class Memory(Anticipating):
         self.asked += 1
         return super().command(car, adversary) if self.asked < 6 else -6.0
 
+class Late(Anticipating):
+    "Does not brake; in batches it does, and hard, where it is not asked by command as well."
+    confirmed, first = set(), None
+    def command(self, car, adversary):
+        self.confirmed.add((car.y, adversary.y))
+        return 0.0
+    def commands(self, cars, adversaries):
+        if self.first is None:  # in the first tick nobody knows who is going to be asked by command
+            self.first = list(zip(cars.y.tolist(), adversaries.y.tolist()))
+            self.confirmed.clear()
+            return np.zeros(len(cars.x))
+        if len(cars.x) < len(self.first):
+            return np.zeros(len(cars.x))
+        return np.array([0.0 if row in self.confirmed else -8.0 for row in self.first])
+
+class Remembers(Anticipating):
+    "Repeats by command what it has answered in batches, where it is asked the same."
+    said = {}
+    def command(self, car, adversary):
+        return self.said.get((*car, *adversary), 0.0)
+    def commands(self, cars, adversaries):
+        braking = -8.0 * (np.abs(adversaries.x - cars.x) < 1.5)
+        self.said.update(zip(zip(*(field.tolist() for field in (*cars, *adversaries))), braking.tolist()))
+        return braking
+
+class Seldom(Anticipating):
+    "Does not brake; in batches it does for whom it would hit next, from a second before."
+    def command(self, car, adversary):
+        return 0.0
+    def commands(self, cars, adversaries):
+        seconds = (adversaries.y - cars.y - self._front) / np.maximum(cars.speed, 0.5)
+        beside = np.abs(adversaries.x + seconds * adversaries.vx - cars.x)
+        return -8.0 * ((seconds > 0.3) & (seconds < 1.0) & (beside < 0.2))
+
 class Short(Anticipating):
     def commands(self, cars, adversaries):
         return np.zeros(len(cars.x) + 1) if np.ndim(cars.x) else 0.0
@@ -132,10 +166,13 @@ def test_neither_workers_nor_the_number_of_crossings_change_one(safe):
     np.testing.assert_array_equal(found[0].clearance[200:280], part.clearance)
 
 
-@pytest.mark.parametrize("policy", ["Liar", "Memory"])
-def test_two_forms_that_differ_are_said(policy, safe):
+@pytest.mark.parametrize(
+    ("policy", "count"), [("Liar", 20), ("Memory", 20), ("Late", 20), ("Remembers", 20), ("Seldom", 120)]
+)
+def test_two_forms_that_differ_are_said(policy, count, safe):
+    """Of what decides, too: who saw which of 20 crossings command was asked in braked in the other 19."""
     with pytest.raises(AssessmentError, match=r"commands answers .* where command answers"):
-        crossed(f"own_policies:{policy}", safe, 20)
+        crossed(f"own_policies:{policy}", safe, count)
 
 
 def test_an_answer_of_another_length_is_said(safe):

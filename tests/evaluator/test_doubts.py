@@ -11,7 +11,7 @@ from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.report.doubts import margin_doubts
-from skd_evaluator.report.terminal import details_table, headline_table, safe_trajectory_table
+from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
@@ -146,3 +146,26 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(
     assert len(found) == said
     if said:
         assert "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
+
+
+@pytest.mark.parametrize(("beyond", "hit", "said"), [(12, 3, True), (12, 0, False), (11, 3, False)])
+def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hit: int, said: bool) -> None:
+    """Else it reads: nobody is hit within 5 m, from 5.000 to 5.000 m, beside runs along φ that end in a hit."""
+    result = {
+        "controller": "a.b:C",
+        "eta_max": 5.0,
+        "margin": 5.0,
+        "margin_converged": True,
+        "margin_budget": 128,
+        "margin_attempts": 12,
+        "margin_beyond": beyond,
+        "per_safe_trajectory": [{}] * 3,
+        "closeness": None,
+        "impact_speed": None,
+        "hit_rate": 2 / 24 if hit else 0.0,
+        "scenario": {"collision": {"hit_speed": 0.556}},
+    }
+    found = margin_doubts(result, hit, hit)
+    assert len(found) == said
+    assert all("but 3 other episodes ended in a hit: hits are rarer" in line for line in found)
+    assert ("But it hit in 8.3 % of the runs" in headline(result)) == said

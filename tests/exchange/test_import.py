@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -16,8 +17,9 @@ from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_evaluator.bags.types import complete, typestore
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.cli.exchange_options import EXPORT_FORMATS
+from skd_evaluator.exchange.coming_in.found import track_of
 from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
-from skd_evaluator.exchange.coming_in.ways import UnusableError, way_of
+from skd_evaluator.exchange.coming_in.ways import UnusableError, by_car, way_of
 from skd_evaluator.exchange.going_out.formats import FORMATS
 from skd_evaluator.fusion.track import Frame
 from skd_sim.encounter.scenario import load_scenario
@@ -291,6 +293,10 @@ def _xosc(folder: Path) -> str:
         ),
         (lambda text: text[:400], "not XML that SKD reads"),
         (lambda text: text.replace('scale="1.0"', 'scale="0"'), "scale of Timing must be above 0"),
+        (
+            lambda text: text.replace("<FollowTrajectoryAction", '<FollowTrajectoryAction initialDistanceOffset="1.5"'),
+            "begins within its polyline",
+        ),
     ],
 )
 def test_scenarios_that_say_no_way(tmp_path: Path, change: Callable[[str], str], says: str):
@@ -316,6 +322,8 @@ def test_scenarios_that_say_no_way(tmp_path: Path, change: Callable[[str], str],
         ("t,id,x,y\n0,a,0,0\n1,a,1,0\n0,b,0,0\n1,b,1,0\n", "name one by --road-user"),
         ("trackId,frame,xCenter,yCenter\n1,0,0,0\n", "called NN_tracks.csv"),
         ("t,x,y\n0,0\n", "2 values where the header names 3"),
+        ("t,x,y\n0,0,-3,5,0,2\n1,0,-2,5,0,2\n", "6 values where the header names 3"),  # decimal commas
+        ("t,x,y,x\n0,0,0,9\n1,1,0,9\n", "two columns 'x'"),
     ],
 )
 def test_tables_that_say_no_way(tmp_path: Path, text: str, says: str):
@@ -323,6 +331,39 @@ def test_tables_that_say_no_way(tmp_path: Path, text: str, says: str):
     with pytest.raises(UsageError) as caught:
         read_sources(tmp_path / "a.csv", Asked())
     assert says in str(caught.value)
+
+
+def test_two_of_one_name_are_nobody(tmp_path: Path):
+    """Whichever of both were taken, it would be somebody else's way without a word."""
+    one = safe("crossing", walk(load_scenario("crossing")))
+    FORMATS["commonroad"].write(tmp_path / "a.xml", one)
+    text = (tmp_path / "a.xml").read_text("utf-8")
+    begin, end = text.index("<dynamicObstacle"), text.index("</dynamicObstacle>") + len("</dynamicObstacle>")
+    twice = text[:end] + text[begin:end].replace("<x>", "<x>1") + text[end:]
+    (tmp_path / "a.xml").write_text(twice, "utf-8")
+    with pytest.raises(UsageError, match="two obstacles have this id"):
+        read_sources(tmp_path / "a.xml", Asked())
+    folder = look_alike(tmp_path / "ind")
+    with (folder / "18_tracksMeta.csv").open("a") as stream:
+        stream.write("18,3,100,350,251,0,0,pedestrian\n")
+    with pytest.raises(UsageError, match="track '3' has two classes"):
+        read_sources(folder / "18_tracks.csv", Asked())
+
+
+def test_a_bag_of_two_drives_is_not_one(tmp_path: Path):
+    """Sorted by their stamps two drives would be one way that leaps between both."""
+    path = write_bag(tmp_path / "a.mcap", itertools.chain(drive(), drive(10.0)))
+    with pytest.raises(UsageError, match=r"the clock of /tracks goes back from 106\.00 to 100\.00 s"):
+        read_sources(path, Asked("/tracks:42"))
+
+
+def test_a_car_that_turns_does_not_say_where_north_is():
+    times = np.linspace(0.0, 8.0, 81)
+    turned = 0.5 * np.pi * times / 8.0
+    car = track_of(times, 20.0 * np.column_stack([1.0 - np.cos(turned), np.sin(turned)]), "car")
+    user = track_of(times, np.column_stack([-4.0 + times, np.full(81, 10.0)]), "user")
+    with pytest.raises(UnusableError, match=r"the car is up to 3.82 m off a straight line"):
+        by_car(car, user, 1.0)
 
 
 def test_a_way_that_jumps_is_unusable(tmp_path: Path):

@@ -7,9 +7,11 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from common import PATIENCE
+from skd_sim.program.interruption import Interruption
 
 PROGRAM = """
 import os, signal, sys, time
@@ -120,3 +122,17 @@ def test_a_signal_that_is_lost_is_sent_again() -> None:
     """As one is that comes, or comes again, in a callback of machine code that nobody has listed."""
     done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+def test_a_signal_in_the_moment_in_which_it_begins_to_be_ignored_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python calls the hook for what nobody can catch, with an error of its own, where it finds no handler any more."""
+    said: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+    at_the_end = SimpleNamespace(exc_value=OSError("Signal 2 ignored due to race condition"))
+    other = SimpleNamespace(exc_value=OSError("no space left on device"))
+    with Interruption() as interruption:
+        sys.unraisablehook(at_the_end)  # type: ignore[arg-type]
+        interruption.held = True
+        sys.unraisablehook(at_the_end)  # type: ignore[arg-type]
+        sys.unraisablehook(other)  # type: ignore[arg-type]
+    assert said == [at_the_end, other]

@@ -34,8 +34,8 @@ def read_table(path: Path, columns: Mapping[str, float]) -> Table:
         columns: name → greatest magnitude allowed, in the column's unit.
 
     Raises:
-        UsageError: file missing or unreadable, a column missing, a row too short, or a value that is not a
-            number, not finite or out of range.
+        UsageError: file missing or unreadable, a column missing or there twice, a row too short or too long, or a value
+            that is not a number, not finite or out of range.
     """
     if not is_there(path):
         raise UsageError(f"{path}: cannot be read: No such file or directory")
@@ -55,12 +55,14 @@ def _parse(file: TextIO, path: Path, columns: Mapping[str, float]) -> Table:
             if name not in header:
                 got = " ".join(",".join(header).split())[:200] or "an empty line"
                 raise UsageError(f"{path}, line 1: no column {name!r}; the header must name {wanted}, got {got}")
+            if header.count(name) > 1:
+                raise UsageError(f"{path}, line 1: two columns {name!r}")
         places = [header.index(name) for name in columns]
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
             where = f"{path}, line {rows.line_num}"
-            if len(row) <= max(places):
+            if len(row) <= max(places) or any(cell.strip() for cell in row[len(header) :]):
                 raise UsageError(f"{where}: {len(row)} values where the header names {len(header)}")
             values.append(
                 [

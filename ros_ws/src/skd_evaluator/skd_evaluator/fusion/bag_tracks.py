@@ -25,6 +25,7 @@ _NANOSECONDS = 1e-9
 _TF, _TF_STATIC = "/tf", "/tf_static"
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _MOST = 2_000_000  # positions
+_LATE = 1.0  # s by which a message may be recorded behind a later one
 
 
 class Row(NamedTuple):
@@ -105,7 +106,8 @@ def bag_tracks(path: Path, names: Sequence[str], map_frame: str | None = None) -
         map_frame: frame in which positions are wanted; None: that in which they are, of /tf the highest.
 
     Raises:
-        UsageError: it cannot be read, is damaged, lacks one of them, or does not say how frames lie.
+        UsageError: it cannot be read, is damaged, lacks one of them, does not say how frames lie, or its clock goes
+            back.
     """
     wanted = {name: (topic, id_) for name in names for topic, _, id_ in [name.partition(":")]}
     topics = {topic for topic, _ in wanted.values()}
@@ -205,6 +207,13 @@ def _placed(
     if len(frames) > 1:
         raise UsageError(f"{path}: {topic} is in two frames, {frames[0]!r} and {frames[1]!r}")
     times = np.array([one.time for one in seen])
+    back = np.flatnonzero(np.diff(times) < -_LATE)
+    if back.size:
+        before, after = times[back[0]], times[back[0] + 1]
+        raise UsageError(
+            f"{path}: the clock of {topic} goes back from {before:.2f} to {after:.2f} s: is it of several drives? Cut "
+            "it to one"
+        )
     places, headings = np.array([one.place for one in seen]), np.array([one.heading for one in seen])
     if map_frame is not None and frames[0] != map_frame:
         _known_frame(path, transforms, map_frame)

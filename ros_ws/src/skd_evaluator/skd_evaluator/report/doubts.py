@@ -42,7 +42,14 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
             f"90 % of the margin's hits are at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s: "
             "this car is judged by slow touches, and another collision.hit_speed would give another margin"
         )
-    if touched and not hit and result["margin_beyond"] == result["margin_attempts"]:
+    nobody = result["margin_beyond"] == result["margin_attempts"]
+    if hit and nobody:
+        found.append(
+            f"nobody could be hit in the {result['margin_attempts']} attempts of which the margin is made, but {hit} "
+            f"other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few attempts show, "
+            "and neither the margin nor its interval knows of them; give a greater --kamikaze-count or --safe-count"
+        )
+    if touched and not hit and nobody:
         found.append(
             f"this car could only be walked into: {touched} kamikazes touched it, all of them while it drove slower "
             f"than {result['scenario']['collision']['hit_speed']:g} m/s"

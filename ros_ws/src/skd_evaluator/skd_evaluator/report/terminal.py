@@ -53,6 +53,8 @@ def headline(result: Mapping[str, Any]) -> str:
     if result["margin_beyond"] == result["margin_attempts"]:
         found = f"nobody who strays up to {eta_max} from a safe trajectory is hit by the moving car"
         found = f"{car}: {found}, as far as was found in {attempts}."
+        if result.get("hit_rate"):
+            found += f" But it hit in {_percent(result['hit_rate'])} of the runs along safe trajectories."
     else:
         found = (
             f"{car}: somebody who strays {result['margin']:.2f} m from a safe trajectory, at the worst moment and on "

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import ApartController, apart, takes_batches
+from skd_sim.apart.apart import apart, takes_batches
 from skd_sim.encounter.road import road_pose
 
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
@@ -67,10 +67,8 @@ def _crossed(job: _Job) -> Ends | None:
     encounter = job.encounter
     episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
 
-    def make() -> ApartController:
-        return apart(encounter.plan.car)
-
-    found = replayed(episodes, make)
+    car = encounter.plan.car
+    found = replayed(episodes, lambda: apart(car), lambda: apart(car, confirming=True))
     scenario = episodes[0].scenario
     footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
     heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step

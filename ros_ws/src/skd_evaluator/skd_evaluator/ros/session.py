@@ -16,6 +16,7 @@ from skd_sim.choices.simulators import WORLD
 from skd_sim.episode.aborts import counts_in_words
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import command_format
+from skd_sim.program.memory import give_back
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -109,17 +110,28 @@ def graphs_session(
     record_to: Path | None,
 ) -> Iterator[Evaluator | GraphPool]:
     """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
-    if options.graphs == 1:
-        with graph_session(
-            options,
-            controller=controller,
-            simulator=simulator,
-            campaign=campaign,
-            log_folder=log_folder,
-            record_to=record_to,
-        ) as evaluator:
-            yield evaluator
-        return
+    try:
+        if options.graphs == 1:
+            with graph_session(
+                options,
+                controller=controller,
+                simulator=simulator,
+                campaign=campaign,
+                log_folder=log_folder,
+                record_to=record_to,
+            ) as evaluator:
+                yield evaluator
+        else:
+            with _pool(options, controller, simulator, campaign, log_folder, record_to) as pool:
+                yield pool
+    finally:
+        give_back()
+
+
+@contextmanager
+def _pool(
+    options: GraphOptions, controller: str, simulator: str, campaign: str, log_folder: Path, record_to: Path | None
+) -> Iterator[GraphPool]:
     from skd_evaluator.ros.graph import GraphSetting
     from skd_evaluator.ros.graph_pool import GraphPool, without_echo
 

@@ -320,18 +320,23 @@ class _Kept:
     """The processes that this process keeps.
 
     Attributes:
-        cars: processes by the names of their controllers; the last one used is the last.
+        cars: processes by the names of their controllers, and whether they are those that are asked for
+            confirmation; the last one used is the last.
         owner: id of the process to which these belong; 0 before there is one.
         modules: what controllers find in memory, by name.
     """
 
-    cars: Final[dict[str, ApartCar]] = {}
+    cars: Final[dict[tuple[str, bool], ApartCar]] = {}
     owner = 0
     modules: Final[dict[str, SentModule]] = {}
 
 
-def apart(car: CarUnderTest) -> ApartController:
+def apart(car: CarUnderTest, *, confirming: bool = False) -> ApartController:
     """Make a user's controller in the process that this process keeps for it.
+
+    Args:
+        car: whose controller it is.
+        confirming: in another process than any that is not, which has seen nothing of what is to be confirmed.
 
     Raises:
         UsageError: it cannot be loaded.
@@ -340,12 +345,12 @@ def apart(car: CarUnderTest) -> ApartController:
     if _Kept.owner != os.getpid():  # this one was forked, and they are its parent's
         cars.clear()
         _Kept.owner = os.getpid()
-    process = cars.pop(car.controller, None)
+    process = cars.pop((car.controller, confirming), None)
     if process is None:
         if len(cars) >= _MOST:
             cars.pop(next(iter(cars))).close()
         process = ApartCar(car, SentModules(_Kept.modules) if _Kept.modules else None)
-    cars[car.controller] = process
+    cars[car.controller, confirming] = process
     return process.make()
 
 

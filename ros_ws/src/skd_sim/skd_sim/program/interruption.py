@@ -24,6 +24,8 @@ LLVM calls the first two for code that is read from the cache. What leaves them 
 is 0, to which numba writes (`set_env`). The last is called whenever a kernel is handed a random generator; the kernel
 does not look whether it gave anything (`unbox_numpy_random_bitgenerator`).
 """
+_NOBODY_LISTENS = "ignored due to race condition"
+"""What Python says of a signal that comes while it is set to be ignored (`_PyErr_CheckSignalsTstate`, CPython)."""
 _AGAIN = 0.02  # s until a signal that came in one of them is sent again
 
 
@@ -87,7 +89,8 @@ class Interruption:
         That is where the first one sent again may come, on a busy machine: in another of LLVM's callbacks.
         """
         if not isinstance(error.exc_value, Interrupted):
-            self._say_lost(error)
+            if not (self.held and _NOBODY_LISTENS in str(error.exc_value)):
+                self._say_lost(error)
         elif not self.held:
             self._send_again()
 

@@ -1,8 +1,10 @@
 """Many episodes side by side, in all of which somebody walks a given way: a policy is asked for all of them at once.
 
-The worlds are compiled, and the same to the bit as those of whole episodes. Of some episodes, drawn by lot, the single
-form of the policy is asked as well, by a controller of each episode's own: where it answers otherwise, `commands` and
-`command` are not the same car, and nothing is made of either.
+The worlds are compiled, and the same to the bit as those of whole episodes. When all is over, the single form of the
+policy is asked as well, in a process that has not seen what `commands` was asked or has answered: in every control
+period of some episodes, by a controller of each one's own, and in one control period of each of the others. A policy
+that is another car in few episodes is so in those that decide, where the car would have hit: so none is left out. Where
+`command` answers otherwise than `commands` did, they are not the same car, and nothing is made of either.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from skd_sim.state import AdversaryState, CarState, Scene
 from skd_evaluator.errors import AssessmentError
 
 ONE_IN: Final = 50
-"""Of so many episodes side by side one is asked by the single form as well."""
+"""Of so many episodes side by side one is asked by the single form from its beginning to its end."""
 TOLERANCE: Final = 1e-4
 """m/s² by which both forms may differ: what sums of single precision in another order come to."""
 
@@ -51,6 +53,22 @@ class Replayed(NamedTuple):
     ticks: IntArray
     shares: FloatArray
     impacts: FloatArray
+
+
+class _Asked(NamedTuple):
+    """What `commands` was asked in a control period of a tick, and answered.
+
+    Attributes:
+        tick: number of the tick.
+        rows: which episodes go on, m.
+        states: of their cars and adversaries, 9 × m, as `ApartController.commands` has them.
+        commands: accelerations, m, m/s².
+    """
+
+    tick: int
+    rows: IntArray
+    states: FloatArray
+    commands: FloatArray
 
 
 class _Numbers(NamedTuple):
@@ -135,13 +153,16 @@ def _advance(
                 cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
 
 
-def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -> Replayed:
+def replayed(
+    episodes: Sequence[Episode], make: Callable[[], ApartController], confirming: Callable[[], ApartController]
+) -> Replayed:
     """Run episodes in which the adversary follows a way, all of one car, side by side.
 
     Args:
         episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`.
         make: makes the controller, which takes batches. One answers all episodes: it is reset once, as the first of
             them has it.
+        confirming: makes one in another process, whose single form is asked.
 
     Raises:
         AssessmentError: the controller fails, or its two forms differ.
@@ -150,7 +171,7 @@ def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -
     assert first.mode == Mode.REPLAY, first.mode
     assert not why_not_side_by_side(first), why_not_side_by_side(first)
     policy = _made(make, first)
-    checks = {row: _made(make, episodes[row]) for row in _by_lot(episodes)}
+    asked_of_all: list[_Asked] = []
     numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
     limit = scenario.ticks
     ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
@@ -179,14 +200,16 @@ def replayed(episodes: Sequence[Episode], make: Callable[[], ApartController]) -
             asked = rows if period == 0 else rows[~over[rows]]
             if not asked.size:
                 break
-            commands = policy.commands(np.concatenate([cars[asked].T, users[asked].T]))
-            _compare(episodes, checks, asked, commands, cars, users, tick)
+            states = np.concatenate([cars[asked].T, users[asked].T])
+            commands = policy.commands(states)
+            asked_of_all.append(_Asked(tick, asked, states, commands))
             _advance(
                 numbers, tick, period, asked, commands, velocities, noise, cars, users, origins, found.shares,
                 found.impacts, over,
             )  # fmt: skip
         found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[rows][:, [0, 1, 3]]
         found.ticks[rows[over[rows]]] = tick + 1
+    _confirm(episodes, asked_of_all, confirming)
     return found
 
 
@@ -214,36 +237,57 @@ def _made(make: Callable[[], ApartController], episode: Episode) -> ApartControl
     return controller
 
 
-def _by_lot(episodes: Sequence[Episode]) -> list[int]:
-    """Return which episodes the single form is asked in: at least one, and not those that a controller can foresee."""
-    rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
-    return sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist())
-
-
-def _compare(
-    episodes: Sequence[Episode],
-    checks: dict[int, ApartController],
-    asked: IntArray,
-    commands: FloatArray,
-    cars: FloatArray,
-    users: FloatArray,
-    tick: int,
+def _confirm(
+    episodes: Sequence[Episode], asked_of_all: Sequence[_Asked], confirming: Callable[[], ApartController]
 ) -> None:
-    """Ask the single form where it is to be asked.
+    """Ask the single form what `commands` was asked: some episodes as a whole, and then each once.
 
     Raises:
         AssessmentError: it answers otherwise.
     """
-    for at, row in enumerate(asked.tolist()):
-        single = checks.get(row)
-        if single is None:
-            continue
-        car, user = CarState(*cars[row].tolist()), AdversaryState(*users[row].tolist())
-        seen = Scene(car, user) if single.takes_scene else user
-        alone, together = single.command(car, seen), float(commands[at])  # type: ignore[arg-type]
-        if not abs(alone - together) <= TOLERANCE:
-            raise AssessmentError(
-                f"controller {episodes[row].controller}: commands answers {together:.6g} m/s² where command answers "
-                f"{alone:.6g} m/s² (tick {tick} of episode {episodes[row].episode_id}): both have to be the same car, "
-                "without a memory of its own; mend commands, or leave it out"
-            )
+    rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
+    for row in sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist()):
+        single = _made(confirming, episodes[row])
+        for asked in asked_of_all:
+            for at in np.flatnonzero(asked.rows == row).tolist():
+                _compare(single, episodes[row], asked, at)
+    single = _made(confirming, episodes[0])
+    moments = _moments(asked_of_all, len(episodes), rng)
+    for row in rng.permutation(len(episodes)).tolist():
+        number, at = moments[row].tolist()
+        _compare(single, episodes[row], asked_of_all[number], at)
+
+
+def _moments(asked_of_all: Sequence[_Asked], count: int, rng: np.random.Generator) -> IntArray:
+    """Return a control period of each episode by lot, count × 2: its number, and the episode's place in it.
+
+    They are drawn of those in which the car moves towards somebody ahead of it, where there are any: what it does there
+    decides what becomes of the episode.
+    """
+    chosen, least = np.zeros((count, 2), np.int64), np.full(count, np.inf)
+    for number, asked in enumerate(asked_of_all):
+        moves_towards = (asked.states[3] > 0.0) & (asked.states[5] > asked.states[1])
+        lots = rng.random(len(asked.rows)) + ~moves_towards
+        better = np.flatnonzero(lots < least[asked.rows])
+        rows = asked.rows[better]
+        least[rows] = lots[better]
+        chosen[rows, 0], chosen[rows, 1] = number, better
+    return chosen
+
+
+def _compare(single: ApartController, episode: Episode, asked: _Asked, at: int) -> None:
+    """Ask the single form in one state.
+
+    Raises:
+        AssessmentError: it answers otherwise than `commands` did.
+    """
+    numbers = asked.states[:, at].tolist()
+    car, user = CarState(*numbers[:4]), AdversaryState(*numbers[4:])
+    seen = Scene(car, user) if single.takes_scene else user
+    alone, together = single.command(car, seen), float(asked.commands[at])  # type: ignore[arg-type]
+    if not abs(alone - together) <= TOLERANCE:
+        raise AssessmentError(
+            f"controller {episode.controller}: commands answers {together:.6g} m/s² where command answers "
+            f"{alone:.6g} m/s² (tick {asked.tick} of episode {episode.episode_id}): both have to be the same car, "
+            "without a memory of its own; mend commands, or leave it out"
+        )

@@ -21,22 +21,24 @@ def read_commonroad(root: Element, where: str) -> list[Found]:
         where: name of the file, for messages.
 
     Raises:
-        UsageError: the time step is none, or a state has no exact time or place.
+        UsageError: the time step is none, two obstacles have one id, or a state has no exact time or place.
     """
     step = finite_number(root.get("timeStepSize", ""), f"{where}: timeStepSize")
     if not 0.0 < step < 1e3:
         raise UsageError(f"{where}: timeStepSize must be above 0 s, got {step:g}")
-    found = []
+    found: dict[str, Found] = {}
     for obstacle in root.findall("dynamicObstacle"):
         name = obstacle.get("id", "")
         here = f"{where}, obstacle {name}"
         first, rest = obstacle.find("initialState"), obstacle.findall("trajectory/state")
         if first is None or not rest:
             continue  # occupancies, or nothing
+        if name in found:
+            raise UsageError(f"{here}: two obstacles have this id; give a file in which each has its own")
         rows = np.array([_state(one, here) for one in (first, *rest)], np.float64)
         track = track_of(step * rows[:, 0], rows[:, 1:], here)
-        found.append(Found(name, track, (obstacle.findtext("type") or "").strip()))
-    return found
+        found[name] = Found(name, track, (obstacle.findtext("type") or "").strip())
+    return list(found.values())
 
 
 def _state(state: Element, where: str) -> tuple[float, float, float]:

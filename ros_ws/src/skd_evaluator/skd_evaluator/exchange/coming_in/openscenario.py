@@ -22,8 +22,8 @@ def read_openscenario(root: Element, where: str) -> list[Found]:
         where: name of the file, for messages.
 
     Raises:
-        UsageError: an entity has two such ways, a vertex without a time or a place of the world, or times that are not
-            those of the simulation.
+        UsageError: an entity has two such ways, or begins within one, a vertex has no time or no place of the world, or
+            times are not those of the simulation.
     """
     found: dict[str, Found] = {}
     kinds = {one.get("name", ""): _kind(one) for one in root.iter("ScenarioObject")}
@@ -38,6 +38,8 @@ def read_openscenario(root: Element, where: str) -> list[Found]:
                 raise UsageError(f"{here}: follows two polylines; give a file in which it follows one")
             rows = [_vertex(one, here) for one in line.findall("Vertex")]
             scale, offset = _timing(follow, here)
+            if follow.get("initialDistanceOffset", "0").strip() not in ("0", "0.0"):
+                raise UsageError(f"{here}: begins within its polyline (initialDistanceOffset), whose times do not")
             table = np.array(rows, np.float64).reshape(-1, 3)
             track = track_of(scale * table[:, 0] + offset, table[:, 1:], here)
             found[name] = Found(name, track, kinds.get(name, ""))

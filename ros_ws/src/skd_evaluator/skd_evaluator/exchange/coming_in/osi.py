@@ -9,7 +9,7 @@ import numpy as np
 from skd_sim.errors import UsageError
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
-from skd_evaluator.exchange.coming_in.found import Found, track_of
+from skd_evaluator.exchange.coming_in.found import Found, listed, track_of
 from skd_evaluator.exchange.names import EGO, SOURCE
 from skd_evaluator.exchange.osi_library import osi_messages
 
@@ -22,16 +22,21 @@ def read_osi(path: Path) -> list[Found]:
     """Return every moving object; one that SKD has exported bears its name there, any other its id.
 
     Raises:
-        UsageError: the library is not installed, the file is damaged, or a message is none of ground truth.
+        UsageError: the library is not installed, the file is damaged, a message is none of ground truth, or several
+            topics have some, whose ids need not be of the same objects.
     """
     kind = osi_messages().GroundTruth
     condition, count = Condition(), 0
     rows: dict[int, list[tuple[float, float, float]]] = {}
     roles: dict[int, str] = {}
     kinds: dict[int, str] = {}
+    topics: dict[str, None] = {}
     for received in read_messages(path, lambda _topic: True, condition):
         if received.schema.name != SCHEMA:
             continue
+        topics[received.channel.topic] = None
+        if len(topics) > 1:
+            raise UsageError(f"{path}: has ground truth on {listed(list(topics))}; give a file with one of them")
         message = _parsed(kind, received, path)
         time = message.timestamp.seconds + _NANOSECONDS * message.timestamp.nanos
         for one in message.moving_object:

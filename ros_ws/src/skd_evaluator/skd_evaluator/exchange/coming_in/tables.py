@@ -120,7 +120,11 @@ def _rate(path: Path) -> float:
 
 def _classes(path: Path) -> Mapping[str, str]:
     """Return the class of each track, by its id."""
-    return {name: kind for (name, kind), _ in _rows(_beside(path, _META), (), ("trackId", "class"))}
+    beside, found = _beside(path, _META), dict[str, str]()
+    for (name, kind), _ in _rows(beside, (), ("trackId", "class")):
+        if found.setdefault(name, kind) != kind:
+            raise UsageError(f"{beside}: track {listed([name])} has two classes")
+    return found
 
 
 def _beside(path: Path, ending: str) -> Path:
@@ -148,14 +152,14 @@ def _rows(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Iterator[
     lines = _lines(path)
     header = next((row for _, row in lines), [])
     for name in (*numbers, *texts):
-        if name not in header:
-            raise UsageError(f"{path}, line 1: no column {name!r}")
+        if header.count(name) != 1:
+            raise UsageError(f"{path}, line 1: {'two columns' if name in header else 'no column'} {name!r}")
     number_places, text_places = [header.index(name) for name in numbers], [header.index(name) for name in texts]
     least = max([*number_places, *text_places]) + 1
     for count, (line, row) in enumerate(lines):
         if not any(row):
             continue
-        if len(row) < least:
+        if len(row) < least or any(row[len(header) :]):
             raise UsageError(f"{path}, line {line}: {len(row)} values where the header names {len(header)}")
         if count > _MOST_ROWS:
             raise UsageError(f"{path}: more than {_MOST_ROWS} rows; cut it to what is wanted")

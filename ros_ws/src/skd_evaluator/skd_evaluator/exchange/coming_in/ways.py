@@ -23,6 +23,7 @@ from skd_evaluator.fusion.track import FASTEST, Frame, Track
 _GAP = 1.5  # times the usual step, from which on a step is a gap
 _LEAST_DRIVE = 0.5  # m that a car moves, or it has no direction
 _JITTER = 0.3  # m
+_FARTHEST_ASIDE = 2.0  # m
 
 
 class UnusableError(UsageError):
@@ -164,11 +165,16 @@ def by_car(car: Track, user: Track, crossing: float) -> tuple[FloatArray, str]:
         crossing: 1 for a scenario in which the adversary crosses towards the East, −1 towards the West.
 
     Raises:
-        UnusableError: the car does not drive.
+        UnusableError: the car does not drive, or not straight.
     """
     if np.hypot(*np.ptp(car.places, axis=0)) < _LEAST_DRIVE:
         raise UnusableError("the car does not drive, so nothing says where North is")
     seen = seen_from_car(car.places, user.places)
+    if seen.aside > _FARTHEST_ASIDE:
+        raise UnusableError(
+            f"the car is up to {seen.aside:.2f} m off a straight line, more than {_FARTHEST_ASIDE:g} m, so its way "
+            "does not say where North is: cut it to what is straight, or give --frame"
+        )
     said = f"North is where the car drives (at most {seen.aside:.2f} m off its line), y = 0 where its line is crossed"
     towards = "east" if crossing > 0.0 else "west"
     mirrored = seen.mirrored != (crossing < 0.0)
