@@ -54,8 +54,7 @@ def _bare_loop_template(
         reward, terminal = _step(parameters, state, _rollout_action(parameters, state, rng), after, rng)
         total += reward
         left = 0 if terminal else left - 1
-        for k in range(state.shape[0]):
-            state[k] = after[k]
+        state, after = after, state
     return total
 
 

@@ -24,9 +24,10 @@ def _roll_out_template(
     discount: float,
     rng: np.random.Generator,
 ) -> tuple[float, int, int, bool]:
-    """Act by a rule from a state, which is overwritten.
+    """Act by a rule from a state; both arrays are overwritten.
 
-    `notes` are the rule's own. Returns (return, number of the first action or −1, steps made, whether the episode
+    Where the episode goes on, its last state is in `state` after an even number of steps, and in `moved` after an odd
+    one. `notes` are the rule's own. Returns (return, number of the first action or −1, steps made, whether the episode
     ended).
     """
     value, discounting = 0.0, 1.0

@@ -140,6 +140,7 @@ def _search_template(
                 only = a
         if choices == 1:  # no search finds another
             statistics[0, only, VISITS] = 1.0
+            statistics[0, only, VALUE] = 0.0
             return steps
     elif tree.total[0] == 0:
         _forbid(parameters, tree, 0, state)

@@ -32,9 +32,10 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
         function: plain function of numbers and arrays.
         inline: compile it into every kernel that calls it. A call hands over each number of a NamedTuple on its own,
             which for a model's parameters takes longer than a step of the model.
-        allocates: whether it makes arrays, slices included; not, by default, where it is inlined. One that does not
-            keeps no count of references to those it was given, which would cost several times as much as a step of a
-            model. That it does not is checked when it is compiled.
+        allocates: whether it makes arrays; not, by default, where it is inlined. A slice is none as long as only
+            kernels that it calls see it. One that does not allocate keeps no count of references to the arrays it was
+            given, which would cost several times as much as a step of a model. That it does not is checked when it is
+            compiled.
         nogil: let other Python threads run during a call from Python; the arrays must then be theirs to share.
     """
     if function is None:
