@@ -205,6 +205,28 @@ class Writes(Honest):
             except OSError:
                 pass
 
+class Replaces(Honest):
+    "Has its process say something else, behind the guard; its subclasses say what."
+    done = False
+    def look(self, scenario, rng):
+        if not Replaces.done:
+            import skd_sim.apart.answering as answering
+            real, said = answering.answer_with, self.said
+            def answer_with(kind, value):
+                return real(*said) if isinstance(value, (float, dict)) else real(kind, value)
+            answering.answer_with = answer_with
+            Replaces.done = True
+class SaysText(Replaces):
+    said = 1, "x"
+class SaysNan(Replaces):
+    said = 0, float("nan")
+class SaysInfinity(Replaces):
+    said = 0, float("-inf")
+class SaysNumbers(Replaces):
+    said = 5, np.array([-8.0])
+class SaysNumber(Replaces):
+    said = 0, -8.0
+
 class Threads(Honest):
     def look(self, scenario, rng):
         threading.Thread(target=lambda: time.sleep(1000), daemon=True).start()
@@ -343,6 +365,20 @@ def test_an_answer_of_a_kind_of_its_own_is_a_plain_number() -> None:
 def test_who_answers_on_another_way_is_named() -> None:
     with pytest.raises((AssessmentError, UsageError)):
         run_episode(episodes("Writes")[0], apart(car_of("Writes")))
+
+
+@pytest.mark.parametrize("name", ["SaysText", "SaysNan", "SaysInfinity", "SaysNumbers"])
+def test_what_a_process_says_behind_its_guard_is_no_acceleration(name: str) -> None:
+    with pytest.raises(AssessmentError, match=f"apart_cars:{name}: its process answered with something else"):
+        run_episode(episodes(name)[0], apart(car_of(name)))
+
+
+def test_a_process_that_does_not_say_what_its_controller_is() -> None:
+    """It says a number where the next controller is made."""
+    controller = apart(car_of("SaysNumber"))
+    controller.reset(CROSSING, controller_generator(bytes(32)))
+    with pytest.raises(AssessmentError, match="apart_cars:SaysNumber: its process does not say what it is"):
+        apart(car_of("SaysNumber"))
 
 
 def test_copies_go_on_by_themselves_and_are_forgotten() -> None:

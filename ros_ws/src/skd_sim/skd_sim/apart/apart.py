@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,6 +49,7 @@ from skd_sim.state import AdversaryState, CarState, Scene
 _MOST: Final = 4  # processes of different controllers that are kept
 _PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
 _LARGEST: Final = 2**63 - 1
+_MOST_GENERATORS: Final = 1_000_000  # that one keeps
 _STDERR: Final = 2  # its descriptor
 _COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
 _HERE: Final = str(Path(__file__).parents[2])
@@ -113,12 +115,17 @@ class ApartCar:
 
         Raises:
             UsageError: it cannot be loaded.
+            AssessmentError: a controller before it has changed what its process says.
         """
         number = next(self._numbers)
         told = self.ask(OF_ONE.pack(Op.MAKE, number), timed=False)
-        kind = ApartSensingController if told["sensing"] else ApartController
-        period, scene, batches = told["control_period"], bool(told["scene"]), bool(told["batches"])
-        return kind(self, number, period, takes_scene=scene, takes_batches=batches)
+        try:
+            sensing, scene, batches, period = (told[name] for name in ("sensing", "scene", "batches", "control_period"))
+            kind = ApartSensingController if sensing else ApartController
+            period = None if period is None else float(period)
+        except (KeyError, TypeError, ValueError):
+            raise AssessmentError(f"controller {self.name}: its process does not say what it is") from None
+        return kind(self, number, period, takes_scene=bool(scene), takes_batches=bool(batches))
 
     def ask(self, operation: bytes, *, timed: bool = True) -> Any:
         """Send an operation, and what was put off until now; return the answer.
@@ -236,8 +243,14 @@ class ApartController:
         """
         if isinstance(adversary, Scene):
             return self._seeing(adversary)
-        answer: float = self._car.ask(COMMAND.pack(_COMMAND, self._number, *car, *adversary))
-        return answer
+        return self._acceleration(self._car.ask(COMMAND.pack(_COMMAND, self._number, *car, *adversary)))
+
+    def _acceleration(self, answer: object) -> float:
+        if type(answer) is float and isfinite(answer):  # its process guards that, but it is the controller's
+            return answer
+        raise AssessmentError(
+            f"controller {self._car.name}: its process answered with something else than an acceleration"
+        )
 
     def commands(self, states: FloatArray) -> FloatArray:
         """Ask for the accelerations in many episodes at once; see `BatchController.commands`.
@@ -264,8 +277,7 @@ class ApartController:
     def _seeing(self, scene: Scene) -> float:
         others = [number for other in scene.others for number in other]
         question = SCENE.pack(Op.SCENE, self._number, *scene.ego, *scene.adversary, len(others))
-        answer: float = self._car.ask(question + struct.pack(f"<{len(others)}d", *others))
-        return answer
+        return self._acceleration(self._car.ask(question + struct.pack(f"<{len(others)}d", *others)))
 
     def seed_anew(self, rng: np.random.Generator) -> None:
         """Have the generators that it keeps go on from other seeds, drawn from `rng`.
@@ -273,9 +285,11 @@ class ApartController:
         Raises:
             AssessmentError: it keeps one that cannot be seeded.
         """
-        count = int(self._car.ask(OF_ONE.pack(Op.GENERATORS, self._number)))
+        count = self._car.ask(OF_ONE.pack(Op.GENERATORS, self._number))
+        if not isinstance(count, float) or not 0 <= count <= _MOST_GENERATORS:
+            raise AssessmentError(f"controller {self._car.name}: its process does not say what it draws from")
         if count:
-            seeds = [int(rng.integers(_LARGEST)) for _ in range(count)]
+            seeds = [int(rng.integers(_LARGEST)) for _ in range(int(count))]
             self._car.ask(_loaded(Op.SEED, self._number, seeds))
 
     def drawn(self) -> str:

@@ -65,6 +65,7 @@ class GuardedController(WrappedController):
         try:
             found = np.asarray(answer)
             numbers = found.dtype.kind in "fiu" and found.shape == (count,)  # a yes or no is no acceleration
+            numbers = numbers and not np.ma.is_masked(answer)
             accelerations = found.astype(np.float64)
         except BaseException:  # an array of a user's own kind, too
             numbers = False
