@@ -122,7 +122,7 @@ class LocalSearch:
         begins = chain[::-_EVERY]
         if not self._tree.is_pedestrian:
             nearest = min(range(len(chain)), key=lambda tick: self._away(chain[tick]))
-            begins = [*chain[nearest::-_EVERY], *chain[: nearest : -_EVERY]]
+            begins = [*chain[nearest::-_EVERY], *chain[:nearest:-_EVERY]]
         for node in begins:
             if self._tree.best is None:
                 self.roll_out(node, self._towards_the_car)
