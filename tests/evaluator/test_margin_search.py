@@ -24,6 +24,7 @@ from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.episode.randomness import controller_generator, controller_seed
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.branching import Branch
 from skd_sim.simulation.world import make_world
 from skd_sim.state import AdversaryState, CarState
@@ -276,3 +277,20 @@ def test_a_limit_below_the_usual_budget_is_kept():
     with InProcessRunner(1) as runner:
         found = least_ways([short(0, 9, 0.1), short(1, 9, 0.1)], lambda: [(), ()], runner, lambda *_: None, 8)
     assert found.budget == 8
+
+
+def test_a_hit_from_beyond_eta_max_is_a_beginning_for_a_car_and_never_the_result():
+    """φ stays on the lane beside, 3.5 m away, where no two cars touch: the way that is found is a hit within η_max."""
+    phi = Trajectory(np.column_stack([np.full(16, -3.5), -8.0 + 2.7 * np.arange(16)]), 0.3)
+    scenario = load_scenario("cut_in")
+    found = []
+    for number in range(4):
+        episode = Episode(scenario, Mode.KAMIKAZE, 1, number, safe_trajectory=phi, multiplier=0.75)
+        near = search_margin(replace(episode, scenario=replace(scenario, eta_max=2.0)), 512)
+        if near.way is not None:
+            found.append(near.way.distance)
+        assert near.trace[np.isfinite(near.trace)].max(initial=0.0) <= 2.0
+        assert near.simulated_ticks <= 512
+    assert len(found) >= 2
+    assert max(found) <= 2.0
+    assert min(found) > 3.5 - 0.9 - math.hypot(2.25, 0.9)  # as far aside as a box reaches, at most

@@ -12,8 +12,10 @@ from report_support import HOSTILE, hostile
 from skd_evaluator.measure.surrogate.braking import required_decelerations
 from skd_evaluator.measure.surrogate.collision_time import collision_times
 from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
+from skd_evaluator.ncap.result import Cell, Grid, Ncap
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.ncap.page import render as regulators_view
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_sim.episode.episode import Mode
 
@@ -227,6 +229,25 @@ def test_names_are_shown_as_text(browser, subjects, tmp_path):
     assert HOSTILE in other.text("#maps")
     assert HOSTILE in other.text("#playing")
     other.assert_quiet(path)
+
+
+def test_the_regulators_view_is_no_wider_than_a_telephone(browser, tmp_path):
+    """Seven impact places, with equivalent multipliers, are: they scroll in a region that takes the focus."""
+    cells = tuple(
+        Cell(speed=30.0, place=place, colour="green", margin=0.3, margins=(0.3,), equivalent_text="below 1.25")
+        for place in (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
+    )
+    grid = Grid("cpna", "A pedestrian.", cells)
+    view = Ncap(skd="0", car="a car", seed=0, attempts=1, margin_limit=9, room=0.5, grids=(grid,))
+    path = tmp_path / "ncap.html"
+    path.write_text(regulators_view(view), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 400, "height": 800})
+    page.goto(path.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    assert page.evaluate("document.querySelector('.scroll').scrollWidth") > 400
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "scroll"
+    page.close()
 
 
 _CONTRAST = """() => {

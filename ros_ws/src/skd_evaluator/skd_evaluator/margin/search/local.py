@@ -112,12 +112,27 @@ class LocalSearch:
     def walk_up(self, last: Node) -> None:
         """Walk up to the car from late on a way, then from earlier, until that hits.
 
+        Who keeps heading and speed does so first from where the car is nearest, then from earlier, and last from later:
+        past the car nothing leads back to it soon, and each walk up to it costs ticks.
+
         Raises:
             OverError: see `Tree.step`.
         """
-        for node in last.chain[::-_EVERY]:
+        chain = last.chain
+        begins = chain[::-_EVERY]
+        if not self._tree.is_pedestrian:
+            nearest = min(range(len(chain)), key=lambda tick: self._away(chain[tick]))
+            begins = [*chain[nearest::-_EVERY], *chain[:nearest:-_EVERY]]
+        for node in begins:
             if self._tree.best is None:
                 self.roll_out(node, self._towards_the_car)
+
+    def _away(self, node: Node) -> float:
+        """Return how far the adversary's centre is from the car, m."""
+        car, (front, rear, half_width, _) = node.branch.world.car, self._footprint
+        cos, sin = math.cos(car.heading), math.sin(car.heading)
+        dx, dy = node.user.x - car.x, node.user.y - car.y
+        return rectangle_distance(cos * dx + sin * dy, cos * dy - sin * dx, front, rear, half_width)
 
     def follow(self, positions: FloatArray) -> None:
         """Walk as near to given positions per tick as can be, and towards the car from their end.
@@ -151,7 +166,7 @@ class LocalSearch:
     @property
     def exhausted(self) -> bool:
         """Whether every moment with less deformation than the best way was tried."""
-        while self._queue and self._queue[0][-1].strayed >= self._tree.least:
+        while self._queue and self._queue[0][-1].strayed >= self._tree.bound:
             heapq.heappop(self._queue)
         return not self._queue
 
@@ -168,7 +183,7 @@ class LocalSearch:
         heapq.heappop(self._queue)
         for way in self._tree.ways(node)[::-1]:
             after = node.children[way]
-            if after.outcome == Outcome.RUNNING and after.strayed < self._tree.least:
+            if after.outcome == Outcome.RUNNING and after.strayed < self._tree.bound:
                 self._push(after)
 
     def vary(self) -> None:

@@ -104,10 +104,10 @@ def search_margin(
         tree = Tree(episode, budget, root, picture)
         exhausted = _run(tree, picture, ways)
         way = None
-        if tree.best is not None:
+        if tree.found is not None:
             gap, enough = 0.0 if exhausted else math.inf, ENOUGH if walks is None else FORMS_DIFFER
-            way = _walked(episode, tree, tree.best, walks or controller, gap, enough)
-        if tree.best is None or way is not None:
+            way = _walked(episode, tree, tree.found, walks or controller, gap, enough)
+        if tree.found is None or way is not None:
             return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered, _remembered(tree))
         if walks is not None:
             raise AssessmentError(
@@ -169,7 +169,7 @@ def _can_plan(planning: Planning, tree: Tree) -> bool:
 
 
 def _trace(tree: Tree, budget: int) -> FloatArray:
-    found = math.inf if tree.best is None else tree.least
+    found = math.inf if tree.found is None else tree.least
     length = budget.bit_length()
     return np.array([*tree.trace, *[found] * length][:length])
 

@@ -23,6 +23,9 @@ Velocity = tuple[float, float]
 
 ENOUGH = 1e-9
 """m: nobody has strayed who has strayed less."""
+_BEGINNINGS = 3.0
+"""Times η_max: so far may stray, until something is found, who keeps heading and speed: small changes of a hit beyond
+η_max lead to hits within it, and most of the first hits that are found lie beyond."""
 
 
 class OverError(Exception):
@@ -90,8 +93,8 @@ class Tree:
     Attributes:
         root: the start of the attempt.
         nodes: all moments from which it can go on.
-        best: the hit of least deformation.
-        least: deformation of the best way, m; η_max before there is one.
+        best: the hit of least deformation; of who keeps heading and speed it may lie beyond η_max, see `found`.
+        least: deformation of the best way, m; before there is one, how far it may lie from φ.
         steps: how many ticks of the car were simulated.
         trace: `least` when 1, 2, 4, … ticks had been simulated; infinity where there was no hit.
     """
@@ -114,7 +117,8 @@ class Tree:
         self._describe(self.root, root)
         self.nodes = [self.root]
         self.best: Node | None = None
-        self.least = self.scenario.eta_max * (1.0 + ENOUGH)
+        self._most = self.scenario.eta_max * (1.0 + ENOUGH)
+        self.least = self._most if self.is_pedestrian else _BEGINNINGS * self._most
         self.steps, self._budget = 0, budget
         self.trace: list[float] = []
 
@@ -122,6 +126,16 @@ class Tree:
         dynamics = make_dynamics(self.scenario)
         rng = generator(self.episode.seed, self.episode.episode_id, Role.CAR)
         return [dynamics.draw(rng) for _ in range(self.scenario.ticks + 1)]
+
+    @property
+    def found(self) -> Node | None:
+        """The hit of least deformation, at most η_max."""
+        return self.best if self.least < self._most else None
+
+    @property
+    def bound(self) -> float:
+        """Deformation, m, beyond which nothing is of use but as a beginning."""
+        return min(self.least, self._most)
 
     def choices(self, node: Node) -> list[Velocity]:
         """Return the velocities of all ways from a moment, m/s."""
@@ -195,7 +209,7 @@ class Tree:
 
     def _spend(self) -> None:
         while self.steps >= 1 << len(self.trace):
-            self.trace.append(math.inf if self.best is None else self.least)
+            self.trace.append(math.inf if self.found is None else self.least)
         if self.steps >= self._budget:
             raise OverError
         self.steps += 1
