@@ -104,7 +104,7 @@ def _measure(plan: Plan, safe: tuple[Trajectory, ...], arguments: argparse.Names
         one, many, said = in_turns(
             lambda: single.run(crossings, 1.0), lambda: together.run(crossings, 1.0), arguments.turns
         )
-        same = np.array_equal(one.touch, many.touch) and np.array_equal(one.clearance, many.clearance)
+        same = np.array_equal(one.touch, many.touch) and np.array_equal(one.missed, many.missed)
         _say(plan.controller, f"risk, {len(crossings)} crossings", said, same)
 
         def margins() -> Any:

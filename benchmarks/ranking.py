@@ -158,26 +158,26 @@ def exceptions(ranking: Ranking, figure: str) -> list[dict[str, Any]]:
     return found
 
 
-def verdicts(ranking: Ranking, margin: str, risk: str) -> dict[str, int]:
+def verdicts(ranking: Ranking, margin: str, risk: str, *, both: bool = False) -> dict[str, int]:
     """Return in how many pairs margin and risk together call the safer car so, the other one, or neither.
 
     A car is called safer if one of the two says so, told apart by its interval over φ, and the other does not say the
-    opposite.
+    opposite; or, where `both` is asked for, if both say so.
     """
-    found = {"the safer": 0, "neither, for they contradict": 0, "neither, told apart by none": 0, "the other": 0}
+    found = {"the safer": 0, "neither, for they contradict": 0, "neither, told apart by too few": 0, "the other": 0}
     for pair in ranking.pairs:
         safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
-        votes = set()
+        votes: list[bool] = []
         for figure in (margin, risk):
             _, interval = safer.above(other, figure)
             if interval is not None and told_apart(*interval):
-                votes.add((interval[0] > 0.0) == (FIGURES[figure].better > 0))
-        if len(votes) == 2:
+                votes.append((interval[0] > 0.0) == (FIGURES[figure].better > 0))
+        if len(set(votes)) == 2:
             found["neither, for they contradict"] += 1
-        elif not votes:
-            found["neither, told apart by none"] += 1
+        elif len(votes) < (2 if both else 1):
+            found["neither, told apart by too few"] += 1
         else:
-            found["the safer" if votes == {True} else "the other"] += 1
+            found["the safer" if votes[0] else "the other"] += 1
     return found
 
 
@@ -242,8 +242,9 @@ def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> 
             f"{100 * low:.1f} to {100 * high:.1f} % | {apart} of {len(wrong)} |"
         )
     if "margin" in figures and "risk_2" in figures:
-        said = "; ".join(f"{name}: {count}" for name, count in verdicts(ranking, "margin", "risk_2").items())
-        print(f"\nMargin and R(2) together call safer: {said}")
+        for both, words in ((False, "one of margin and R(2), not contradicted,"), (True, "both, margin and R(2),")):
+            counts = verdicts(ranking, "margin", "risk_2", both=both)
+            print(f"\nCalled safer by {words}: {'; '.join(f'{name}: {count}' for name, count in counts.items())}")
     for name in explained:
         print(f"\n{FIGURES[name].label}, not as the truths: the safer car, the other; difference [95 % over φ]")
         for one in exceptions(ranking, name):

@@ -6,7 +6,10 @@ the share of --crude crossings that end in a hit. The risk is estimated --repeti
 crossings a level each, as in an assessment; counted is how often the log-t interval holds the truth, which is itself
 known up to its own error. `gain` is how many times as many crude crossings would have had the same error.
 
-    python benchmarks/risk_coverage.py [--case NAME ...] [--repetitions 200] [--crude N] [--workers 2] [--json]
+    python benchmarks/risk_coverage.py [--case NAME ...] [--repetitions 200] [--crude N] [--known HITS] [--workers 2]
+        [--json]
+
+--known says how many of the --crude crossings were hits when they were run before; then they are not run again.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from skd_evaluator.measure.statistics.statistics import wilson_interval
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
-from skd_evaluator.risk.touching import clearance_of, side_touched
+from skd_evaluator.risk.touching import missed_by, side_touched
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.geometry.contact import sweep
@@ -75,7 +78,7 @@ CASES = (
 @kernel
 def _cross_by_time(
     paths: np.ndarray, lengths: np.ndarray, values: np.ndarray, phi: np.ndarray, walker: np.ndarray, car: np.ndarray,
-    scale: float, law: float, touch: np.ndarray, clearance: np.ndarray,
+    scale: float, law: float, touch: np.ndarray, missed: np.ndarray,
 ) -> None:  # fmt: skip
     """Run crossings of scenario crossing in front of a car that brakes where it would be there within a time."""
     ticks, front, half_width, radius, least_speed = (car.shape[1] - 1) // 2, 2.25, 0.9, 0.25, 0.556
@@ -99,12 +102,12 @@ def _cross_by_time(
             velocity = ((there[0] - here[0]) / 0.3, (there[1] - here[1]) / 0.3)
             share, impact = sweep(path, here, there, velocity, 0.0, footprint, (radius, 0.0, 0.0), 0.3, 0, 1)
             until = share if share <= 1.0 else 1.0
-            least = min(least, clearance_of(path, here, there, until, footprint, radius, least_speed))
+            least = min(least, missed_by(path, here, there, until, footprint, radius, least_speed, 0.3))
             if share <= 1.0:
                 end = side_touched(path, here, there, share, footprint, radius, impact, least_speed)
                 break
             y, speed = y + distance, after
-        touch[row], clearance[row] = end, 0.0 if end == 1 else max(least, 1e-9)
+        touch[row], missed[row] = end, 0.0 if end == 1 else max(least, 1e-9)
 
 
 class CarByTime:
@@ -121,12 +124,12 @@ class CarByTime:
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings by the car's normals."""
-        touch, clearance = np.empty(len(crossings), np.int64), np.empty(len(crossings))
+        touch, missed = np.empty(len(crossings), np.int64), np.empty(len(crossings))
         _cross_by_time(
             self._paths, self._lengths, self._values, crossings.phi, crossings.walker, crossings.car, scale, self._law,
-            touch, clearance,
+            touch, missed,
         )  # fmt: skip
-        return Ends(touch, clearance)
+        return Ends(touch, missed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +177,17 @@ def crude_part(job: Job) -> int:
     return hits
 
 
-def examined(case: Case, repetitions: int, crude: int, runner: InProcessRunner, safe: tuple[Trajectory, ...]) -> dict:
+def examined(
+    case: Case,
+    repetitions: int,
+    crude: int,
+    runner: InProcessRunner,
+    safe: tuple[Trajectory, ...],
+    known: int | None = None,
+) -> dict:
     """Return what was found of a case."""
     parts, begin = math.ceil(crude / PART), time.perf_counter()
-    hits = sum(runner.map(crude_part, [Job(case, safe, number) for number in range(parts)]))
+    hits = known or sum(runner.map(crude_part, [Job(case, safe, number) for number in range(parts)]))
     runs, crude_seconds = parts * PART, time.perf_counter() - begin
     truth, interval = hits / runs, wilson_interval(hits, runs)
     begin = time.perf_counter()
@@ -214,16 +224,19 @@ def main() -> None:
     parser.add_argument("--case", nargs="+", choices=[one.name for one in CASES])
     parser.add_argument("--repetitions", type=int, default=200)
     parser.add_argument("--crude", type=int)
+    parser.add_argument("--known", type=int, metavar="HITS")
     parser.add_argument("--workers", type=int, default=available_workers())
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    if arguments.known is not None and (arguments.crude is None or len(arguments.case or ()) != 1):
+        parser.error("--known is of one --case, and of as many crossings as --crude says")
     plan = Plan(load_scenario("crossing"), safe_count=20, seed=7)
     safe = tuple(safe_trajectories(plan, InProcessRunner(1)))
     for case in CASES:
         if arguments.case is not None and case.name not in arguments.case:
             continue
         with InProcessRunner(arguments.workers) as runner:
-            row = examined(case, arguments.repetitions, arguments.crude or case.crude, runner, safe)
+            row = examined(case, arguments.repetitions, arguments.crude or case.crude, runner, safe, arguments.known)
         if arguments.json:
             print(json.dumps(row), flush=True)
             continue

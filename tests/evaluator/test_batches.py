@@ -148,7 +148,7 @@ def crossed(policy, safe, count, workers=1, scenario=SCENARIO):
 def test_crossings_side_by_side_are_episodes_to_the_bit(policy, period, safe):
     together, one_by_one = crossed(policy, safe, 120, scenario=replace(SCENARIO, control_period=period))
     np.testing.assert_array_equal(together.touch, one_by_one.touch)
-    np.testing.assert_array_equal(together.clearance, one_by_one.clearance)
+    np.testing.assert_array_equal(together.missed, one_by_one.missed)
     np.testing.assert_array_equal(together.ticks, one_by_one.ticks)
     assert len(set(together.touch.tolist())) > 1
 
@@ -167,8 +167,8 @@ def test_neither_workers_nor_the_number_of_crossings_change_one(safe):
         together = batched_car(here, runner)
         assert together is not None
         part = together.run(some, 1.0)
-    np.testing.assert_array_equal(found[0].clearance, found[1].clearance)
-    np.testing.assert_array_equal(found[0].clearance[200:280], part.clearance)
+    np.testing.assert_array_equal(found[0].missed, found[1].missed)
+    np.testing.assert_array_equal(found[0].missed[200:280], part.missed)
 
 
 @pytest.mark.parametrize(

@@ -63,9 +63,9 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
     episodes = AnyCar(here, InProcessRunner(1))
     whole = episodes.run(crossings, scale)
     np.testing.assert_array_equal(compiled.touch, whole.touch)
-    np.testing.assert_allclose(compiled.clearance, whole.clearance, atol=1e-9)
+    np.testing.assert_allclose(compiled.missed, whole.missed, atol=1e-9)
     assert (compiled.touch == Touch.FRONT).any()
-    np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.clearance == 0.0)
+    np.testing.assert_array_equal(compiled.touch == Touch.FRONT, compiled.missed == 0.0)
 
 
 def test_a_crossing_starts_as_a_run_along_phi_does(safe):
@@ -125,8 +125,8 @@ class Gauss:
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         self.run_so_far += len(crossings)
-        clearance = np.maximum(self.bound - scale * crossings.walker[:, 0], 0.0)
-        return Ends(np.where(clearance == 0.0, int(Touch.FRONT), int(Touch.NONE)), clearance)
+        missed = np.maximum(self.bound - scale * crossings.walker[:, 0], 0.0)
+        return Ends(np.where(missed == 0.0, int(Touch.FRONT), int(Touch.NONE)), missed)
 
 
 @pytest.mark.parametrize(("bound", "scale"), [(2.0, 1.0), (3.7, 1.0), (4.3, 1.0), (7.4, 2.0)])
@@ -143,7 +143,7 @@ def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, safe
 
 
 def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
-    effort = Effort(replicates=2, per_level=100, levels=3)
+    effort = Effort(replicates=2, per_level=400, levels=3)
     found = simulated(encounter(safe), Gauss(30.0), 1.0, effort)
     assert found.open_levels == 2
     risk = ScaleRisk(1.0, np.zeros(9, np.int64), 3, found)
@@ -182,7 +182,7 @@ def test_uniform_draws_of_the_car_come_from_its_normals(safe):
     by_normals = car.run(replace(crossings, car=normals), 1.0)
     by_draws = car.run_drawn(crossings, stats.norm.cdf(normals), 1.0)
     np.testing.assert_array_equal(by_normals.touch, by_draws.touch)
-    np.testing.assert_allclose(by_normals.clearance, by_draws.clearance, atol=1e-9)
+    np.testing.assert_allclose(by_normals.missed, by_draws.missed, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ CONDITIONAL: Final = "below 1e-4 conditional on the behaviour model, whose tails
 UNEVEN: Final = (
     "replicates differ by more than their mean: few of them decide it, and intervals of such hold less often"
 )
-"""See docs/risk.md: 82 to 91 % where 95 % are said."""
+"""See docs/risk.md."""
 
 
 class Touch(IntEnum):

@@ -20,7 +20,7 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.behaviour.walking import walked
 from skd_evaluator.measure.risks import Touch
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
-from skd_evaluator.risk.touching import clearance_of, in_car_frame, side_touched
+from skd_evaluator.risk.touching import in_car_frame, missed_by, side_touched
 
 _TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
 
@@ -83,7 +83,7 @@ def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:
 
 
 def end_of(log: EpisodeLog) -> tuple[Touch, float]:
-    """Return how a crossing ended, and the least clearance to the front of the moving car, m."""
+    """Return how a crossing ended, and the least time by which the front of the moving car missed, s."""
     if log.outcome == Outcome.ABORTED:
         return Touch.ABORTED, math.inf
     scenario, last = log.episode.scenario, len(log.car) - 2
@@ -91,11 +91,11 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     collided = log.outcome == Outcome.COLLISION
     passed = log.impact_time / scenario.time_step - last if collided else 1.0
     headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
-    touch, clearance = ended(
+    touch, missed = ended(
         np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings, collided, passed, footprint,
-        scenario.adversary.reach, log.impact_speed, scenario.collision.hit_speed,
+        scenario.adversary.reach, log.impact_speed, scenario.collision.hit_speed, scenario.time_step,
     )  # fmt: skip
-    return Touch(touch), clearance
+    return Touch(touch), missed
 
 
 def _heading(scenario: Scenario, ends: FloatArray) -> float:
@@ -117,8 +117,9 @@ def ended(
     radius: float,
     impact: float,
     hit_speed: float,
+    time_step: float,
 ) -> tuple[int, float]:
-    """Return how a crossing ended, a `Touch`, and the least clearance to the front of the moving car, m.
+    """Return how a crossing ended, a `Touch`, and the least time by which the front of the moving car missed, s.
 
     Args:
         users: places of somebody at ticks, n × 2, m.
@@ -130,6 +131,7 @@ def ended(
         radius: of the disc, m.
         impact: speed of the car at the contact, m/s.
         hit_speed: of a hit, at the least, m/s.
+        time_step: duration of a tick, s.
     """
     least, path, last = math.inf, np.empty((2, 4)), headings.shape[0] - 1
     for tick in range(last + 1):
@@ -138,7 +140,7 @@ def ended(
             path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 2]
         here, there = (users[tick, 0], users[tick, 1]), (users[tick + 1, 0], users[tick + 1, 1])
         until = passed if tick == last else 1.0
-        least = min(least, clearance_of(path, here, there, until, footprint, radius, hit_speed))
+        least = min(least, missed_by(path, here, there, until, footprint, radius, hit_speed, time_step))
     if not collided:
         return 0, max(least, 1e-9)
     here, there = (users[last, 0], users[last, 1]), (users[last + 1, 0], users[last + 1, 1])

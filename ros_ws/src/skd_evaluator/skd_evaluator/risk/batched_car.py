@@ -72,14 +72,14 @@ def _crossed(job: _Job) -> Ends | None:
     scenario = episodes[0].scenario
     footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
     heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
-    touch, clearance = np.empty(len(episodes), np.int64), np.empty(len(episodes))
+    touch, missed = np.empty(len(episodes), np.int64), np.empty(len(episodes))
     for row, (ticks, share, impact) in enumerate(
         zip(found.ticks.tolist(), found.shares.tolist(), found.impacts.tolist(), strict=True)
     ):
         last, collided = ticks - 1, share <= 1.0
         passed = (last + share) * step / step - last if collided else 1.0  # as of a log, which has times
-        touch[row], clearance[row] = ended(
+        touch[row], missed[row] = ended(
             found.users[row, : ticks + 1], found.cars[row, : ticks + 1], np.full(ticks, heading), collided, passed,
-            footprint, scenario.adversary.reach, impact, scenario.collision.hit_speed,
+            footprint, scenario.adversary.reach, impact, scenario.collision.hit_speed, scenario.time_step,
         )  # fmt: skip
-    return Ends(touch, clearance, found.ticks)
+    return Ends(touch, missed, found.ticks)

@@ -2,7 +2,7 @@
 
 A crossing is a φ, a row of the walker's standard normals, and the draws of the car: a row of standard normals where all
 that the car does is known, else the number by which an episode draws them. Whoever runs crossings says how each ended
-and how near the walker came to the front of the moving car: 0 where it hit, and more than that where it did not.
+and by how much time the front of the moving car missed: 0 where it hit, and more than that where it did not.
 """
 
 from __future__ import annotations
@@ -70,17 +70,18 @@ class Ends:
 
     Attributes:
         touch: of each, a `Touch`.
-        clearance: least distance to the front of the moving car, m; 0 where, and only where, it hit.
+        missed: least time by which the front of the moving car missed, s (`touching.missed_by`); 0 where, and only
+            where, it hit.
         ticks: how many each had, that of a contact included; None: nobody asks, as in subset simulation.
     """
 
     touch: IntArray
-    clearance: FloatArray
+    missed: FloatArray
     ticks: IntArray | None = None
 
     def of(self, rows: IntArray) -> Ends:
         """Return some of them."""
-        return Ends(self.touch[rows], self.clearance[rows])
+        return Ends(self.touch[rows], self.missed[rows])
 
     @staticmethod
     def together(parts: Sequence[Ends]) -> Ends:
@@ -88,14 +89,14 @@ class Ends:
         ticks = [one.ticks for one in parts if one.ticks is not None]
         return Ends(
             np.concatenate([one.touch for one in parts]),
-            np.concatenate([one.clearance for one in parts]),
+            np.concatenate([one.missed for one in parts]),
             np.concatenate(ticks) if len(ticks) == len(parts) else None,
         )
 
     def where(self, chosen: npt.NDArray[np.bool_], other: Ends) -> Ends:
         """Return the ends of `other` where `chosen`, else these."""
         touch = np.where(chosen, other.touch, self.touch)
-        return Ends(touch, np.where(chosen, other.clearance, self.clearance))
+        return Ends(touch, np.where(chosen, other.missed, self.missed))
 
 
 class Runner(Protocol):

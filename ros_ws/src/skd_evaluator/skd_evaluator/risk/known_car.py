@@ -16,7 +16,7 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.measure.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
-from skd_evaluator.risk.touching import clearance_of, side_touched
+from skd_evaluator.risk.touching import missed_by, side_touched
 
 
 class Course(NamedTuple):
@@ -75,8 +75,8 @@ def cross(
         path: 2 × 4, to work in.
 
     Returns:
-        A `Touch`, the least clearance to the front of the moving car, m, and the number of ticks, that of the contact
-        included.
+        A `Touch`, the least time by which the front of the moving car missed, s, and the number of ticks, that of the
+        contact included.
     """
     s = -(gap + course.gap_range * draws[0]) - course.front
     x, y, heading = road_pose(course.line, s)
@@ -101,7 +101,7 @@ def cross(
         contact = share <= 1.0 and impact >= course.minimum_impact_speed
         if contact:
             until = share
-        near = clearance_of(path, here, there, until, footprint, course.radius, course.hit_speed)
+        near = missed_by(path, here, there, until, footprint, course.radius, course.hit_speed, course.time_step)
         least = min(least, near)
         if contact:
             side = side_touched(path, here, there, share, footprint, course.radius, impact, course.hit_speed)
@@ -123,7 +123,7 @@ def cross_many(
     normal: bool,
     scale: float,
     touch: IntArray,
-    clearance: FloatArray,
+    missed: FloatArray,
     lasted: IntArray,
 ) -> None:
     """Run crossings; `car` has standard normals, or what is uniform in [0, 1) already."""
@@ -135,7 +135,7 @@ def cross_many(
         count = walk(intended, values, walker[row], scale, course.time_step, way)
         for at in range(draws.shape[0]):
             draws[at] = 0.5 * math.erfc(-car[row, at] * math.sqrt(0.5)) if normal else car[row, at]
-        touch[row], clearance[row], lasted[row] = cross(course, way, count, gaps[index], draws, path)
+        touch[row], missed[row], lasted[row] = cross(course, way, count, gaps[index], draws, path)
 
 
 class KnownCar:
@@ -162,10 +162,10 @@ class KnownCar:
         return self._run(crossings, draws, scale, normal=False)
 
     def _run(self, crossings: Crossings, car: FloatArray, scale: float, *, normal: bool) -> Ends:
-        touch, clearance = np.empty(len(crossings), np.int64), np.empty(len(crossings))
+        touch, missed = np.empty(len(crossings), np.int64), np.empty(len(crossings))
         lasted = np.empty(len(crossings), np.int64)
         cross_many(
             self._course, self._paths, self._lengths, self._gaps, self._values, crossings.phi,
-            np.ascontiguousarray(crossings.walker), np.ascontiguousarray(car), normal, scale, touch, clearance, lasted,
+            np.ascontiguousarray(crossings.walker), np.ascontiguousarray(car), normal, scale, touch, missed, lasted,
         )  # fmt: skip
-        return Ends(touch, clearance, lasted)
+        return Ends(touch, missed, lasted)

@@ -30,6 +30,7 @@ LEVELS: Final = 9
 SHARE: Final = 10
 """One of so many crossings is kept for the next level."""
 _STEP, _WANTED = 0.5, 0.44  # first step of the moves; share of them that should be accepted
+_MOVED = 1.0, 0.25  # share of the normals that moves of each kind change: the fewer, the further they can go
 _OTHER_PHI, _OTHER_DRAW = 0.1, 0.3  # how often a move changes φ, or the car's draws by number
 _DRAWS = 1 << 31
 _FIRST = 1 << 20  # number of the simulation that finds the levels
@@ -51,10 +52,15 @@ class Effort:
 
 
 class Levels(NamedTuple):
-    """What all replicates share: below which clearance (m) each level but the first lies, and how far its moves go."""
+    """What all replicates share.
 
-    clearances: tuple[float, ...]
-    steps: tuple[float, ...]
+    Attributes:
+        thresholds: by how much time a hit is missed at most in each level but the first, s.
+        steps: how far moves go in each of them: those of all normals, and those of some.
+    """
+
+    thresholds: tuple[float, ...]
+    steps: tuple[tuple[float, float], ...]
 
 
 class Replicate(NamedTuple):
@@ -69,23 +75,24 @@ def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort
     """Find the levels by a simulation whose own estimate is not used."""
     count, rng = effort.per_level, generator(encounter.plan.seed, _FIRST, Role.RISK, round(1000 * scale))
     now, ends = _begun(encounter, runner, scale, count, rng)
-    clearances: list[float] = []
-    steps: list[float] = []
-    step = _STEP
+    thresholds: list[float] = []
+    steps: list[tuple[float, float]] = []
+    step = [_STEP, _STEP]
     while len(steps) < effort.levels - 1:
-        order = np.argsort(ends.clearance, kind="stable")[: count // SHARE]
-        threshold = float(ends.clearance[order[-1]])
+        order = np.argsort(ends.missed, kind="stable")[: count // SHARE]
+        threshold = float(ends.missed[order[-1]])
         if threshold <= 0.0:
             break
         parts = [(now.of(order), ends.of(order))]
         for turn in range(1, SHARE):
-            crossings, after, share = _next(*parts[-1], threshold, step, encounter, runner, scale, rng)
+            kind = turn % 2
+            crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
             parts.append((crossings, after))
-            step = min(0.999, step * math.exp((share - _WANTED) / math.sqrt(turn)))
-        clearances.append(threshold)
-        steps.append(step)
+            step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt((turn + 1) // 2)))
+        thresholds.append(threshold)
+        steps.append((step[0], step[1]))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
-    return Levels(tuple(clearances), tuple(steps))
+    return Levels(tuple(thresholds), tuple(steps))
 
 
 def replicate(
@@ -105,14 +112,15 @@ def replicate(
     phis, probability = len(encounter.safe), 1.0
     now, ends = _begun(encounter, runner, scale, count, rng)
     for level, (threshold, step) in enumerate(zip(*levels, strict=True), start=1):
-        inside = np.flatnonzero(ends.clearance <= threshold)
+        inside = np.flatnonzero(ends.missed <= threshold)
         if not inside.size:
             return Replicate(np.zeros(phis), level, False)
         probability *= inside.size / count
         chosen = np.resize(rng.permutation(inside), count // SHARE)  # each at most once, where there are as many
         parts = [(now.of(chosen), ends.of(chosen))]
-        for _ in range(1, SHARE):
-            crossings, after, _ = _next(*parts[-1], threshold, step, encounter, runner, scale, rng)
+        for turn in range(1, SHARE):
+            kind = turn % 2
+            crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
             parts.append((crossings, after))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
     hits = ends.touch == Touch.FRONT
@@ -138,6 +146,7 @@ def _next(
     now: Crossings,
     ends: Ends,
     threshold: float,
+    kind: int,
     step: float,
     encounter: Encounter,
     runner: Runner,
@@ -145,21 +154,26 @@ def _next(
     rng: np.random.Generator,
 ) -> tuple[Crossings, Ends, float]:
     """Return crossings after a move within a level, how they ended, and the share of the moves that were accepted."""
-    trial = _moved(now, step, len(encounter.safe), rng)
+    trial = _moved(now, _MOVED[kind], step, len(encounter.safe), rng)
     found = runner.run(trial, scale)
-    fine = found.clearance <= threshold
+    fine = found.missed <= threshold
     return now.where(fine, trial), ends.where(fine, found), float(fine.mean())
 
 
-def _moved(now: Crossings, step: float, phis: int, rng: np.random.Generator) -> Crossings:
-    """Return crossings near some: each normal moved, φ and the car's draws by number exchanged now and then."""
+def _moved(now: Crossings, share: float, step: float, phis: int, rng: np.random.Generator) -> Crossings:
+    """Return crossings near some: all normals moved or some, φ and the car's draws exchanged now and then."""
     keep = math.sqrt(1.0 - step * step)
+
+    def near(normals: FloatArray) -> FloatArray:
+        moves = rng.random(normals.shape) < share
+        return np.where(moves, keep * normals + step * rng.standard_normal(normals.shape), normals)
+
     other_phi = rng.random(len(now)) < _OTHER_PHI
     other_draw = rng.random(len(now)) < _OTHER_DRAW
     return Crossings(
         np.where(other_phi, rng.integers(phis, size=len(now)), now.phi),
-        keep * now.walker + step * rng.standard_normal(now.walker.shape),
-        keep * now.car + step * rng.standard_normal(now.car.shape),
+        near(now.walker),
+        near(now.car),
         np.where(other_draw, _DRAWS + rng.integers(_DRAWS, size=len(now)), now.draw),
     )
 

@@ -1,4 +1,4 @@
-"""With which side of the car somebody was touched, and how near somebody came to its front while it moved."""
+"""With which side of the car somebody was touched, and by how much time a hit by its moving front was missed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from skd_sim.kernels.compilation import kernel
 
 SAME: Final = 1e-6
 """m by which a touching disc's distance may differ from its radius."""
-_PARTS: Final = 4  # of a tick, at whose ends the clearance is looked at
+_PARTS: Final = 4  # of a tick, at whose ends it is looked at by how much a hit is missed
+_SLOWEST: Final = 0.2  # m/s; somebody beside the car's way who stands, or goes away, counts as if walking there so
 
 
 @kernel
@@ -62,7 +63,7 @@ def side_touched(
 
 
 @kernel
-def clearance_of(
+def missed_by(
     path: FloatArray,
     here: tuple[float, float],
     there: tuple[float, float],
@@ -70,8 +71,14 @@ def clearance_of(
     footprint: tuple[float, float, float],
     radius: float,
     hit_speed: float,
+    time_step: float,
 ) -> float:
-    """Return the least distance of a disc to the front of the car in a tick, while the car moves, m; else infinity.
+    """Return the least time by which a disc misses the front of the moving car in a tick, s; infinity if it stands.
+
+    Ahead that is the distance over how much faster than a hit the car is: of a car that brakes at b and comes to that
+    speed a distance m short of somebody it is never less than √(2m/b), so that crossings are ordered by m, and a car
+    that creeps, and can stop at once, is far from a hit. To the side it is the distance over how fast the disc comes:
+    whoever stands beside the way of the car, or has left it, is far from a hit, however near.
 
     It orders crossings by how near they are to a hit, and no more hangs on it: it is looked at some times in a tick.
 
@@ -82,13 +89,23 @@ def clearance_of(
         until: share of the tick up to which to look.
         footprint: of the car: front, rear and half width, m.
         radius: of the disc, m.
-        hit_speed: speed of the car from which on it moves, m/s.
+        hit_speed: speed of the car above which it moves, m/s.
+        time_step: duration of the tick, s.
     """
     least = math.inf
+    _, before, _ = in_car_frame(path, here, there, 0.0)
+    _, after, _ = in_car_frame(path, here, there, 1.0)
+    to_the_left = (after - before) / time_step
     for part in range(_PARTS + 1):
         ahead, left, speed = in_car_frame(path, here, there, until * part / _PARTS)
-        if speed >= hit_speed:
+        if speed > hit_speed:
             aside = max(0.0, abs(left) - footprint[2])
             off = ahead - footprint[0]
-            least = min(least, max(0.0, math.sqrt(off * off + aside * aside) - radius))
+            apart = math.sqrt(off * off + aside * aside)
+            if apart <= radius:
+                return 0.0
+            outside = 1.0 - radius / apart
+            comes = max(_SLOWEST, -to_the_left if left > 0.0 else to_the_left)
+            along, across = outside * off / (speed - hit_speed), outside * aside / comes
+            least = min(least, math.sqrt(along * along + across * across))
     return least

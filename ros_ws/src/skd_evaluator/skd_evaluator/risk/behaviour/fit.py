@@ -3,7 +3,8 @@
 Simulated people intend to go straight on at one pace; all that differs from that is the model's. Their summary
 (`residuals.summary`) is brought to that of the tracks by Gauss and Newton's steps, weighed by how much a summary of as
 many persons varies by chance under the model (the simulated method of moments: McFadden, Econometrica 57, 1989). The
-same normals at every step make the distance smooth. Intervals follow from the same weights.
+same normals at every step make the distance smooth. Intervals follow from the same weights, that of `unrest` from a
+test of each value (`inversion`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
 from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
+from skd_evaluator.risk.behaviour.inversion import inverted
 from skd_evaluator.risk.behaviour.residuals import padded, summary
 
 if TYPE_CHECKING:
@@ -28,6 +30,8 @@ else:
 
 LEAST_TRACKS: Final = 8
 FITTED: Final = tuple(name for name, one in MEANINGS.items() if one.fitted)
+TESTED: Final = ("unrest",)
+"""Parameters of which a standard error says too little; see `inversion`."""
 _START = {
     "pace": 0.15, "heading": 0.08, "unrest": 0.3, "pace_noise": 0.08, "pace_time": 1.0, "turn": 0.12, "turn_time": 1.0,
     "hesitation": 1.3, "hesitation_time": 2.0, "sway": 0.02, "hesitation_depth": 1.0, "start_delay": 0.3,
@@ -108,7 +112,7 @@ def simulated(
     return ways
 
 
-class _Problem:
+class TrackProblem:
     """The summary of tracks, and of people simulated like them."""
 
     def __init__(self, tracks: Sequence[FloatArray], time_step: float, seed: int) -> None:
@@ -124,17 +128,27 @@ class _Problem:
         self._chance = rng.standard_normal((_GROUPS * len(tracks), dimension))
 
     def summary_at(self, free: FloatArray) -> FloatArray:
+        """Return the summary of people simulated by parameters."""
         ways = simulated(_values(free), self.lengths * _COPIES, self.speed, self.time_step, self._normals)
         return summary(ways, self.time_step)
 
-    def chance_at(self, free: FloatArray) -> FloatArray:
-        """Return the covariance that the difference of both summaries has by chance."""
+    def allowed(self, free: FloatArray) -> FloatArray:
+        """Return the nearest parameters within what is allowed."""
+        return _free(_values(free))
+
+    def groups_at(self, free: FloatArray) -> FloatArray:
+        """Return the summary of each of many groups of as many persons."""
         ways = simulated(_values(free), self.lengths * _GROUPS, self.speed, self.time_step, self._chance)
         groups = ways.reshape(_GROUPS, len(self.lengths), *ways.shape[1:])
-        found = np.array([summary(group, self.time_step) for group in groups])
+        return np.array([summary(group, self.time_step) for group in groups])
+
+    def chance_at(self, free: FloatArray) -> FloatArray:
+        """Return the covariance that the difference of both summaries has by chance."""
+        found = self.groups_at(free)
         return np.asarray((1.0 + 1.0 / _COPIES) * np.cov(found.T) + 1e-8 * np.eye(found.shape[1]))
 
     def jacobian_at(self, free: FloatArray) -> FloatArray:
+        """Return its derivatives, numbers of the summary × parameters."""
         columns = []
         for index in range(free.size):
             step, name = np.zeros(free.size), FITTED[index]
@@ -146,20 +160,21 @@ class _Problem:
         return np.column_stack(columns)
 
 
-def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int = _SEED) -> Fit:
+def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int = _SEED, intervals: bool = True) -> Fit:
     """Fit a behaviour model to tracks.
 
     Args:
         tracks: places of each person at ticks, n × 2, m, x along the way that people intend.
         time_step: s.
         seed: of what is simulated; the same seed gives the same fit.
+        intervals: whether they are wanted; that of a tested parameter (`TESTED`) takes as long as the fit.
 
     Raises:
         ValueError: there are fewer than `LEAST_TRACKS`.
     """
     if len(tracks) < LEAST_TRACKS:
         raise ValueError(f"a behaviour model needs at least {LEAST_TRACKS} tracks, got {len(tracks)}")
-    problem = _Problem(tracks, time_step, seed)
+    problem = TrackProblem(tracks, time_step, seed)
     free = _free(np.array([_START[name] for name in NAMES]))
     weights, damping = np.diag(1.0 / np.diag(problem.chance_at(free))), 1.0
     for turn in range(_STEPS):
@@ -189,8 +204,24 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
     values, low, high = _values(free), _values(free - reach), _values(free + reach)
 
     places = [NAMES.index(name) for name in FITTED]
-    intervals = {name: (float(low[at]), float(high[at])) for name, at in zip(FITTED, places, strict=True)}
-    return Fit(values, errors, intervals, len(tracks), sum(problem.lengths) - len(tracks), problem.speed)
+    found = {name: (float(low[at]), float(high[at])) for name, at in zip(FITTED, places, strict=True)}
+    for name in TESTED if intervals else ():
+        found[name] = tested_interval(problem, free, name, float(errors[FITTED.index(name)]))
+    return Fit(values, errors, found, len(tracks), sum(problem.lengths) - len(tracks), problem.speed)
+
+
+def tested_interval(problem: TrackProblem, free: FloatArray, name: str, error: float) -> tuple[float, float]:
+    """Return the interval of a parameter fitted by its square, by inversion of a test.
+
+    Args:
+        problem: what is fitted.
+        free: the estimate, on the scale on which it is fitted.
+        name: of the parameter.
+        error: its standard error, about, on that scale.
+    """
+    index = FITTED.index(name)
+    low, high = inverted(problem, free, index, error, MEANINGS[name].high ** 2)
+    return math.sqrt(low), math.sqrt(high)
 
 
 def behaviour_of(fit: Fit, name: str, kind: str, description: str, source: str) -> Behaviour:

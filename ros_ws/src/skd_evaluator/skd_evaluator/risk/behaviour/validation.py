@@ -78,7 +78,7 @@ def validate(tracks: Sequence[Tracked], progress: Callable[[int, int], None] = l
         if len(kept) < LEAST_TRACKS:
             raise ValueError(f"{len(kept)} tracks are left when a {by} is held out; {LEAST_TRACKS} are needed")
         lengths = [len(one.positions) for one, fold in zip(tracks, folds, strict=True) if fold == number]
-        fit = fit_behaviour(kept, TIME_STEP)
+        fit = fit_behaviour(kept, TIME_STEP, intervals=False)
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(_SEED, spawn_key=(number,))))
         normals = rng.standard_normal((_COPIES * len(lengths), normals_of(max(lengths) - 1)))
         example = simulated(fit.values, lengths * _COPIES, fit.speed, TIME_STEP, normals)

@@ -1,0 +1,43 @@
+"""By how much time a hit is missed, against what follows from a car's braking."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from skd_evaluator.risk.touching import missed_by
+
+FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
+
+
+def missed(car: np.ndarray, user: np.ndarray) -> float:
+    """Least over an episode, of places along North and speeds of the car, and places of somebody."""
+    least = math.inf
+    for tick in range(len(car) - 1):
+        path = np.array([[0.0, car[tick + end, 0], 0.5 * math.pi, car[tick + end, 1]] for end in (0, 1)])
+        here, there = tuple(user[tick]), tuple(user[tick + 1])
+        least = min(least, missed_by(path, here, there, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP))
+    return least
+
+
+@pytest.mark.parametrize("short", [0.02, 0.1, 0.5, 2.0])
+@pytest.mark.parametrize("deceleration", [3.0, 8.0])
+def test_of_a_car_that_brakes_it_follows_from_where_it_would_come_to_the_speed_of_a_hit(short, deceleration):
+    """(m + (x² + 2·h·x)/2b) / x over x = v − h is least at x = √(2bm), and is √(2m/b) + h/b there."""
+    speeds = np.maximum(8.0 - deceleration * STEP * np.arange(80), 0.0)
+    places = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (speeds[1:] + speeds[:-1]))])
+    there = (8.0**2 - HIT_SPEED**2) / (2.0 * deceleration) + FOOTPRINT[0] + RADIUS + short
+    found = missed(np.column_stack([places, speeds]), np.tile([0.3, there], (80, 1)))
+    assert found == pytest.approx(math.sqrt(2.0 * short / deceleration) + HIT_SPEED / deceleration, rel=0.03)
+
+
+def test_whoever_stands_beside_the_way_is_further_from_a_hit_than_whoever_walks_into_it():
+    places = 5.0 * STEP * np.arange(40)
+    car = np.column_stack([places, np.full(40, 5.0)])
+    stands = np.tile([1.5, 6.0], (40, 1))
+    comes = stands - np.column_stack([1.5 * STEP * (np.arange(40) - 15.0), np.zeros(40)])
+    goes = stands + np.column_stack([1.5 * STEP * np.arange(40), np.zeros(40)])
+    assert missed(car, comes) < 0.5 < missed(car, stands)
+    assert missed(car, goes) > 0.5
+    assert missed(np.column_stack([places, np.full(40, 0.5)]), stands) == math.inf  # too slow for a hit
