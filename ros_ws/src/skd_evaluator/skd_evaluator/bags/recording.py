@@ -11,6 +11,7 @@ from skd_sim.errors import UsageError
 from skd_sim.messages.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
 
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.plan.plan import model_digest
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
@@ -23,12 +24,20 @@ class EpisodeName(NamedTuple):
     """Says which episode of a campaign it is, however often it was run.
 
     Kamikazes of different objectives have the same ids, and hence the same draws; other episodes plan nothing, and
-    their objective is no part of the name.
+    their objective is no part of the name. So have those by which a car is learned, with each of the models that are
+    tried.
     """
 
     campaign: str
     episode_id: int
     objective: str
+    model: str
+
+
+def _name(campaign: str, number: int, mode: int, objective: str, model: str) -> EpisodeName:
+    if mode != Mode.KAMIKAZE:
+        return EpisodeName(campaign, number, "", "")
+    return EpisodeName(campaign, number, objective, model_digest(number, model))
 
 
 @dataclass(frozen=True)
@@ -42,8 +51,7 @@ class RecordedEpisode:
     def name(self) -> EpisodeName:
         """Which episode of its campaign it is."""
         spec = self.log.episode
-        objective = str(spec.objective) if spec.mode == Mode.KAMIKAZE else ""
-        return EpisodeName(self.key.campaign, self.key.episode_id, objective)
+        return _name(self.key.campaign, self.key.episode_id, spec.mode, str(spec.objective), spec.car_model)
 
 
 @dataclass
@@ -68,8 +76,7 @@ class Recording:
     def announced(self) -> Iterator[EpisodeName]:
         """Yield the name of every episode that was announced, however it ended."""
         for key, message in self.episodes.items():
-            objective = str(message.objective) if int(message.mode) == Mode.KAMIKAZE else ""
-            yield EpisodeName(key.campaign, key.episode_id, objective)
+            yield _name(key.campaign, key.episode_id, int(message.mode), str(message.objective), str(message.car_model))
 
     def add(self, role: str, message: Any, data: bytes, canonical: Callable[[], bytes]) -> None:
         """Take a message.

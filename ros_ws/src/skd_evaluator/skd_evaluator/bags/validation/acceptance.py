@@ -72,8 +72,9 @@ def _telling(one: Found, verdict: Verdict) -> bool:
 
 
 def _same_draws(one: EpisodeLog, other: EpisodeLog) -> bool:
-    """Whether two logs are of kamikazes of different objectives in one episode, which may well walk alike."""
-    return one.episode.episode_id == other.episode.episode_id and one.episode.objective != other.episode.objective
+    """Whether two logs are of kamikazes of one episode, of other objectives or models, which may well walk alike."""
+    planned = [(log.episode.objective, log.episode.car_model) for log in (one, other)]
+    return one.episode.episode_id == other.episode.episode_id and planned[0] != planned[1]
 
 
 def _draws(log: EpisodeLog) -> bool:

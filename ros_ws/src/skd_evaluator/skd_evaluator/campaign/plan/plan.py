@@ -5,6 +5,7 @@ What counts never depends on who runs the episodes: attempts are numbered, and s
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -64,6 +65,16 @@ def split_episode_id(number: int) -> tuple[Stage, int, int]:
     if stage not in tuple(Stage):
         raise UsageError(f"episode id {number} is not of an SKD campaign")
     return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+
+
+def model_digest(number: int, car_model: str) -> str:
+    """Return what tells apart kamikazes of one id by which a car is learned: which model they tried; empty of others.
+
+    Args:
+        number: id of a kamikaze, of whatever campaign.
+        car_model: the model of the car that its episode carries.
+    """
+    return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == Stage.LEARNING else ""
 
 
 def walks_a_way(episode: Episode) -> bool:

@@ -11,14 +11,14 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EPISODE, EPISODE_RESULT, MARKERS, TF
 
 from skd_evaluator.bags.writer import RecordedMessage
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
-from skd_evaluator.ros.recording.recording import Recording
+from skd_evaluator.ros.recording.recording import Recording, bag_name
 from skd_evaluator.ros.recording.scenery import Scenery
 
 SETTLE = 0.05
@@ -163,12 +163,9 @@ class BagRecorder:
             ending.reason = result.reason
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
             messages.append(self._own(EPISODE_RESULT, ending, end))
-        mode = log.episode.mode.name.lower()
-        if log.episode.mode == Mode.KAMIKAZE:
-            mode = f"{mode}_{log.episode.objective}"  # those of several have the same ids
         self._write(
             Recording(
-                self._folder / f"{mode}_{log.episode.episode_id:016x}",
+                self._folder / bag_name(log.episode),
                 spec.data,
                 self._key.start,
                 {topic: self._node.resolve_topic_name(topic) for topic in (MARKERS, CLEARANCE, DEFORMATION)},

@@ -10,13 +10,14 @@ from typing import NamedTuple
 from rclpy.serialization import deserialize_message, serialize_message
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.arrays import FloatArray
-from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.stamps import tick_stamp
 from skd_sim.messages.from_messages import message_to_episode
 from skd_sim.nodes.support import MARKERS
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
+from skd_evaluator.campaign.plan.plan import model_digest
 from skd_evaluator.ros.live_figures import recorded_figures
 from skd_evaluator.ros.markers import fixed_markers, moving_markers
 
@@ -47,6 +48,16 @@ class Recording(NamedTuple):
     impact_time: float
     latched: list[RecordedMessage]
     messages: list[RecordedMessage]
+
+
+def bag_name(episode: Episode) -> str:
+    """Return the name of an episode's bag, another one for each episode of a campaign."""
+    number, mode = episode.episode_id, episode.mode.name.lower()
+    if episode.mode != Mode.KAMIKAZE:
+        return f"{mode}_{number:016x}"
+    model = model_digest(number, episode.car_model)
+    # Those of several objectives have the same ids, and so have those by which a car is learned.
+    return "_".join(filter(None, (mode, episode.objective, f"{number:016x}", model)))
 
 
 def write_recording(recording: Recording) -> None:
