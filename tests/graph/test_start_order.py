@@ -210,7 +210,7 @@ def test_somebody_elses_controller_comes_and_goes(
     def new_controller() -> None:
         controllers.append(start_node(context, CONTROLLER, tmp_path / "controller", domain, controller="basic"))
 
-    options = GraphOptions(startup_timeout=3.0)
+    options = GraphOptions(nodes="separate", startup_timeout=3.0)
     try:
         with whole_graph(tmp_path, options, controller="external", domain=domain) as (evaluator, token):
             wait_until(lambda: len(pids_with(token)) >= 2, "the other nodes")

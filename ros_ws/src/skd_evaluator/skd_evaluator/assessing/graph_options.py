@@ -89,9 +89,9 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         launches=(),
     )
     nodes: str = graph_option(
-        SEPARATE,
-        "where simulator and adversary run: separate (each in a process of its own), or composed (in the process of "
-        "the command, so that what they say to each other does not go through the network, which is faster). They are "
+        COMPOSED,
+        "where simulator and adversary run: composed (in the process of the command, so that what they say to each "
+        "other does not go through the network, which is faster), or separate (each in a process of its own). They are "
         "separate anyway in real time, with a quiet time, with several graphs and with a simulator that is not SKD's",
         choices=Names((COMPOSED, SEPARATE)),
         launches=(),
