@@ -138,7 +138,7 @@ def test_folders_of_a_killed_run_go_with_the_next(tmp_path: Path, safe: Path) ->
         program = campaign(tmp_path, safe, command)
         (tmp_path / f"running{number}").unlink()
         (left,) = tmp_path.glob(".skd-*")  # the second time: not that of the first
-        assert (left / "logs" / "vehicle_simulator.log").exists()
+        assert (left / "logs" / "car_controller.log").exists()
         program.send_signal(signal.SIGKILL)
         program.finish()
         assert left.exists()  # and --out, with a link to its logs alone, is taken by the next one as it is

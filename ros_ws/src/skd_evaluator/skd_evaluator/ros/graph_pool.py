@@ -117,7 +117,16 @@ class GraphPool:
                 self._waiting.clear()
 
     def publish_assessment(self, rating: Rating) -> None:
-        """Publish an assessment in the first graph's domain."""
+        """Publish an assessment in the first graph's domain, as soon as it is there: others may have done all the work.
+
+        Raises:
+            AssessmentError: that graph cannot start.
+        """
+        with self._changed:
+            while 0 not in self._evaluators:
+                if self._error is not None:
+                    raise self._error
+                self._changed.wait(_POLL)
         self._evaluators[0].publish_assessment(rating)
 
     def _log_of(self, number: int) -> EpisodeLog:
@@ -133,7 +142,9 @@ class GraphPool:
     def _serve(self, number: int) -> None:
         try:
             with self._make(number, self._refuse_to_go_on) as evaluator:
-                self._evaluators[number] = evaluator
+                with self._changed:
+                    self._evaluators[number] = evaluator
+                    self._changed.notify_all()
                 while True:
                     evaluator.readiness.prepare(self._patience)
                     place, episode = self._next()
