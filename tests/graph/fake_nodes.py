@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 
 import rclpy
 from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import LaserScan
 
 
@@ -107,15 +110,22 @@ class OtherAdversary(Node):
 
 
 def run(make: Callable[[], Node], args: Sequence[str]) -> int:
-    """Run a node until it is told to end."""
-    rclpy.init(args=list(args))
+    """Run a node until it is told to end.
+
+    rclpy's own thread for signals would shut the context down in the middle of a spin, which then now and then raises.
+    """
+    rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
+    over = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: over.set())
     node = make()
-    node.create_timer(0.2, lambda: None)  # rclpy now and then misses SIGTERM in a wait without end
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.2)
     finally:
+        executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
