@@ -16,10 +16,8 @@ import os
 import pkgutil
 import random
 import shutil
-import signal
 import sys
 import tempfile
-import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -27,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import skd_evaluator.cli
+from forked_child import end_of
 from skd_evaluator.cli.arguments import whole_number
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.cli.parser import commands_of, make_parser
@@ -168,14 +167,7 @@ def run(words: Sequence[str], folder: Path, limit: float) -> Run:
         for number, file in enumerate(said, start=1):
             os.dup2(file.fileno(), number)
         _be(words)
-    code, end = None, time.monotonic() + limit
-    while code is None and time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        code = os.waitstatus_to_exitcode(status) if done else None
-        time.sleep(0.01)
-    if code is None:
-        os.killpg(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+    code = end_of(child, limit)
     left = {path.name for path in folder.iterdir()} - before
     for name in left:
         path = folder / name

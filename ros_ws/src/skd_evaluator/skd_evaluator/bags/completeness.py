@@ -142,7 +142,7 @@ def _said_in(file: Path) -> tuple[int, int] | None:
 def _gaps(numbers: Set[int]) -> str:
     """Return in words which numbers from 0 to the greatest are not among some; empty if all are.
 
-    They are not listed first: a forged recording may number its only episode 2³¹ - 1.
+    They are not listed first: a forged recording may number its only episode 2³² - 1.
     """
     count = max(numbers, default=-1) + 1 - len(numbers)
     missing = (number for number in itertools.count() if number not in numbers)
