@@ -13,8 +13,9 @@ import numpy as np
 mpl.use("Agg")
 
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import EpisodeLog
@@ -191,13 +192,29 @@ def _draw_ways(axes: Axes, ways: Sequence[Trajectory], shown: int) -> None:
     label = "way of the margin, the least that is enough, ending at +" + (
         f"; {shown} of {len(ways)}" if len(ways) > shown else ""
     )
-    for number, way in enumerate(least):
-        x, y = way.positions.T
-        axes.plot(
-            x, y, color=palette.MARGIN, lw=0.9, ls=(0, (4, 2)), alpha=0.6, zorder=3.5,
-            label=label if number == 0 else None,
-        )  # fmt: skip
-        axes.plot(x[-1], y[-1], "+", color=palette.MARGIN, ms=5, alpha=0.8, zorder=4)
+    colour, dashes = palette.MARGIN, (0, (4, 2))
+    _draw_walks(axes, [way.positions for way in least], colour, label, "+", alpha=0.6, lw=0.9, ls=dashes, zorder=3.5)
+
+
+def _draw_walks(
+    axes: Axes, walks: Sequence[FloatArray], colour: str, label: str, end: str, alpha: float, **style: Any
+) -> None:
+    """Draw ways and a mark at the end of each: as two artists, for hundreds take most of a picture's time.
+
+    Args:
+        axes: axes of the panel.
+        walks: positions of each, m, each shape (ticks, 2).
+        colour: colour of all.
+        label: what the legend says of them.
+        end: marker at the end of each.
+        alpha: how much of what is below a way is covered by it; a mark covers 0.25 more.
+        style: what else `LineCollection` takes.
+    """
+    if not walks:
+        return
+    axes.add_collection(LineCollection(walks, colors=colour, alpha=alpha, label=label, **style))
+    x, y = np.array([walk[-1] for walk in walks]).T
+    axes.plot(x, y, end, color=colour, ms=5 if end == "+" else 4, alpha=alpha + 0.25, zorder=4)
 
 
 def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], low: float) -> None:
@@ -290,13 +307,14 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
             _draw_approach(panel, scenario, group.logs[:shown], low)
         elif group.aborted:
             _cross_out(panel, "ABORTED:\nthis says nothing\nabout the car")
+        drawn: dict[bool, list[FloatArray]] = {False: [], True: []}
         for log in group.logs[:shown]:
-            x, y = log.trajectory.positions.T
-            reached = assessment.plan.succeeds(log)
-            colour = palette.KAMIKAZE if reached else palette.CAR
-            label = _kamikaze_label(groups, shown) if reached else "walked into the car: touched, no hit"
-            panel.plot(x, y, color=colour, lw=0.8, alpha=0.45, zorder=3, label=label)
-            panel.plot(x[-1], y[-1], "x", color=colour, ms=4, alpha=0.7, zorder=4)
+            drawn[assessment.plan.succeeds(log)].append(log.trajectory.positions)
+        touched = "walked into the car: touched, no hit"
+        _draw_walks(panel, drawn[False], palette.CAR, touched, "x", alpha=0.45, lw=0.8, zorder=3)
+        _draw_walks(
+            panel, drawn[True], palette.KAMIKAZE, _kamikaze_label(groups, shown), "x", alpha=0.45, lw=0.8, zorder=3
+        )
         _draw_ways(panel, of_margin[number], shown)
         outlines = [scenario.adversary.outline(log.trajectory.positions) for log in group.logs[:shown]]
         panel.add_collection(
