@@ -135,6 +135,7 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(
 ) -> None:
     result = {
         "margin": 1.0,
+        "margin_ci95": [0.9, 1.1],
         "margin_converged": True,
         "margin_attempts": attempts,
         "margin_beyond": 2,
@@ -155,6 +156,7 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
         "controller": "a.b:C",
         "eta_max": 5.0,
         "margin": 5.0,
+        "margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0),
         "margin_converged": True,
         "margin_budget": 128,
         "margin_attempts": 12,
@@ -166,6 +168,10 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
         "scenario": {"collision": {"hit_speed": 0.556}},
     }
     found = margin_doubts(result, hit, hit)
-    assert len(found) == said
-    assert all("but 3 other episodes ended in a hit: hits are rarer" in line for line in found)
+    assert ["but 3 other episodes ended in a hit: hits are rarer" in line for line in found] == [True] * said + [
+        False
+    ] * (beyond == 12 and not hit)
+    assert any("have the same margin, so its interval has no width" in line for line in found) == (
+        beyond == 12 and not hit
+    )
     assert ("But it hit in 8.3 % of the runs" in headline(result)) == said

@@ -17,7 +17,7 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     """Return what is to be known of the margin, in one line each; nothing where it is not known.
 
     Args:
-        result: content of assessment.json; of it margin, `impact_speed`, `closeness` and `scenario` count.
+        result: content of assessment.json; of it margin and interval, `impact_speed`, `closeness`, `scenario` count.
         touched: number of kamikazes that touched the car, at whatever speed.
         hit: number of kamikazes and of runs along φ that the moving car hit.
     """
@@ -48,6 +48,11 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
             f"nobody could be hit in the {result['margin_attempts']} attempts of which the margin is made, but {hit} "
             f"other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few attempts show, "
             "and neither the margin nor its interval knows of them; give a greater --kamikaze-count or --safe-count"
+        )
+    elif result["margin_ci95"] is not None and result["margin_ci95"][0] == result["margin_ci95"][1]:
+        found.append(
+            f"all {result['margin_attempts']} attempts have the same margin, so its interval has no width: attempts on "
+            "other safe trajectories may still have another one; a greater --safe-count says more"
         )
     if touched and not hit and nobody:
         found.append(
