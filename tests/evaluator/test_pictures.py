@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -147,11 +148,18 @@ def figures(monkeypatch) -> list[Figure]:
 
 
 def lines(axes: Axes, colour: str) -> list[np.ndarray]:
-    return [
-        np.column_stack(line.get_data())
-        for line in axes.lines
-        if to_hex(line.get_color()) == colour and len(line.get_xdata()) > 1
+    """Return what is drawn in a colour as a line, each n × 2: alone, or as one of a collection."""
+    groups = [one for one in axes.collections if isinstance(one, LineCollection)]
+    alone = [line for line in axes.lines if line.get_linestyle() != "None" and len(line.get_xdata()) > 1]
+    return [np.column_stack(line.get_data()) for line in alone if to_hex(line.get_color()) == colour] + [
+        segment for group in groups if to_hex(group.get_color()[0]) == colour for segment in group.get_segments()
     ]
+
+
+def marks(axes: Axes, colour: str) -> np.ndarray:
+    """Return where a colour's marks without a line stand, n × 2."""
+    (found,) = [one for one in axes.lines if one.get_linestyle() == "None" and to_hex(one.get_color()) == colour]
+    return np.column_stack(found.get_data())
 
 
 def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
@@ -165,6 +173,7 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
         assert len(drawn_lines) == len(walked)
         for line, psi in zip(drawn_lines, walked, strict=True):
             np.testing.assert_array_equal(line, psi)
+        np.testing.assert_array_equal(marks(axes, palette.KAMIKAZE.lower()), [psi[-1] for psi in walked])
         (phi,) = lines(axes, palette.SAFE.lower())
         np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
 
@@ -220,6 +229,7 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
         assert len(drawn_lines) == len(ways) == 2 + number
         for line, way in zip(drawn_lines, ways, strict=True):
             np.testing.assert_array_equal(line, way)
+        np.testing.assert_array_equal(marks(axes, palette.MARGIN.lower()), [way[-1] for way in ways])
         counts = [0.2 + 0.1 * k for k in range(2 + number)]
         margin = (sum(counts) + CROSSING.eta_max) / (len(counts) + 1)
         assert f"margin {margin:.2f} m, planned" in axes.get_title()

@@ -85,11 +85,11 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     """
     kept = [(log, objective) for log, objective in episodes if log.outcome != Outcome.ABORTED and len(log.car) > 1]
     logs: Sequence[EpisodeLog] = [log for log, _ in kept]
-    courses = [
+    courses = (
         course_of(
             log.adversary, log.car, scenario.time_step, log.impact_time if log.outcome == Outcome.COLLISION else None
         )
         for log in logs
-    ]
+    )
     collided = np.array([struck(log) == ADVERSARY for log in logs], bool)
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))

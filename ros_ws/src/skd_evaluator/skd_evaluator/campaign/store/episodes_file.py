@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any
@@ -23,6 +23,21 @@ _NOWHERE = (math.nan, math.nan)
 _BELIEVED = len(BelievedCar._fields)
 
 Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
+
+
+class _Later:
+    """An array that is made when it is written: `savez` makes one after the other, and keeps none.
+
+    Of a hundred thousand episodes those with a row for each tick would be the most that an assessment ever holds.
+    """
+
+    def __init__(self, make: Callable[[], npt.NDArray[Any]]) -> None:
+        """Have `make` make it, as often as somebody asks."""
+        self._make = make
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        made = self._make()
+        return made if dtype is None else made.astype(dtype)
 
 
 def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
@@ -52,9 +67,9 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
     count = len(rating.safe)
     if any(log.belief is not None for log in logs):
-        columns["belief"] = _beliefs(logs, offsets[len(rating.safe) :])
-    own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
+        columns["belief"] = _Later(lambda: _beliefs(logs, offsets[len(rating.safe) :]))
     if any(log.own_contact is not None for log in logs):
+        own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
         columns["own_contact"] = np.array([*[math.nan] * count, *own])
     if any(assessment.floors is not None for assessment in rating.assessments):
         columns["floor"] = np.array([*[math.nan] * count, *floor_column])
@@ -72,13 +87,13 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
 
 
 def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = MappingProxyType({})) -> Columns:
-    """Return the arrays of episodes.npz that follow from logs alone, in their order.
+    """Return the arrays of episodes.npz that follow from logs alone, in their order, for `savez` to write.
 
     Args:
         logs: the episodes.
         before: such arrays of what stands before them.
     """
-    # Of a hundred thousand episodes an array that is joined twice would be the most that an assessment ever holds.
+    positions, car = before.get("positions", np.empty((0, 2))), before.get("car", np.empty((0, 3)))
     offsets, lengths = before.get("offsets", np.zeros(1, np.int64)), [len(log.adversary) for log in logs]
     own = {
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
@@ -91,8 +106,8 @@ def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = Mapp
         "reason": _texts([log.reason for log in logs]),
     }
     return {
-        "positions": np.concatenate([before.get("positions", np.empty((0, 2))), *(log.adversary for log in logs)]),
-        "car": np.concatenate([before.get("car", np.empty((0, 3))), *(log.car for log in logs)]),
+        "positions": _Later(lambda: np.concatenate([positions, *(log.adversary for log in logs)])),
+        "car": _Later(lambda: np.concatenate([car, *(log.car for log in logs)])),
         "offsets": np.concatenate([offsets, offsets[-1] + np.cumsum(lengths, dtype=np.int64)]),
         **{name: np.concatenate([before[name], column]) if before else column for name, column in own.items()},
     }

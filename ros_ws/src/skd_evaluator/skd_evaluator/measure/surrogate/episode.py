@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -57,21 +58,20 @@ _AT_ONCE = 1000  # episodes: each takes ten kilobytes while it is measured
 
 
 def surrogate_measures(
-    scenario: Scenario, courses: Sequence[Course], collided: npt.NDArray[np.bool_]
+    scenario: Scenario, courses: Iterable[Course], collided: npt.NDArray[np.bool_]
 ) -> dict[str, FloatArray]:
     """Return every surrogate safety measure of episodes, by name, k each; nan: not defined, or it never came about.
 
     Args:
         scenario: road, shapes, kind of the adversary, and the deceleration that the car has.
-        courses: how the episodes went, k.
+        courses: how the episodes went, k; as many as are looked at together are in memory at once.
         collided: whether car and adversary touched at the end of each.
     """
-    if not courses:
-        return {name: np.empty(0) for name in SURROGATE_MEASURES}
-    parts = []
-    for at in range(0, len(courses), _AT_ONCE):
-        whole = scenes_of(scenario, courses[at : at + _AT_ONCE])
-        parts.append(_measures(scenario, whole, whole.every(GRID), collided[at : at + _AT_ONCE]))
+    waiting, parts, done = iter(courses), [dict.fromkeys(SURROGATE_MEASURES, np.empty(0))], 0
+    while some := list(islice(waiting, _AT_ONCE)):
+        whole = scenes_of(scenario, some)
+        parts.append(_measures(scenario, whole, whole.every(GRID), collided[done : done + len(some)]))
+        done += len(some)
     return {name: np.concatenate([one[name] for one in parts]) for name in SURROGATE_MEASURES}
 
 
