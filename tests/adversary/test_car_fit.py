@@ -14,10 +14,13 @@ from skd_adversary.car_fit.families import Family, Law
 from skd_adversary.car_fit.identifiability import parameter
 from skd_adversary.car_fit.intervals import Estimate, half_width_estimate, step_estimate
 from skd_adversary.car_fit.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
+from skd_adversary.car_model_file import car_model_text, fitted_car
 from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Prior
 from skd_sim.controllers import BasicController
 from skd_sim.controllers.cal import CalController
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.state import AdversaryState, CarState
 
 TRUTH = {"deceleration": 3.5, "deceleration_noise": 0.1, "speed_noise": 0.05, "reaction_delay": 0.0}
 
@@ -165,6 +168,27 @@ def test_a_car_with_many_strengths_of_braking_does_not_brake_by_speeding_up():
     # What its hazard network is taught at the cruising speed: a tick, the braking distance, 1 m; and a tick's travel.
     zone = 0.3 * SCENARIO.car.start_speed + KAPPA + 1.0
     assert zone < estimate(car, "trigger") < zone + 0.3 * SCENARIO.car.start_speed
+
+
+class HastyCar:
+    """Speeds up all the way, or speeds up and brakes in turns, whoever is there."""
+
+    def __init__(self, *accelerations: float) -> None:
+        self._accelerations = accelerations
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._asked = 0
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        self._asked += 1
+        return self._accelerations[self._asked % len(self._accelerations)]
+
+
+@pytest.mark.parametrize("accelerations", [(5.0,), (8.0, -8.0), (-8.0, 8.0)])
+def test_a_car_that_heeds_nobody_is_learned(accelerations):
+    """No tick of it may look like driving freely; that ended in a traceback."""
+    car = fit_car(logs_of(HastyCar(*accelerations), 120, seed=3))
+    assert fitted_car(car_model_text(car)).logs == 120
 
 
 # --- calibration

@@ -265,7 +265,10 @@ def fit_speed_change(data: Observations) -> tuple[SpeedChange, FloatArray, float
     pulled = _regulated(p, data, responsibility)
     if pulled.gain > 0.0:
         free = np.abs(free_residual(pulled, data)) / np.maximum(data.speed, MOVING)
-        pulled = pulled._replace(speed_noise=float(np.quantile(free[responsibility[0] > 0.5], 0.99)))
+        rows = responsibility[0] > 0.5
+        if not rows.any():  # all was taken for something else than driving freely, and is pulled none the less
+            rows = responsibility[2] > 0.5
+        pulled = pulled._replace(speed_noise=float(np.quantile(free[rows], 0.99)))
         other = _polish(pulled, data)
         if other[2] - value > np.log(len(data)):
             p, responsibility, value = other

@@ -15,6 +15,7 @@ from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
+from skd_evaluator.assessing.alone import doubts_of_driving
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
@@ -172,7 +173,10 @@ def assessed(
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
     if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
-        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
+        found = doubts_of_the_controller(rating, runners.fresh)
+        if is_own_world(plan.simulator):
+            found += doubts_of_driving(plan, runners.here)
+        rating = replace(rating, warnings=(*rating.warnings, *found))
     return rating
 
 

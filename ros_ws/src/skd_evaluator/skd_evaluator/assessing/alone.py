@@ -1,0 +1,61 @@
+"""How a car drives with nobody near: one that does not drive hits nobody, and is none the safer for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from skd_sim.controllers import with_control_period
+from skd_sim.encounter.road import beside_road
+from skd_sim.episode.episode import Episode, Mode
+from skd_sim.geometry.trajectory import Trajectory
+
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Stage, episode_id
+from skd_evaluator.errors import AssessmentError
+
+_FAR = 1000.0  # m up the road, and as many beside it
+_SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
+_MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
+
+
+def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
+    """Return, in a line, that a car hardly drives where nobody is near it; empty if it does.
+
+    Nobody looks where others than the adversary are on the road: a car may have to stop for them.
+
+    Args:
+        plan: what is rated.
+        runner: runs the episode, in process.
+    """
+    if plan.scenario.others:
+        return ()
+    try:
+        (log,) = runner.run([_episode(plan)])
+    except AssessmentError as error:
+        return (f"when it was to drive with nobody within a kilometre, this came of it: {error}",)
+    first, last = log.car[[0, -1], 2].tolist()
+    if last >= _MUCH * first:
+        return ()
+    seconds, least = (len(log.car) - 1) * plan.scenario.time_step, plan.scenario.collision.hit_speed
+    slows = (
+        f"with nobody within a kilometre {plan.controller} slows from {first:.1f} to {last:.1f} m/s in {seconds:.1f} s"
+    )
+    if last < least:
+        return (
+            f"{slows}, and a hit begins at {least:g} m/s: a car that does not drive hits nobody, so that neither its "
+            "margin nor its risk says how it avoids people",
+        )
+    return (f"{slows}: how far people may stray, and how seldom they are hit, is due to that, too",)
+
+
+def _episode(plan: Plan) -> Episode:
+    """Return an episode in which somebody stands a kilometre away."""
+    clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
+    scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False))
+    ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
+    away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
+    nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
+    number = episode_id(Stage.PROBE, 0xFFFF, 0)  # of no probe
+    return Episode(
+        scenario, Mode.REPLAY, plan.seed, number, nowhere, controller=plan.controller, multiplier=plan.multiplier
+    )
