@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_evaluator.assessing.alone import doubts_of_driving
+from skd_evaluator.campaign.judge.rating import DISBELIEF
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import Controller, make_controller
@@ -56,6 +57,7 @@ def test_a_car_that_slows_down_for_nobody_is_said_to(speed: float, said: str) ->
         assert first == pytest.approx(CROSSING.car.start_speed, abs=0.05)
         assert last == pytest.approx(speed, rel=noise, abs=0.05)  # at 2 m/s² it is at its speed within 6 s
         assert said in line
+        assert line.startswith(DISBELIEF) == (speed < CROSSING.collision.hit_speed)
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())

@@ -16,6 +16,7 @@ from skd_evaluator.campaign.compare.comparison import (
     compare,
     ranking_figure,
 )
+from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_sim.encounter.scenario import load_scenario
@@ -112,6 +113,21 @@ def test_what_does_not_compare_has_no_verdict(changes: dict[str, Any], said: str
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), safe, **changes))
     assert (found.verdict, found.differences) == (NOT_COMPARED, {})
     assert said in found.refusals[0]
+
+
+def test_a_result_that_is_not_to_be_believed_has_no_verdict() -> None:
+    """Else a car that cheats, or stands still, is the safer one without a word."""
+    told = result("b", values(1, shift=1.0), warnings=["harmless", f"{DISBELIEF}it stands"])
+    for found in (compare(result("a", values(1)), told), compare(told, result("a", values(1)))):
+        assert (found.verdict, found.differences) == (NOT_COMPARED, {})
+        assert found.refusals == (f"b is not compared, for its own assessment failed: {DISBELIEF}it stands",)
+    assert ranking_figure([result("a", values(1)), told]) is None
+
+
+def test_a_car_that_hardly_drives_is_named_beside_its_verdict() -> None:
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{HARDLY_DRIVES}it slows"]))
+    assert found.verdict == SAFER
+    assert found.warnings == (f"b: {HARDLY_DRIVES}it slows",)
 
 
 def test_a_cars_own_part_of_the_scenario_may_differ() -> None:

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 from skd_sim.controllers import with_control_period
 from skd_sim.encounter.road import beside_road
-from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.rating import DISBELIEF
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Stage, episode_id
 from skd_evaluator.errors import AssessmentError
 
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
 _MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
+_NUMBER = episode_id(Stage.RISK, 0xFFFF, 0xFFFF_FFFF)  # of no crossing; none of these is recorded
 
 
 def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
@@ -25,7 +27,7 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
 
     Args:
         plan: what is rated.
-        runner: runs the episode, in process.
+        runner: runs the episode, and keeps nothing of it.
     """
     if plan.scenario.others:
         return ()
@@ -33,6 +35,8 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
         (log,) = runner.run([_episode(plan)])
     except AssessmentError as error:
         return (f"when it was to drive with nobody within a kilometre, this came of it: {error}",)
+    if log.outcome == Outcome.ABORTED:
+        return (f"when it was to drive with nobody within a kilometre, this came of it: {log.reason}",)
     first, last = log.car[[0, -1], 2].tolist()
     if last >= _MUCH * first:
         return ()
@@ -42,8 +46,8 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
     )
     if last < least:
         return (
-            f"{slows}, and a hit begins at {least:g} m/s: a car that does not drive hits nobody, so that neither its "
-            "margin nor its risk says how it avoids people",
+            f"{DISBELIEF}{slows}, and a hit begins at {least:g} m/s: a car that does not drive hits nobody, so "
+            "neither its margin nor its risk says how it avoids people",
         )
     return (f"{slows}: how far people may stray, and how seldom they are hit, is due to that, too",)
 
@@ -55,7 +59,6 @@ def _episode(plan: Plan) -> Episode:
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
-    number = episode_id(Stage.PROBE, 0xFFFF, 0)  # of no probe
     return Episode(
-        scenario, Mode.REPLAY, plan.seed, number, nowhere, controller=plan.controller, multiplier=plan.multiplier
+        scenario, Mode.REPLAY, plan.seed, _NUMBER, nowhere, controller=plan.controller, multiplier=plan.multiplier
     )

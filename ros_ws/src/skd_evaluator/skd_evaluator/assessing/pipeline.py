@@ -173,10 +173,10 @@ def assessed(
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
     if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
-        found = doubts_of_the_controller(rating, runners.fresh)
-        if is_own_world(plan.simulator):
-            found += doubts_of_driving(plan, runners.here)
-        rating = replace(rating, warnings=(*rating.warnings, *found))
+        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
+    alone = runners.ways if runners.fresh is None else runners.here
+    if alone is not None and is_own_world(plan.simulator) and not plan.car.is_own:
+        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_driving(plan, alone)))
     return rating
 
 

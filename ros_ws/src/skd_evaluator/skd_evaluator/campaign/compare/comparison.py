@@ -18,6 +18,7 @@ from skd_sim.encounter.scenario import scenario_from_dict
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
+from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.statistics.difference import Difference, difference
@@ -263,8 +264,12 @@ def planned_refusal(results: Sequence[StoredResult]) -> str:
 def refusals(first: StoredResult, second: StoredResult) -> list[str]:
     """Return why a difference between two assessments would say nothing about their cars, a line each."""
     between = f"{first.folder} and {second.folder}"
-    found = []
     ours, theirs = first.figures, second.figures
+    found = [
+        f"{one.folder} is not compared, for its own assessment failed: {line}"
+        for one in (first, second)
+        for line in _said_of(one, DISBELIEF)
+    ]
     if ours["eta_max"] != theirs["eta_max"]:
         found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
     if MARGIN in first.groups and MARGIN in second.groups and hit_speed(ours) != hit_speed(theirs):
@@ -298,4 +303,9 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
     for name, what in (("seed", "seeds"), ("simulations", "budgets of the planner"), ("version", "versions of SKD")):
         if ours.get(name) != theirs.get(name):
             found.append(f"{between} have different {what}, {ours.get(name)} and {theirs.get(name)}")
-    return found
+    return found + [f"{one.folder}: {line}" for one in (first, second) for line in _said_of(one, HARDLY_DRIVES)]
+
+
+def _said_of(result: StoredResult, beginning: str) -> list[str]:
+    """Return the warnings of a result that begin so."""
+    return [line for line in map(str, result.figures.get("warnings") or ()) if line.startswith(beginning)]

@@ -51,6 +51,8 @@ _FEWEST_RUNS = 10
 
 DISBELIEF = "do not believe these figures: "
 """Begins a warning that makes an assessment fail."""
+HARDLY_DRIVES = "with nobody within a kilometre "
+"""Begins a warning of a car that slows down for nobody, which a comparison repeats."""
 
 
 @dataclass(frozen=True)
