@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing.alone import doubts_of_driving
+from skd_evaluator.campaign.judge.alone import doubts_of_driving
 from skd_evaluator.campaign.judge.rating import DISBELIEF
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
@@ -76,7 +76,8 @@ def test_a_car_that_fails_with_nobody_near_is_named() -> None:
     assert "with nobody within a kilometre, this came of it: controller a.b:C: command failed" in line
 
 
-def test_nobody_looks_where_a_car_may_have_to_stop_for_others() -> None:
+def test_a_car_that_stands_is_told_from_one_that_stops_for_others() -> None:
     plan = replace(PLAN, scenario=load_scenario("bystanders"))
     assert plan.scenario.others
-    assert doubts_of_driving(plan, Runner(Towards(0.0))) == ()
+    assert len(doubts_of_driving(plan, Runner(Towards(0.0)))) == 1
+    assert doubts_of_driving(plan, Runner(Towards(8.0))) == ()

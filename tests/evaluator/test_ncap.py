@@ -29,13 +29,14 @@ from skd_sim.errors import UsageError
 KMH = 1.0 / 3.6
 CARS = """
 class Brakes:
-    control_period = 0.05
+    control_period, sees = 0.05, 500.0
     def reset(self, scenario, rng):
         self.calls = 0
     def command(self, car, adversary):
         self.calls += 1
         time = 0.05 * (self.calls - 1)
-        return -self.deceleration if self.begins - 1e-9 <= time < self.ends - 1e-9 else 0.0
+        somebody = adversary.y - car.y < self.sees  # a car that brakes for nobody is not tested
+        return -self.deceleration if somebody and self.begins - 1e-9 <= time < self.ends - 1e-9 else 0.0
 
 class Early(Brakes):
     begins, ends, deceleration = 1.5, 100.0, 6.0
@@ -45,6 +46,8 @@ class JustPasses(Brakes):
     begins, ends, deceleration = 0.0, 0.6, 1.2
 class SpeedsUp(Brakes):
     begins, ends, deceleration = 0.0, 2.0, -2.0
+class Stands(Brakes):
+    sees, begins, ends, deceleration = 5000.0, 0.0, 100.0, 9.0
 class Raises:
     def reset(self, scenario, rng): pass
     def command(self, car, adversary): return 1 / 0
@@ -191,6 +194,10 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     assert "CPNA day has no test at 35 km/h" in done.stdout
     assert "CPNA day has no impact place of 0 %" in done.stdout
     assert all(cell.touched is not None and cell.why for cell in found)
+    done = skd("ncap", "--controller", "ncap_cars:Stands", "--encounters", "cpnco-50", "--speeds", "20:20:10", *NONE,
+               "--out", "stands", cwd=cars)  # fmt: skip
+    assert [cell.colour for cell in cells_of(cars / "stands")] == [""]
+    assert "the car slows down to 0 km/h with nobody near, which is no test at 20 km/h" in done.stdout
     (cars / "fast.yaml").write_text("name: fast\ndescription: fast\nextends: cpna-50\nprotocol:\n  speed: 2.0\n")
     done = skd("ncap", "--encounters", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
     assert "the test's target has 5 km/h, this one 7.2 km/h" in done.stdout

@@ -15,10 +15,10 @@ from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
-from skd_evaluator.assessing.alone import doubts_of_driving
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
+from skd_evaluator.campaign.judge.alone import doubts_of_driving
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.judge.static_tests import with_static_tests

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.campaign.judge.alone import slowing_for_nobody
 from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
@@ -77,7 +78,7 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
-            cell = _with_margin(_with_test(cell, next(logs), plan.scenario, one.point), plan, asked, runner)
+            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, asked, runner)
         cells.append(cell)
         progress(source, done, len(wanted))
     scenario = load_scenario(source)
@@ -101,9 +102,11 @@ def _begun(
     return cell, plan, episode
 
 
-def _with_test(cell: Cell, log: EpisodeLog, scenario: Scenario, point: MatrixPoint | None) -> Cell:
-    assert scenario.protocol is not None
-    return with_test(cell, Tested.of(scenario.protocol.impact_places[0], log), KMH * scenario.protocol.speed, point)
+def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: ExecutorRunner) -> Cell:
+    protocol = plan.scenario.protocol
+    assert protocol is not None
+    slowing = None if plan.car.is_own else slowing_for_nobody(plan, runner)
+    return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, slowing)
 
 
 def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -> Cell:

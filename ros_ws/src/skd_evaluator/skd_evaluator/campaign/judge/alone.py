@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from skd_sim.controllers import with_control_period
@@ -10,7 +11,7 @@ from skd_sim.encounter.road import beside_road
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF
+from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Stage, episode_id
 from skd_evaluator.errors import AssessmentError
 
@@ -20,30 +21,53 @@ _MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
 _NUMBER = episode_id(Stage.RISK, 0xFFFF, 0xFFFF_FFFF)  # of no crossing; none of these is recorded
 
 
+class Slowing(NamedTuple):
+    """What a car slows down to for nobody.
+
+    Attributes:
+        first: speed at the beginning, m/s.
+        last: speed at the end, less than half of it, m/s.
+        seconds: time between them, s.
+    """
+
+    first: float
+    last: float
+    seconds: float
+
+
+def slowing_for_nobody(plan: Plan, runner: EpisodeRunner) -> Slowing | None:
+    """Return what a car slows down to that has the road for itself; None if it drives.
+
+    Args:
+        plan: what is rated.
+        runner: runs the episode, and keeps nothing of it.
+
+    Raises:
+        AssessmentError: the car fails.
+    """
+    (log,) = runner.run([_episode(plan)])
+    if log.outcome == Outcome.ABORTED:
+        raise AssessmentError(log.reason)
+    first, last = log.car[[0, -1], 2].tolist()
+    seconds = (len(log.car) - 1) * plan.scenario.time_step
+    return Slowing(first, last, seconds) if last < _MUCH * first else None
+
+
 def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
     """Return, in a line, that a car hardly drives where nobody is near it; empty if it does.
-
-    Nobody looks where others than the adversary are on the road: a car may have to stop for them.
 
     Args:
         plan: what is rated.
         runner: runs the episode, and keeps nothing of it.
     """
-    if plan.scenario.others:
-        return ()
     try:
-        (log,) = runner.run([_episode(plan)])
+        found = slowing_for_nobody(plan, runner)
     except AssessmentError as error:
         return (f"when it was to drive with nobody within a kilometre, this came of it: {error}",)
-    if log.outcome == Outcome.ABORTED:
-        return (f"when it was to drive with nobody within a kilometre, this came of it: {log.reason}",)
-    first, last = log.car[[0, -1], 2].tolist()
-    if last >= _MUCH * first:
+    if found is None:
         return ()
-    seconds, least = (len(log.car) - 1) * plan.scenario.time_step, plan.scenario.collision.hit_speed
-    slows = (
-        f"with nobody within a kilometre {plan.controller} slows from {first:.1f} to {last:.1f} m/s in {seconds:.1f} s"
-    )
+    (first, last, seconds), least = found, plan.scenario.collision.hit_speed
+    slows = f"{HARDLY_DRIVES}{plan.controller} slows from {first:.1f} to {last:.1f} m/s in {seconds:.1f} s"
     if last < least:
         return (
             f"{DISBELIEF}{slows}, and a hit begins at {least:g} m/s: a car that does not drive hits nobody, so "
@@ -53,9 +77,9 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
 
 
 def _episode(plan: Plan) -> Episode:
-    """Return an episode in which somebody stands a kilometre away."""
+    """Return an episode in which nobody is on the road, and somebody stands a kilometre away."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
-    scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False))
+    scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False), others=())
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
