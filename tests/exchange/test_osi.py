@@ -92,7 +92,7 @@ def test_ground_truth_on_two_topics_is_refused(tmp_path: Path):
                 writer.add_message(channels[topic], message.log_time, message.data, message.publish_time)
         writer.finish()
     assert {found.name for found in read_osi(path)} == {"Ego", "Adversary"}
-    with pytest.raises(UsageError, match="ground truth on front, rear; give a file with one"):
+    with pytest.raises(UsageError, match="ground truth on 'front', 'rear'; give a file with one"):
         read_osi(both)
 
 
