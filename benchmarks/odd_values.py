@@ -1,6 +1,7 @@
 """Odd values for every option of every command: `.venv/bin/python benchmarks/odd_values.py --each 3 --seed 0`.
 
-Each option gets some of `VALUES` (and of its own choices), in a small run of its command; each run is a process that is
+Each option gets some of `VALUES` (and of its own choices), in a small run of its command, and each key of a campaign's
+file some of them, too; each run is a process that is
 forked from one with all imports. Right is an exit code of 0, 1 or 2 within the time, with 2 one line and nothing
 written, no traceback, and no temporary folder left. Whatever is not right is printed, and the exit code is then 1.
 Commands that need a graph or a terminal (`episode`, `drive`) are left out, and options that name a server.
@@ -12,6 +13,7 @@ import argparse
 import collections
 import gc
 import importlib
+import itertools
 import os
 import pkgutil
 import random
@@ -25,10 +27,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import skd_evaluator.cli
+import yaml
 from forked_child import end_of
+from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import whole_number
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_sim.choices.options import options_of
 
 NUMBERS = (
     "0",
@@ -72,6 +77,13 @@ OF_SKD = ("margin=nan", "margin=0.5", "0:60:0", "60:10:-5", "nan:nan:nan", "0,0,
 FILES = ("~nobody/x", "/nonexistent/a", "pipe", "folder", "empty", "text", "bytes", "link", "result")
 TEXTS = ("", "  ", " 1", "\u0665", "9" * 400, "x" * 5000, "\x1b[2J\u202e", "\udcff")
 VALUES = (*NUMBERS, *WORDS, *OF_SKD, *FILES, *TEXTS)
+_NO_TEXTS: tuple[object, ...] = (0, -1, 1, 2, 0.5, 1e308, float("nan"), True, None, [], [1, 1], {}, {"a": 1}, 10**30)
+_KEYS = (
+    "cars", "encounters", "defaults", "sweep", "sweep/seed", "sweep/multiplier", "sweep/scenario", "sweep/controller",
+    "sweep/scenario.eta_max", "name", "scenario", "scenario.eta_max", "scenario.car.start_speed", "scenario.road",
+    "scenario.car", "scenario.", "graph", "curve", "reference", "/", "x",
+)  # fmt: skip
+"""What stands in a campaign's file besides options; section/key."""
 _LEFT_OUT = {"graph", "scheduler", "mlflow", "verbose"}
 _FEW = ["--safe-count", "2", "--kamikaze-count", "1", "--collision-runs", "2"]
 _SMALL = [*_FEW, "--simulations", "5", "--workers", "1"]
@@ -79,7 +91,7 @@ _QUICK = [*_SMALL, "--margin-limit", "0", "--behaviour", "none", "--quiet"]
 _FEW_TESTS = ["--encounters", "cpna", "--speeds", "20:30:10", "--kamikaze-count", "1"]
 GIVEN: dict[str, list[str]] = {
     "assess": _QUICK,
-    "sweep": [*_SMALL, "--margin-limit", "0", "--behaviour", "none"],
+    "sweep": [*_SMALL, "--margin-limit", "0", "--behaviour", "none", "--multipliers", "1"],
     "campaign": ["campaign.yaml"],
     "replay": ["result"],
     "compare": ["result", "other"],
@@ -119,8 +131,9 @@ def prepare(folder: Path) -> None:
     rows = "".join(f"{0.3 * tick},{-4.0 + 0.4 * tick},1\n" for tick in range(20))
     (folder / "phi.csv").write_text("t,x,y\n" + rows)
     (folder / "campaign.yaml").write_text(
-        "cars: [basic]\nencounters: [crossing]\n"
-        "defaults: {safe_count: 2, kamikaze_count: 1, collision_runs: 2, simulations: 5, margin_limit: 0}\n"
+        "cars: [{controller: basic}]\nencounters: [{scenario: crossing}]\n"
+        "defaults: {safe_count: 2, kamikaze_count: 1, collision_runs: 2, simulations: 5, margin_limit: 0, "
+        "behaviour: none}\n"
     )
     os.mkfifo(folder / "pipe")
     (folder / "folder").mkdir()
@@ -135,6 +148,25 @@ def cases(each: int, rng: random.Random) -> Iterator[list[str]]:
     for name, parser in commands_of(make_parser()).items():
         if name not in ("drive", "episode"):
             yield from _cases_of([name], parser, each, rng)
+
+
+def campaign_files(folder: Path, each: int, rng: random.Random) -> Iterator[list[str]]:
+    """Yield command lines of campaigns whose files have a value that a key, or a section, is not for."""
+    content = yaml.safe_load((folder / "campaign.yaml").read_text())
+    keys = sorted({*content["defaults"], *(one.name for one in options_of(CampaignOptions)), *_KEYS})
+    for key in keys:
+        for value in rng.sample([*_NO_TEXTS, *VALUES], each):
+            odd = yaml.safe_load(yaml.safe_dump(content))
+            place, _, name = key.partition("/")
+            if place in content and not name:
+                odd[place] = value
+            elif name:
+                odd[place] = {name: value}
+            else:
+                odd["cars"][0][key] = value
+            with suppress(UnicodeEncodeError):  # no such file can be written
+                (folder / "odd.yaml").write_text(yaml.safe_dump(odd, allow_unicode=True))
+                yield ["campaign", "odd.yaml", "--workers", "1", "--quiet"]
 
 
 def _cases_of(words: list[str], parser: argparse.ArgumentParser, each: int, rng: random.Random) -> Iterator[list[str]]:
@@ -231,12 +263,18 @@ def main() -> int:
         os.chdir(name)
         prepare(Path(name))
         gc.freeze()
-        for words in cases(arguments.each, random.Random(arguments.seed)):
+        rng = random.Random(arguments.seed)
+        plain = [[*command.split(), *given] for command, given in GIVEN.items()]
+        odd = itertools.chain(cases(arguments.each, rng), campaign_files(Path(name), arguments.each, rng))
+        for words in itertools.chain(plain, odd):
             if arguments.command and words[0] not in arguments.command:
                 continue
             found = run(words, Path(name), arguments.limit)
             counts[found.code] += 1
-            if said := wrongs(found):
+            said = wrongs(found)
+            if words in plain and found.code not in (0, 1):
+                said.append("refused, though nothing is odd")
+            if said:
                 bad += 1
                 print(f"{', '.join(said)}: skd {' '.join(word[:60] for word in words)!a}", flush=True)
                 print(f"    {found.error.strip()[-300:]!a}", flush=True)

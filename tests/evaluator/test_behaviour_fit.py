@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.cli.main import main
-from skd_evaluator.measure.behaviour.model import NAMES, load_behaviour
+from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, load_behaviour
 from skd_evaluator.measure.behaviour.walking import normals_of
 from skd_evaluator.risk.behaviour.fit import FITTED, LEAST_TRACKS, fit_behaviour, simulated
 from skd_evaluator.risk.behaviour.tracks import Tracked, read_tracks
@@ -95,6 +95,48 @@ def test_the_command_writes_a_model_that_says_how_well_it_predicts(tmp_path, cap
     assert [row["horizon"] for row in validation["residuals"][::3]] == [0.6, 1.2, 2.4]
     assert validation["worst"] < 0.6  # of 20 people, who are of the model
     assert (tmp_path / "out" / "behaviour.png").stat().st_size > 10_000
+
+
+TICKS = np.arange(60) * 0.1
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (lambda t: (t, 1400.0 * t, 0.0), r"000.csv, line 3: moves 140 m in 0.1 s"),
+        (lambda t: (t, -1.4 * t, 0.1 * t), "000: goes aside or back, as 12 of 12"),
+        (lambda t: (t, 0.0, 1.4 * t), "000: goes aside or back"),
+        (lambda t: (t + 60.0 * (t > 3.0), 1.4 * t, 0.0), r"000.csv, line 33: 60.1 s after the line before"),
+        (lambda t: (1e9 * t, 1.4 * t, 0.0), r"1e\+08 s after the line before"),
+        (lambda t: (t, 0.0, 0.0), "000: stands all the time"),
+        (lambda t: (t, round(1.4 * t, 4), 0.0), "straight on at one pace to the millimetre"),
+    ],
+)
+def test_tracks_that_nobody_went_are_refused(tmp_path, row, said):
+    for number in range(12):
+        rows = "".join(",".join(map(repr, map(float, row(t)))) + "\n" for t in TICKS.tolist())
+        (tmp_path / f"{number:03}.csv").write_text("t,x,y\n" + rows)
+    with pytest.raises(UsageError, match=said):
+        read_tracks([tmp_path], Damage())
+
+
+def test_a_track_lasts_minutes_at_most(tmp_path):
+    rows = "".join(f"{0.5 * tick},{0.6 * tick},0\n" for tick in range(700))
+    (tmp_path / "a.csv").write_text("t,x,y\n" + rows)
+    with pytest.raises(UsageError, match=r"lasts 349\.5 s, more than 300 s"):
+        read_tracks([tmp_path], Damage())
+
+
+def test_people_who_never_hesitate_tell_nothing_of_how_long_they_would():
+    """Such people had ended in `LinAlgError: Singular matrix`."""
+    rng = np.random.default_rng(1)
+    steps = np.column_stack([rng.normal(1.4, 0.1, 12), rng.normal(0.0, 0.1, 12)])[:, None] * 0.3
+    ways = np.cumsum(steps + rng.normal(0.0, 0.01, (12, 18, 2)), axis=1)
+    found = fit_behaviour(list(ways), 0.3, intervals=False)
+    meaning = MEANINGS["hesitation_time"]
+    assert found.intervals["hesitation_time"] == (meaning.low, meaning.high)
+    assert all(low <= high for low, high in found.intervals.values())
+    assert np.isfinite(found.values).all()
 
 
 @pytest.mark.parametrize(

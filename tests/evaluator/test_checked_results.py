@@ -19,7 +19,7 @@ from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, write_manifests
 from skd_evaluator.campaign.store.rebuilt import recompute
 from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.results import write_assessment
@@ -377,3 +377,17 @@ def test_verify_finds_surrogate_measures_that_do_not_follow(result, change, says
     path.write_text(text, encoding="utf-8")
     write_manifests(result)
     assert verify(result).fine
+
+
+def test_a_result_that_goes_while_it_is_verified_is_not_fine(result, monkeypatch):
+    """Its files had been held against the manifest, and its figures, which were not there any more, against nothing."""
+
+    def hold_and_lose(folder: Path, manifest: dict[str, str]) -> Held:
+        found = hold(folder, manifest)
+        (folder / "assessment.json").unlink()
+        return found
+
+    monkeypatch.setattr("skd_evaluator.campaign.store.verification.hold", hold_and_lose)
+    found = verify(result)
+    assert not found.fine
+    assert "assessment.json: cannot be read" in found.problems[0]

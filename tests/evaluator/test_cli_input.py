@@ -101,6 +101,27 @@ def test_bad_number(capsys, command, option, value):
     assert repr(value) in lines[0]
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["assess", "--seed=--"], "argument --seed: must be a whole number ≥ 0, got '--'"),
+        (["assess", "--objective=--"], "argument --objective: invalid choice: '--'"),
+        (["assess", "--controller=--"], "controller '--'"),
+        (["fuse", "a", "b", "--frame=--"], "argument --frame: must be X,Y,DEGREES"),
+        (["export", "x", "--format=--"], "argument --format: invalid choice: '--'"),
+    ],
+)
+def test_two_hyphens_are_a_value_as_any_other(capsys, words, said):
+    """In Python 3.11 `--option=--` is an empty list: a traceback, or no value where one was given."""
+    try:
+        code = main(words)
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+
+
 def test_option_of_another_command(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["probe", "--car-model", "car_model.yaml"])

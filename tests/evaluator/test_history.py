@@ -121,6 +121,27 @@ def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch
     assert imread(tmp_path / "trend" / "trend.png").shape[1] > 1000
 
 
+@pytest.mark.parametrize("keep_manifest", [True, False])
+def test_a_trend_shows_no_figure_that_contradicts_its_episodes(tmp_path, sweep, capsys, keep_manifest):
+    """A car with a single assessment is held against no other, and its figure was shown as it stood in the file."""
+    folders = []
+    for name in ("C_0.5", "C_1"):
+        folders.append(str(tmp_path / name))
+        shutil.copytree(sweep / "synthetic" / name, tmp_path / name)
+    path = tmp_path / "C_1" / "assessment.json"
+    figures = json.loads(path.read_text())
+    figures["deformation"] = 4.9
+    path.write_text(json.dumps(figures))
+    if not keep_manifest:
+        (tmp_path / "C_1" / MANIFEST).unlink()
+    assert main(["trend", *folders, "--figure", "deformation", "--out", str(tmp_path / "trend")]) == 2
+    said = capsys.readouterr()
+    assert len(said.err.splitlines()) == 1
+    assert "C_1" in said.err
+    assert not said.out
+    assert not (tmp_path / "trend").exists()
+
+
 def test_a_trend_takes_two(skd_here, here, sweep):
     result = str(sweep / "synthetic" / "C_0.5")
     one_line(skd_here("trend", result, "--out", "x"), 2, "at least two assessments")

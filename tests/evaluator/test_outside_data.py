@@ -26,6 +26,7 @@ from skd_sim.apart.wire import ANSWER, Kind, read_answer
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 
 HERE = Path(__file__).parent
@@ -89,6 +90,34 @@ def test_only_regular_files_of_some_size_are_read(tmp_path):
             read_bytes(tmp_path / name, 1024)
     with pytest.raises(UsageError, match="no regular file"):
         read_json(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("text", ["1_0", "1_000.5", "\u0663", "\uff11", "1e1_0", "0x10", "1,5", ""])
+def test_a_number_in_a_table_is_one_that_all_read_alike(text):
+    with pytest.raises(UsageError, match=r"^x must be a number, got"):
+        finite_number(text, "x")
+    assert [finite_number(one, "x") for one in ("10", " +1.5e1", "-.5", "3.")] == [10.0, 15.0, -0.5, 3.0]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "fuse circle circle", "compare circle .", "report circle", "show circle", "replay circle", "fit circle",
+        "import circle", "behaviour fit circle", "assess --out circle", "list . circle",
+    ],
+)  # fmt: skip
+def test_links_in_a_circle_lead_nowhere(here, skd_here, words):
+    (here / "circle").symlink_to("circle")
+    before = sorted(here.iterdir())
+    one_line(skd_here(*words.split()), 2, "circle")
+    assert sorted(here.iterdir()) == before
+
+
+@pytest.mark.parametrize("words", ["list {}", "fuse {} {}", "assess --safe {}", "assess --out {}"])
+def test_a_name_that_no_file_can_have_is_said_in_one_line(here, skd_here, words):
+    before = sorted(here.iterdir())
+    one_line(skd_here(*words.format(*["x" * 300] * 2).split()), 2, "ame too long")
+    assert sorted(here.iterdir()) == before
 
 
 def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_here):

@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from exchange_support import READERS, recorded, scenarios
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.exchange.coming_in.osi import read_osi
 from skd_evaluator.exchange.going_out.osi import ground_truth, osi_name, write_osi
 from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import UsageError
 
 
 def messages(path: Path) -> Iterator[Any]:
@@ -71,6 +74,26 @@ def test_asams_own_library_reads_the_same_states(result: Path, skd_here, tmp_pat
             way = np.array([state[:2] for state in other.states(len(adversary), scenario.time_step)])
             wanted = [np.interp(found[3 + index][:, 0], grid, column) for column in way.T]
             assert found[3 + index][:, 1:3] == pytest.approx(np.column_stack(wanted), abs=1e-6)
+
+
+def test_ground_truth_on_two_topics_is_refused(tmp_path: Path):
+    """Ids on one need not be those of the same objects on the other; one topic by itself is read."""
+    one = recorded("cbna")
+    path, both = tmp_path / osi_name(one), tmp_path / "both.mcap"
+    write_osi(path, one)
+    with path.open("rb") as stream, both.open("wb") as out:
+        writer, channels = Writer(out), {}
+        writer.start()
+        for schema, channel, message in make_reader(stream).iter_messages():
+            for topic in ("front", "rear"):
+                if topic not in channels:
+                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    channels[topic] = writer.register_channel(topic, channel.message_encoding, number)
+                writer.add_message(channels[topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    assert {found.name for found in read_osi(path)} == {"Ego", "Adversary"}
+    with pytest.raises(UsageError, match="ground truth on 'front', 'rear'; give a file with one"):
+        read_osi(both)
 
 
 def test_metadata_are_those_of_the_standard(tmp_path: Path):

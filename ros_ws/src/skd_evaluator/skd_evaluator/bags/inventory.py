@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import is_there, sha256_of
+from skd_sim.inputs.outside import is_there, real_path, sha256_of
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 from skd_evaluator.bags.validation import Damage
@@ -79,7 +79,7 @@ def holds_recordings(folder: Path) -> bool:
 
 def _look_into(folder: Path, found: _Found, known: set[Path], damage: Damage) -> None:
     """Add what is in a folder, and below it in the order of names."""
-    known.add(folder.resolve())
+    known.add(real_path(folder))
     inside: list[Path] = []
     for path in _entries(folder, found, damage):
         name = path.name.lower()
@@ -100,7 +100,7 @@ def _look_into(folder: Path, found: _Found, known: set[Path], damage: Damage) ->
         elif name not in _READ_BESIDE:
             damage.unread.append(path)
     for path in inside:
-        if path.resolve() in known:
+        if real_path(path) in known:
             damage.warn(f"{path}: leads to a folder that is read already")
         else:
             _look_into(path, found, known, damage)
@@ -138,16 +138,16 @@ def _refuse_nothing(path: Path, found: _Found) -> None:
 
 def _account(path: Path, found: _Found, damage: Damage) -> None:
     """Name files that should be there, or should have been read, and are not."""
-    there = {file.resolve() for file in found.files}
+    there = set(map(real_path, found.files))
     for file in found.packed:
         unpacked = file.with_name(file.name[: file.name.lower().rindex(SUFFIX) + len(SUFFIX)])
-        if unpacked.resolve() in there:
+        if real_path(unpacked) in there:
             damage.warn(f"{file}: not read, for {unpacked.name} is beside it")
         else:
             damage.leave_out(f"{file}: is compressed as a whole and is not read; unpack it first (zstd -d)")
     for file in found.metadata:
         _hold_against_metadata(file, damage)
-    beside = [path.parent] if path.resolve().name == "bags" and (path.resolve().parent / MANIFEST).exists() else []
+    beside = [path.parent] if real_path(path).name == "bags" and (real_path(path).parent / MANIFEST).exists() else []
     for folder in [*(one.parent for one in found.manifests), *beside]:
         _hold_against_manifest(folder, path, damage)
 
@@ -184,10 +184,10 @@ def _named_in(text: str, file: Path) -> list[str]:
 def _hold_against_manifest(folder: Path, path: Path, damage: Damage) -> None:
     """Check that every recording that SKD has written is there and unchanged."""
     manifest = read_manifest(folder) or {}
-    inside = path.resolve()
+    inside = real_path(path)
     for name, digest in manifest.items():
         file = folder / name
-        if not name.lower().endswith(SUFFIX) or not (folder.resolve() / name).is_relative_to(inside):
+        if not name.lower().endswith(SUFFIX) or not (real_path(folder) / name).is_relative_to(inside):
             continue
         if not is_there(file):
             damage.leave_out(f"{file}: is in {MANIFEST}, and is not there")

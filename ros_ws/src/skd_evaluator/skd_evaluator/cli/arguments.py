@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
@@ -348,7 +349,7 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
 def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:
     """Refuse an output folder that holds files which the command reads: --overwrite would delete them."""
     for path in paths:
-        if path.resolve().is_relative_to(out.resolve()):
+        if real_path(path).is_relative_to(real_path(out)):
             raise UsageError(f"--out {out}: holds {path}, which this command reads; give another folder")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -19,6 +20,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.verbosity import be_verbose, is_verbose
 
 EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+_OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
+"""Errors of names that were given, and not of the machine."""
 _SELDOM_WITH_KERNELS = frozenset({"completion", "doctor", "list", "plan"})
 """Commands that mostly call no kernel, and then start without numba, which takes longer than all else."""
 
@@ -72,6 +75,10 @@ def _run(words: list[str]) -> int:
         give_up()
         return EXIT_FAILED
     except OSError as error:
+        if error.errno in _OF_NAMES:
+            why = f"{str(error.filename)[:60]}: no file can have that name ({error.strerror})"
+            print(f"skd {arguments.command}: error: {one_line(why)}", file=sys.stderr)
+            return EXIT_USAGE
         print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILED
 

@@ -80,7 +80,7 @@ def add_model_commands(commands: Any) -> None:
         fuse,
         "--looks",
         1,
-        1000,
+        100,  # `measure.statistics.sequential.MOST_LOOKS`
         "how often you look at the results, at most, before you stop, said before the first trial: each look after as "
         "many further trials. The intervals then hold at all looks together",
         default=1,

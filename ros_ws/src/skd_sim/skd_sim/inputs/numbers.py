@@ -15,9 +15,12 @@ def finite_number(text: str, what: str) -> float:
         what: it is, and where, for messages.
 
     Raises:
-        UsageError: it is none, or is not finite.
+        UsageError: it is none, or is not finite. What only Python takes for a number, as `1_0` for 10 or the digits of
+            other scripts, is none: in a table it is a slip of the pen.
     """
     try:
+        if "_" in text or not text.isascii():
+            raise ValueError
         value = float(text)
     except ValueError:
         raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None

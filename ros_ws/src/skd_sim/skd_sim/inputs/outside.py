@@ -80,6 +80,14 @@ def is_there(path: Path) -> bool:
         return False
 
 
+def real_path(path: Path) -> Path:
+    """Return where a path leads, with no link in it; one whose links run in a circle leads nowhere, and to itself.
+
+    `Path.resolve` raises RuntimeError there before Python 3.13.
+    """
+    return Path(os.path.realpath(path))
+
+
 def read_text(path: Path, largest: int = LARGEST) -> str:
     """Return the text of a regular file of at most `largest` bytes, in UTF-8 with or without a byte-order mark.
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.campaign.judge.command_age import command_age
 from skd_evaluator.campaign.judge.rating import Rating
@@ -78,7 +79,7 @@ class ResultFolder:
         self.path = path
         self._signer = signer
         try:
-            self._target = path.resolve()  # of a link, the folder behind it is replaced
+            self._target = real_path(path)  # of a link, the folder behind it is replaced
             _check(self._target, f"--out {path}", overwrite=overwrite)
             made = _make(self._target)
             try:
@@ -106,7 +107,7 @@ class ResultFolder:
             logs.mkdir()
             if not self._replaces:
                 _remove_left(self._target)
-            shown.symlink_to(logs.resolve())
+            shown.symlink_to(real_path(logs))
             yield Scratch(temporary, shown)
         except Exception:
             if logs.is_dir() and any(logs.iterdir()):

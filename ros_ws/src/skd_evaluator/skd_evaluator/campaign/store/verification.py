@@ -114,7 +114,8 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         problems += _rows_that_differ(folder)
     elif files is None and not problems:
         remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
-    if not (folder / ASSESSMENT).exists():
+    named = files is not None and ASSESSMENT in (*files.same, *files.changed, *files.missing)
+    if not named and not (folder / ASSESSMENT).exists():
         return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
     try:
         figures, former = read_figures(folder)

@@ -12,6 +12,7 @@ from typing import Any
 
 from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.assessing.asked import scenario_for
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
@@ -34,7 +35,7 @@ from skd_evaluator.report.terminal import car_name, print_table
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if len({path.resolve() for path in arguments.paths}) < max(2, len(arguments.paths)):
+    if len(set(map(real_path, arguments.paths))) < max(2, len(arguments.paths)):
         raise UsageError("give at least two folders of assessments, each once")
     results = [read_result(path) for path in arguments.paths]
     with understood(Path("one of the results")):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import read_json, real_path
 
 from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
@@ -83,7 +83,7 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no folder")
         for place in _places(folder):
-            found.setdefault(place.resolve(), read_run(place))
+            found.setdefault(real_path(place), read_run(place))
     return list(found.values())
 
 

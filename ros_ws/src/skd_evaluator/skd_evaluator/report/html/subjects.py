@@ -14,7 +14,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import read_json, real_path
 
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
@@ -103,7 +103,7 @@ def read_subjects(folders: Sequence[Path]) -> list[Subject]:
     Raises:
         UsageError: a folder holds none, or one that is damaged or of another version.
     """
-    if len({folder.resolve() for folder in folders}) < len(folders):
+    if len(set(map(real_path, folders))) < len(folders):
         raise UsageError("a folder is given twice")
     found: list[Subject] = []
     for folder in folders:

@@ -20,7 +20,7 @@ from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
 from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
-from skd_evaluator.risk.behaviour.inversion import inverted
+from skd_evaluator.risk.behaviour.inversion import inverted, ridge
 from skd_evaluator.risk.behaviour.residuals import padded, summary
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
         best, moved = float(off @ weights @ off), 0.0
         information = jacobian.T @ weights @ jacobian
         while damping < 1e6:
-            step = np.linalg.solve(information + damping * np.diag(np.diag(information)), jacobian.T @ weights @ off)
+            step = np.linalg.solve(information + ridge(information, damping), jacobian.T @ weights @ off)
             trial = _free(_values(free + np.clip(step, -_FURTHEST, _FURTHEST)))
             left = problem.wanted - problem.summary_at(trial)
             if float(left @ weights @ left) < best:
@@ -205,7 +205,10 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
 
     places = [NAMES.index(name) for name in FITTED]
     found = {name: (float(low[at]), float(high[at])) for name, at in zip(FITTED, places, strict=True)}
-    for name in TESTED if intervals else ():
+    # Of a parameter on which nothing hangs, such as how long people stand who never do, the tracks tell nothing.
+    silent = [name for name, column in zip(FITTED, jacobian.T, strict=True) if not column.any()]
+    found.update({name: (MEANINGS[name].low, MEANINGS[name].high) for name in silent})
+    for name in (one for one in TESTED if intervals and one not in silent):
         found[name] = tested_interval(problem, free, name, float(errors[FITTED.index(name)]))
     return Fit(values, errors, found, len(tracks), sum(problem.lengths) - len(tracks), problem.speed)
 

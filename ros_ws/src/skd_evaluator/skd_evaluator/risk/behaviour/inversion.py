@@ -76,6 +76,17 @@ def inverted(
     return low, high
 
 
+def ridge(information: FloatArray, share: float) -> FloatArray:
+    """Return what is added to an information matrix, so that steps are short and it has an inverse.
+
+    Args:
+        information: a row for each parameter.
+        share: of its diagonal that is added; where that is 0, for nothing hangs on a parameter, 1 is.
+    """
+    diagonal = np.diag(information)
+    return np.asarray(np.diag(np.where(diagonal > 0.0, share * diagonal, 1.0)))
+
+
 def _edge(fine: Callable[[float], float], inside: float, outside: float) -> float:
     """Return where a function becomes negative, by bisection."""
     for _ in range(_BISECTIONS):
@@ -110,7 +121,7 @@ def _others_fitted(
     jacobian, off = problem.jacobian_at(here), problem.wanted - problem.summary_at(here)
     others = np.delete(jacobian, index, axis=1)
     information = (others.T * weights) @ others
-    step = np.linalg.solve(information + _RIDGE * np.diag(np.diag(information)), (others.T * weights) @ off)
+    step = np.linalg.solve(information + ridge(information, _RIDGE), (others.T * weights) @ off)
     best = float(off @ (weights * off))
     for share in (1.0, 0.5, 0.25):
         trial = here.copy()

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
-    tracks = read_tracks(arguments.paths, damage)
+    tracks = read_tracks(arguments.paths, damage, arguments.kind)
     say_damage("behaviour", damage)
     check_enough(tracks)
     with progress_bar(quiet=arguments.quiet) as progress:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from functools import cache
 from pathlib import Path
 
 from skd_sim.errors import UsageError
@@ -31,10 +30,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("a trend is of at least two assessments of a car")
     out = result_folder(arguments)
     refuse_to_replace(out.path, arguments.paths)
-    read = cache(read_result)  # each is held against its neighbours; what does not follow from episodes is refused
+    # Each is read once more, and only this is shown: what does not follow from its episodes is refused, also of a car
+    # that has no neighbour to be held against.
+    read = {one.folder: read_result(one.folder) for one in wanted}
+    wanted = [Run(folder, result.figures) for folder, result in read.items()]
+    for remark in dict.fromkeys(remark for result in read.values() for remark in result.remarks):
+        print(f"skd trend: warning: {remark}", file=sys.stderr)
 
     def held(first: Run, second: Run, confidence: float) -> Comparison:
-        return compare(read(first.folder), read(second.folder), confidence)
+        return compare(read[first.folder], read[second.folder], confidence)
 
     trends = trends_of(wanted, arguments.figure, held)
     kind = AT_THE_TOP[arguments.figure].kind
