@@ -1,7 +1,7 @@
 """Why kamikazes stray further than the margin: the same attempts with one thing after another taken away from them.
 
-Of each encounter and car some attempts of encounter_table.py, by mean deformation, m (an attempt without a hit counts as
-η_max; how many there were stands in brackets):
+Of each encounter and car some attempts of encounter_table.py, by mean deformation, m. An attempt without a hit counts
+as η_max; how many there were stands in brackets.
 
 * *planned*: as in the table, with what its kamikazes know of the car, its simulations and its sensor;
 * *more*: the same with ten times the simulations: what the search leaves lies between the two;
