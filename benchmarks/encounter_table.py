@@ -134,7 +134,7 @@ def row_of(plan: Plan, arguments: argparse.Namespace) -> tuple[dict[str, Any], l
         episodes = [plan.episode(Mode.KAMIKAZE, index, n, phi) for index, phi in enumerate(safe) for n in tried]
         logs = list(runner.run(episodes))
         along = collision_runs(plan, safe, runner)
-        strayed = np.array([_strayed(log) for log in logs])
+        strayed = np.array([deformation_of(log) for log in logs])
         seconds = time.perf_counter() - begin
         found: dict[str, Any] = {
             "φ": len(safe),
@@ -156,7 +156,7 @@ def row_of(plan: Plan, arguments: argparse.Namespace) -> tuple[dict[str, Any], l
     return found, [*logs[:2], *along[:2]]
 
 
-def _strayed(log: EpisodeLog) -> float:
+def deformation_of(log: EpisodeLog) -> float:
     """Return the deformation of an attempt, m; η_max where it did not hit."""
     eta_max, phi = log.episode.scenario.eta_max, log.episode.safe_trajectory
     if not log.hit or phi is None:

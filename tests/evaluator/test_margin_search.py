@@ -294,3 +294,35 @@ def test_a_hit_from_beyond_eta_max_is_a_beginning_for_a_car_and_never_the_result
     assert len(found) >= 2
     assert max(found) <= 2.0
     assert min(found) > 3.5 - 0.9 - math.hypot(2.25, 0.9)  # as far aside as a box reaches, at most
+
+
+def least_of_one_action(episode: Episode) -> float:
+    """Return the least deformation of all ways that leave φ at some tick for one action, and keep that up."""
+    scenario, phi = episode.scenario, episode.safe_trajectory.positions
+    least = scenario.eta_max
+    for leaving in range(len(phi) - 1):
+        for way in range(7):
+            branch = Branch(episode)
+            user, contact = branch.world.adversary, None
+            walked = [user[:2]]
+            while contact is None and len(walked) < min(len(phi), leaving + 9):
+                tick = len(walked) - 1
+                choices = velocities(scenario, phi, tick, np.array(walked))
+                user, contact = branch.go_on(user, tuple(choices[way if tick >= leaving else -1].tolist()))
+                walked.append(user[:2])
+            if contact is not None and contact.speed >= scenario.collision.hit_speed:
+                begin = np.array(walked[-2])
+                at = begin + contact.fraction * (np.array(walked[-1]) - begin)
+                least = min(least, deformation(phi, np.array([*walked[:-1], at]), len(walked) - 2 + contact.fraction))
+    return least
+
+
+def test_of_a_car_that_decides_often_a_driver_who_leaves_phi_once_is_found_with_few_ticks():
+    """φ goes by on the lane beside. Walks up to the car from where it has passed found nothing in three of five."""
+    scenario = replace(load_scenario("oncoming_turn"), control_period=0.05)
+    phi = Trajectory(np.column_stack([np.full(20, -3.5), 24.0 - 2.5 * np.arange(20)]), scenario.time_step)
+    for number in range(1, 3):
+        episode = Episode(scenario, Mode.KAMIKAZE, 1, number, safe_trajectory=phi, multiplier=0.5)
+        least = least_of_one_action(episode)
+        assert least < 1.5
+        assert found(search_margin(episode, 192)) <= least + 1e-9

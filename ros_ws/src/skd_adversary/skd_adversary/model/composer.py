@@ -45,7 +45,8 @@ _USER_INTERFACES = (
     "settle",
     "possible",
     "moving",
-    "towards",
+    "next_velocity",
+    "next_possible",
     "pointing",
     "steer",
     "touch",
@@ -72,7 +73,14 @@ def _car_interfaces(car: CarKernels, road: RoadKernels) -> dict[str, Any]:
 @functools.cache
 def road_user_interfaces(road_user: RoadUserKernels, car: CarKernels) -> dict[str, Any]:
     """Return what a road user brings into models with a kind of car, by interface."""
-    parts, name = {"USER_ROW": crossing.STATE_DIM + car.own_dim}, f"{road_user.name}_{car.name}"
+    name = f"{road_user.name}_{car.name}"
+    parts = {
+        "USER_ROW": crossing.STATE_DIM + car.own_dim,
+        "USER_DIM": road_user.own_dim,
+        "REST": road_user.rest,
+        "LATE_ACTIONS": road_user.late,
+        "EARLY_ACTIONS": road_user.early,
+    }
     return {**parts, **{interface: bound(getattr(road_user, interface), name, parts) for interface in _USER_INTERFACES}}
 
 

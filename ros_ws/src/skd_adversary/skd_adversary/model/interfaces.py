@@ -17,6 +17,14 @@ USER_ROW: Final = _NO_NUMBER
 """Where the road user's own part of a state begins."""
 ROW: Final = _NO_NUMBER
 """Where the objective's own part of a state begins."""
+USER_DIM: Final = _NO_NUMBER
+"""Length of the road user's own part of a state; 0: what it did before does not matter to what it can do."""
+REST: Final = _NO_NUMBER
+"""The action with which the road user stays where it is, or comes nearest to that."""
+LATE_ACTIONS: Final = cast(tuple[int, ...], None)
+"""Actions of the road user by one of which it meets a car that comes after φ has left its path."""
+EARLY_ACTIONS: Final = cast(tuple[int, ...], None)
+"""Actions by one of which it meets a car that has passed before φ gets there."""
 AS_PHI: Final = _NO_NUMBER
 """The action *as φ*, one beyond the road user's own: φ's displacement in the present tick, none after its end, or what
 of the `possible` comes nearest to that."""
@@ -57,8 +65,13 @@ def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
     raise NotImplementedError(_UNBOUND)
 
 
-def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
-    """Return the velocity in a tick, after that in the tick before, of a road user that goes one of `steer`'s ways."""
+def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> tuple[float, float]:
+    """Return the velocity under an action of the road user in a tick before which it moved at (vx, vy), m/s."""
+    raise NotImplementedError(_UNBOUND)
+
+
+def next_possible(parameters: Any, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
+    """Return what comes nearest to a wanted velocity of all that the road user can do after one of (vx, vy), m/s."""
     raise NotImplementedError(_UNBOUND)
 
 

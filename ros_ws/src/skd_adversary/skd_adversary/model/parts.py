@@ -217,10 +217,13 @@ class RoadUserKernels:
         settle: interface.
         possible: interface.
         moving: interface.
-        towards: interface.
+        next_velocity: interface.
+        next_possible: interface.
         pointing: interface.
         steer: interface.
         touch: interface.
+        late: `LATE_ACTIONS`.
+        early: `EARLY_ACTIONS`.
         draw_velocity: interface; None for a kind whose actions are listed alone.
     """
 
@@ -234,10 +237,13 @@ class RoadUserKernels:
     settle: Any
     possible: Any
     moving: Any
-    towards: Any
+    next_velocity: Any
+    next_possible: Any
     pointing: Any
     steer: Any
     touch: Any
+    late: tuple[int, ...]
+    early: tuple[int, ...]
     draw_velocity: Any = None
 
 

@@ -30,7 +30,11 @@ from skd_sim.kernels.compilation import kernel
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
 from skd_adversary.model.interfaces import (
     AS_PHI,
+    EARLY_ACTIONS,
+    LATE_ACTIONS,
+    REST,
     ROW,
+    USER_DIM,
     chosen,
     contact,
     foreseen_acceleration,
@@ -38,30 +42,20 @@ from skd_adversary.model.interfaces import (
     left_behind,
     move,
     moving,
+    next_possible,
+    next_velocity,
     on_road,
     pointing,
     possible,
     sensible,
     steer,
-    towards,
     velocity,
 )
 from skd_adversary.model.parts import SEARCH, ObjectiveModel, template
-from skd_adversary.model.road_user.pedestrian import (
-    ACTION_COUNT,
-    EAST,
-    NORTH,
-    NORTH_EAST,
-    SOUTH,
-    SOUTH_EAST,
-    STAY,
-)
+from skd_adversary.model.road_user.pedestrian import EAST, SOUTH
 from skd_adversary.model.safe_path import pace_at, path_velocities
 
 DISCOUNT: Final = 1.0
-_FOLLOW: Final = ACTION_COUNT
-"""Among the ways that a plan knows, which are the pedestrian's actions: as φ."""
-
 _OWN = 3
 """Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
 default policy follows (0: none), which nothing but that policy reads."""
@@ -72,9 +66,8 @@ _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
 _FORESIGHT = 25  # ticks
 _FORESEEN = 11  # numbers of a tick that is foreseen: see `_foresee_from`
-_MET, _LATE, _EARLY = range(3)  # how a plan ends: in a contact, with φ beyond the path, with the car beyond it
-_LATE_ACTIONS = (STAY, SOUTH, SOUTH_EAST)
-_EARLY_ACTIONS = (EAST, NORTH_EAST, NORTH)
+# How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not as far as is foreseen.
+_MET, _LATE, _EARLY, _ONGOING = range(4)
 
 
 @template("ROW")
@@ -86,9 +79,9 @@ def begin(parameters: Any, state: FloatArray) -> None:
     state[ROW + 2] = 0.0
 
 
-@template("towards")
+@template("next_velocity", "next_possible", "AS_PHI")
 def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> tuple[float, float]:
-    """Return the velocity (East, North), m/s, of somebody who goes one of `steer`'s ways, or as φ, at a tick.
+    """Return the velocity (East, North), m/s, of somebody who takes an action, or goes as φ, at a tick.
 
     Args:
         parameters: parameters of the model.
@@ -97,9 +90,10 @@ def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> 
         action: action whose velocity is asked.
         tick: number of the tick now.
     """
-    if action == _FOLLOW:
-        return pace_at(parameters.pace, tick)
-    return towards(parameters, vx, vy, action)
+    if action == AS_PHI:
+        phi_x, phi_y = pace_at(parameters.pace, tick)
+        return next_possible(parameters, vx, vy, phi_x, phi_y)
+    return next_velocity(parameters, vx, vy, action)
 
 
 @kernel(inline=True)
@@ -211,7 +205,7 @@ def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float
 
     A row is the road user's place (x, y), m; the car's place, m, and speed, m/s; the greatest squared distance from φ
     so far, m²; how much the car's speed changed in the tick before and in that before it, m/s; how the road user moves,
-    as `towards` takes it; its velocity in the tick before, m/s.
+    as `next_velocity` takes it; its velocity in the tick before, m/s.
 
     Args:
         parameters: parameters of the model.
@@ -227,7 +221,7 @@ def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float
     kept[0, 9], kept[0, 10] = 0.0, 0.0
 
 
-@template("_velocity", "foreseen_acceleration", "contact", "pointing", "on_road", "left_behind")
+@template("_velocity", "foreseen_acceleration", "contact", "pointing", "on_road", "left_behind", "AS_PHI")
 def _foreseen(
     parameters: Any,
     state: FloatArray,
@@ -293,29 +287,39 @@ def _foreseen(
         if speed_after == 0.0 and vy >= 0.0 and p.crossing * across >= -edge and tick + 1 >= p.path.shape[0]:
             return math.inf, _LATE, tick
         x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
-        if action == _FOLLOW:
+        if action == AS_PHI:
             row = tick + 1 - now
             kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4] = x, y, car_s, speed, worst
             kept[row, 5], kept[row, 6] = change, change_before
             kept[row, 7], kept[row, 8] = own_x, own_y
             kept[row, 9], kept[row, 10] = vx_before, vy_before
-    return math.inf, _LATE, now
+    return math.inf, _ONGOING, now
 
 
-@kernel(inline=True)
+@template("AS_PHI")
 def _coded(switch: int, action: int) -> float:
     """Return a plan, as φ until a tick and one action from then on, as a number; 0 is none."""
-    return float(8 * switch + action + 1)
+    return float((AS_PHI + 1) * switch + action + 1)
 
 
-@kernel(inline=True)
+@template("AS_PHI")
 def _planned(plan: float, tick: int) -> int:
     """Return a plan's action at a tick."""
     code = int(plan) - 1
-    return _FOLLOW if code < 0 or tick < code // 8 else code % 8
+    return AS_PHI if code < 0 or tick < code // (AS_PHI + 1) else code % (AS_PHI + 1)
 
 
-@template("_foresee_from", "_foreseen", "on_road")
+@template(
+    "_foresee_from",
+    "_foreseen",
+    "_coded",
+    "on_road",
+    "steer",
+    "AS_PHI",
+    "LATE_ACTIONS",
+    "EARLY_ACTIONS",
+    "USER_DIM",
+)
 def _plan(
     parameters: Any,
     state: FloatArray,
@@ -327,32 +331,41 @@ def _plan(
 
     As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
     it failed are tried backwards, until it gets worse. Arguments as in `_foreseen` and `_foresee_from`.
+
+    Who keeps heading or speed is also asked where φ neither meets the car nor gets past it as far as is foreseen, as
+    ahead of it on its lane, and for no hit beyond η_max, which is worth no more than a miss. The pedestrian, whose
+    figures stand, leaves φ at once there, and for any hit.
     """
     p = parameters
     car_s = state[CAR_S] + _ERROR * rng.standard_normal()
     _foresee_from(p, state, car_s, worst)
-    _, how, end = _foreseen(p, state, now, now, _FOLLOW, math.inf)
+    _, how, end = _foreseen(p, state, now, now, AS_PHI, math.inf)
     if how == _MET:
-        return _coded(now + _FORESIGHT, _FOLLOW)
-    best = math.inf
+        return _coded(now + _FORESIGHT, AS_PHI)
+    nothing = math.inf
+    if USER_DIM > 0:
+        nothing = p.collision_reward * p.collision_reward
+        if how == _ONGOING:
+            end = now + _FORESIGHT // 2  # the other half is left for the hit
+    best = nothing
     across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
-    plan = _coded(now, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST)
+    plan = _coded(now, steer(p, state, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST))
     for back in range(end - now + 1):
         switch = end - back
         found = False
-        for choice in range(3):
-            action = _EARLY_ACTIONS[choice] if how == _EARLY else _LATE_ACTIONS[choice]
+        for choice in range(len(EARLY_ACTIONS) if how == _EARLY else len(LATE_ACTIONS)):
+            action = EARLY_ACTIONS[choice] if how == _EARLY else LATE_ACTIONS[choice]
             squared, _, _ = _foreseen(p, state, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
                 found = True
-        if best < math.inf and not found:
+        if best < nothing and not found:
             break
     return plan
 
 
-@template("_velocity", "_plan", "moving", "on_road", "steer", "AS_PHI", "ROW")
+@template("_velocity", "_plan", "_planned", "moving", "on_road", "AS_PHI", "REST", "ROW")
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
@@ -367,11 +380,11 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
     across, along = on_road(p, x_after, y_after)
     leaves = leads_nowhere(p, across, along, x, y, x_after, y_after)
-    waits_in_vain = action == STAY and state[CAR_SPEED] == 0.0
+    waits_in_vain = action == REST and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
         state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
         action = _planned(state[ROW + 2], tick)
-    return AS_PHI if action == _FOLLOW else steer(p, state, action)
+    return action
 
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:

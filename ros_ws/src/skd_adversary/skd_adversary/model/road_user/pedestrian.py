@@ -18,6 +18,7 @@ from skd_adversary.model.safe_path import path_velocities
 # Actions, in the order of the paper
 NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
 ACTION_COUNT = 6
+LATE, EARLY = (STAY, SOUTH, SOUTH_EAST), (EAST, NORTH_EAST, NORTH)
 AS_PHI = ACTION_COUNT
 """As φ (objective `deformation` only): the displacement that φ makes in the present tick, none after its end."""
 _DIAGONAL = math.sqrt(0.5)
@@ -85,9 +86,15 @@ def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
 
 
 @kernel(inline=True)
-def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
-    """Interface `towards`: at once."""
-    return compass_velocity(parameters, way)
+def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> tuple[float, float]:
+    """Interface `next_velocity`: at once."""
+    return compass_velocity(parameters, action)
+
+
+@kernel(inline=True)
+def next_possible(parameters: Any, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
+    """Interface `next_possible`: whatever is wanted."""
+    return wanted_x, wanted_y
 
 
 @kernel(inline=True)
@@ -145,10 +152,13 @@ KERNELS = RoadUserKernels(
     settle,
     possible,
     moving,
-    towards,
+    next_velocity,
+    next_possible,
     pointing,
     steer,
     touch,
+    LATE,
+    EARLY,
     draw_velocity,
 )
 ROAD_USER = RoadUserModel(

@@ -91,9 +91,15 @@ def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
 
 
 @kernel(inline=True)
-def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
-    """Interface `towards`."""
-    wanted_x, wanted_y = compass_velocity(parameters, way)
+def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> tuple[float, float]:
+    """Interface `next_velocity`."""
+    wanted_x, wanted_y = compass_velocity(parameters, action)
+    return nearest_walked(parameters.own_change, vx, vy, wanted_x, wanted_y)
+
+
+@kernel(inline=True)
+def next_possible(parameters: Any, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
+    """Interface `next_possible`."""
     return nearest_walked(parameters.own_change, vx, vy, wanted_x, wanted_y)
 
 
@@ -108,10 +114,13 @@ KERNELS = RoadUserKernels(
     settle,
     possible,
     moving,
-    towards,
+    next_velocity,
+    next_possible,
     pedestrian.pointing,
     pedestrian.steer,
     pedestrian.touch,
+    pedestrian.LATE,
+    pedestrian.EARLY,
     draw_velocity,
 )
 

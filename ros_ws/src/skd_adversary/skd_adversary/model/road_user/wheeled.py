@@ -24,6 +24,7 @@ from skd_adversary.model.road_user.motion import Motion, Own, road_user
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7
+_ANY = tuple(range(ACTION_COUNT))  # full effort is what gets furthest from φ in a given time, to whatever side
 _ACCELERATES = (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _BRAKES = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0)
 _SIDE = (0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0)  # left is positive
@@ -186,12 +187,19 @@ def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
 
 
 @kernel(inline=True)
-def towards(parameters: Any, vx: float, vy: float, way: int) -> tuple[float, float]:
-    """Interface `towards`: by the action that leads there soonest."""
+def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> tuple[float, float]:
+    """Interface `next_velocity`."""
     p = parameters
     heading, speed = settled(p.own_heading, vx, vy)
-    action = steered(p.own_limits, p.crossing, heading, way)
     return ridden(p.own_limits, heading, speed, action, p.adversary_speed, p.time_step)
+
+
+@kernel(inline=True)
+def next_possible(parameters: Any, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
+    """Interface `next_possible`."""
+    p = parameters
+    heading, speed = settled(p.own_heading, vx, vy)
+    return nearest_ridden(p.own_limits, heading, speed, wanted_x, wanted_y, p.adversary_speed, p.time_step)
 
 
 @template("USER_ROW")
@@ -235,10 +243,13 @@ KERNELS = RoadUserKernels(
     settle,
     possible,
     moving,
-    towards,
+    next_velocity,
+    next_possible,
     pointing,
     steer,
     touch,
+    _ANY,
+    _ANY,
     draw_velocity,
 )
 

@@ -25,6 +25,9 @@ _CELL = 0.06  # m, in which places count as one
 _CAR_CELL = (0.05, 0.1)  # m and m/s, likewise for the car
 _BUCKET = 0.05  # m: of moments that differ by less, the later one in time goes first
 _EVERY = 3  # ticks along φ, from its end on, from which it is tried to walk up to the car
+_LEAVING = 128  # ticks, at most, in which it is tried to leave φ for one action
+_KEPT_UP = 8  # ticks: in fewer any full effort leads η_max away
+_SAME = 1e-9  # m/s
 _SUB_STEPS = 4  # of a tick, in which the car that drives on is looked at
 _BRAKES = -0.5  # m/s², below which the car is taken to go on braking
 _NEVER = 1e3  # m
@@ -108,6 +111,34 @@ class LocalSearch:
         while node.outcome == Outcome.RUNNING and node.strayed < self._tree.least:
             node = self._tree.step(node, choose(node))
         return node
+
+    def leave(self, last: Node) -> None:
+        """Leave a way for one action that is kept up: where the car is nearest, then earlier, until that gets worse.
+
+        Who keeps heading and speed gets furthest in a given time by full effort: so these are the first plans of such
+        kinds, as of their kamikazes.
+
+        Raises:
+            OverError: see `Tree.step`.
+        """
+        tree, chain = self._tree, last.chain
+        nearest = min(range(len(chain)), key=lambda tick: self._away(chain[tick]))
+        most = tree.steps + _LEAVING
+        for node in chain[nearest::-1]:
+            least = tree.least
+            if node.outcome != Outcome.RUNNING:
+                continue
+            as_phi = tree.choices(node)[self.as_phi(node)]
+            for way in tree.ways(node):
+                after = node
+                if math.dist(tree.choices(node)[way], as_phi) < _SAME:
+                    continue
+                while after.outcome == Outcome.RUNNING and after.strayed < tree.bound and tree.steps < most:
+                    if after.tick - node.tick >= _KEPT_UP:
+                        break
+                    after = tree.step(after, way)
+            if tree.steps >= most or (tree.found is not None and tree.least >= least):
+                return
 
     def walk_up(self, last: Node) -> None:
         """Walk up to the car from late on a way, then from earlier, until that hits.

@@ -143,7 +143,12 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
         for _ in range(_PLANS_FIRST):
             if _can_plan(planning, tree):
                 planning.turn()
+    # Of a car that decides once a tick one answer shows where all ways from a moment lead: best first finds more in it.
+    if planning is None and tree.within_ticks:
+        search.leave(last)
     search.walk_up(last)
+    if planning is None and tree.best is None:
+        search.leave(last)
     turns: list[Callable[[], object]] = [search.expand_best, search.vary]
     if planning is not None:
         turns.append(planning.turn)
