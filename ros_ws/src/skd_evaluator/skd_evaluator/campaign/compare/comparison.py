@@ -1,7 +1,8 @@
 """Compare two assessments: whether one car is safer than the other, and how sure that is.
 
-Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
-so or tie, and one of them says so. Figures of planned kamikazes depend on car and adversary: they are
+Margin and risk decide, for they depend on the car alone: a car is safer if one of the margin and the risks at every
+scale tells the cars apart, and the estimate of none of them points the other way: what is no longer a tie need not be
+told apart to raise a doubt. Figures of planned kamikazes depend on car and adversary: they are
 compared only if the kamikazes had the same knowledge and the same objective. Then they may object: if planned
 deformations surely say the opposite of the margins, the cars are not told apart.
 """
@@ -25,6 +26,7 @@ from skd_evaluator.measure.statistics.difference import Difference, difference
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
+_SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEFORMATION, *RISKS)}
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
 
 
@@ -71,14 +73,25 @@ class Comparison:
         if judge is None:
             return NOT_COMPARED
         says = {one for one in self.votes.values() if one}
-        return NOT_TOLD_APART if self.disagree or len(says) != 1 else _VERDICTS[says.pop()]
+        if self.disagree or len(says) != 1 or self.opposed:
+            return NOT_TOLD_APART
+        return _VERDICTS[says.pop()]
 
     @property
     def votes(self) -> dict[str, int]:
         """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
-        names = [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
-        better = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in names}
-        return {name: better[name] * self.differences[name].direction for name in names}
+        return {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
+
+    @property
+    def opposed(self) -> tuple[str, ...]:
+        """Figures that do not tell the cars apart, and whose estimates point away from all that do."""
+        says = {one for one in self.votes.values() if one}
+        leaning = {name: _SIGNS[name] * self.differences[name].leaning for name in self._deciding}
+        return tuple(name for name, one in leaning.items() if says == {-one})
+
+    @property
+    def _deciding(self) -> list[str]:
+        return [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
 
     @property
     def decided_by(self) -> str | None:
@@ -109,6 +122,7 @@ class Comparison:
             "second": str(self.second.folder),
             "verdict": self.verdict,
             "judged_by": self.decided_by,
+            "opposed_by": list(self.opposed),
             "design": self.design,
             "refusals": list(self.refusals),
             "planned_refusal": self.planned_refusal,
@@ -182,14 +196,22 @@ def _of_the_risks(held: Comparison) -> list[str]:
     between = f"{held.first.folder} and {held.second.folder}"
     if unlike := unlike_behaviours(held.first, held.second):
         return [f"risks of {between} are of different behaviour models, {unlike}, and are not compared"]
-    better, worse = ([AT_THE_TOP[name].label for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
+    better, worse = ([name for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
     if better and worse:
-        said = f"better by {', '.join(better)} and worse by {', '.join(worse)}"
+        said = f"better by {_labels(better)} and worse by {_labels(worse)}"
         return [f"{between} are not told apart: the second is {said}"]
+    if held.opposed:
+        sure, unsure = ("better", "worse") if better else ("worse", "better")
+        said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
+        return [f"{between} are not told apart: the second is {said}, by less than would tell them apart"]
     judge = held.judged_by
     if (better or worse) and judge is not None and not held.votes[judge]:
-        return [f"{between} are told apart by {', '.join(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
+        return [f"{between} are told apart by {_labels(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
     return []
+
+
+def _labels(figures: Sequence[str]) -> str:
+    return ", ".join(AT_THE_TOP[name].label for name in figures)
 
 
 def _of_the_judge(held: Comparison) -> list[str]:
