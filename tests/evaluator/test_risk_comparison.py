@@ -115,12 +115,17 @@ def leant(results: dict[str, StoredResult], sign: float, **figures: tuple[float,
         ({"margin": (-0.1, 0), "risk_1": (-3.0, 1), "risk_2": (-1.0, 0)}, SAFER, ()),
         ({"margin": (-0.7, 0), "risk_1": (-3.0, 1), "risk_2": (1.0, 0)}, NOT_TOLD_APART, ("margin", "risk_2")),
         ({"margin": (0.7, 0), "risk_1": (3.0, 1)}, NOT_TOLD_APART, ("margin",)),
+        ({"margin": (3.0, 1), "risk_1": (2.0, 0), "risk_3": (2.0, 0)}, SAFER, ()),
+        ({"margin": (3.0, 1), "risk_1": (2.0, 1)}, NOT_TOLD_APART, ()),
         ({"margin": (-0.7, 0), "risk_1": (0.6, 0)}, NOT_TOLD_APART, ()),
         ({"margin": (-3.0, 1), "risk_1": (-3.0, 1), "risk_2": (0.6, 0)}, NOT_TOLD_APART, ()),
     ],
 )
 def test_an_estimate_that_points_the_other_way_withholds_the_verdict(figures, verdict, opposed, results):
-    """More margin is safer, more risk is not; half a standard error is a tie, and so is no hit beside no hit."""
+    """More margin is safer, more risk is not; half a standard error is a tie, as no hit beside no hit is.
+
+    Risks at other scales than that which ranks cars oppose where they are sure.
+    """
     found = leant(results, 1.0, **figures)
     assert (found.verdict, found.opposed) == (verdict, opposed)
 
@@ -139,7 +144,7 @@ def test_no_car_is_safer_from_both_sides(figures, results):
     assert back.opposed == there.opposed
     better = {name: off if name == "margin" else -off for name, (off, _) in figures.items()}
     if there.verdict == SAFER:
-        assert min(better.values()) >= -0.5
+        assert min(better.get("margin", 0.0), better.get("risk_2", 0.0)) >= -0.5
         assert any(told_apart and better[name] > 0.0 for name, (_, told_apart) in figures.items())
 
 

@@ -1,10 +1,10 @@
 """Compare two assessments: whether one car is safer than the other, and how sure that is.
 
-Margin and risk decide, for they depend on the car alone: a car is safer if one of the margin and the risks at every
-scale tells the cars apart, and the estimate of none of them points the other way: what is no longer a tie need not be
-told apart to raise a doubt. Figures of planned kamikazes depend on car and adversary: they are
-compared only if the kamikazes had the same knowledge and the same objective. Then they may object: if planned
-deformations surely say the opposite of the margins, the cars are not told apart.
+Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
+so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
+other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
+and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
+object: if planned deformations surely say the opposite of the margins, the cars are not told apart.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, sh
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
+RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
 _SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEFORMATION, *RISKS)}
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
@@ -84,10 +86,14 @@ class Comparison:
 
     @property
     def opposed(self) -> tuple[str, ...]:
-        """Figures that do not tell the cars apart, and whose estimates point away from all that do."""
+        """Of margin and R(2) those that do not tell the cars apart, and point away from all figures that do.
+
+        Risks at other scales oppose where they are sure: where φ itself is dangerous for a car, people who deviate
+        three times as much are hit less, and few who deviate once are hit by a good one.
+        """
         says = {one for one in self.votes.values() if one}
-        leaning = {name: _SIGNS[name] * self.differences[name].leaning for name in self._deciding}
-        return tuple(name for name, one in leaning.items() if says == {-one})
+        asked = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
+        return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
 
     @property
     def _deciding(self) -> list[str]:
