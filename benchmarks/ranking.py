@@ -28,6 +28,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.search.attempts import LIMIT
 from skd_evaluator.measure.statistics.clustered import clustered_mean
+from skd_evaluator.measure.statistics.difference import Difference, difference
 from skd_evaluator.measure.statistics.statistics import wilson_interval
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
@@ -102,6 +104,12 @@ class Row:
         """Return its 95 % interval over φ."""
         return _clustered(self._groups(figure))[1]
 
+    def beside(self, other: Row, figure: str) -> Difference:
+        """Return how far its figure is above another car's, as `skd compare` has it."""
+        held = difference(other._groups(figure), self._groups(figure), paired=True)
+        assert held is not None
+        return held
+
     def above(self, other: Row, figure: str) -> tuple[float, tuple[float, float] | None]:
         """Return how far its figure is above another car's, in pairs of attempts, and the 95 % interval over φ."""
         pairs = zip(self._groups(figure), other._groups(figure), strict=True)
@@ -158,26 +166,42 @@ def exceptions(ranking: Ranking, figure: str) -> list[dict[str, Any]]:
     return found
 
 
-def verdicts(ranking: Ranking, margin: str, risk: str, *, both: bool = False) -> dict[str, int]:
+class Rule(Enum):
+    """When a car is called safer by margin and risk."""
+
+    ONE = "one of margin and R(2), not contradicted,"
+    UNOPPOSED = "one of margin and R(2), whose other's estimate does not point the other way (skd compare),"
+    BOTH = "both, margin and R(2),"
+
+
+def verdicts(ranking: Ranking, margin: str, risk: str, rule: Rule) -> dict[str, int]:
     """Return in how many pairs margin and risk together call the safer car so, the other one, or neither.
 
-    A car is called safer if one of the two says so, told apart by its interval over φ, and the other does not say the
-    opposite; or, where `both` is asked for, if both say so.
+    A figure says that a car is safer where it tells the cars apart by its interval over φ. One may be enough, where the
+    other does not say the opposite; or where the other's estimate does not point there, either, by what is more than a
+    tie; or both have to say so.
     """
-    found = {"the safer": 0, "neither, for they contradict": 0, "neither, told apart by too few": 0, "the other": 0}
+    found = {
+        "the safer": 0,
+        "neither, for they contradict": 0,
+        "neither, for the other points elsewhere": 0,
+        "neither, told apart by too few": 0,
+        "the other": 0,
+    }
     for pair in ranking.pairs:
         safer, other = ranking.rows[pair.safer], ranking.rows[pair.other]
-        votes: list[bool] = []
-        for figure in (margin, risk):
-            _, interval = safer.above(other, figure)
-            if interval is not None and told_apart(*interval):
-                votes.append((interval[0] > 0.0) == (FIGURES[figure].better > 0))
-        if len(set(votes)) == 2:
+        held = [(safer.beside(other, figure), FIGURES[figure].better > 0) for figure in (margin, risk)]
+        votes = {(one.direction > 0) == more for one, more in held if one.direction}
+        points = {(one.leaning > 0) == more for one, more in held if one.leaning}
+        told = sum(one.direction != 0 for one, _ in held)
+        if len(votes) == 2:
             found["neither, for they contradict"] += 1
-        elif len(votes) < (2 if both else 1):
+        elif told < (2 if rule is Rule.BOTH else 1):
             found["neither, told apart by too few"] += 1
+        elif rule is Rule.UNOPPOSED and len(points) == 2:
+            found["neither, for the other points elsewhere"] += 1
         else:
-            found["the safer" if votes[0] else "the other"] += 1
+            found["the safer" if votes == {True} else "the other"] += 1
     return found
 
 
@@ -242,9 +266,9 @@ def show(ranking: Ranking, figures: Sequence[str], explained: Sequence[str]) -> 
             f"{100 * low:.1f} to {100 * high:.1f} % | {apart} of {len(wrong)} |"
         )
     if "margin" in figures and "risk_2" in figures:
-        for both, words in ((False, "one of margin and R(2), not contradicted,"), (True, "both, margin and R(2),")):
-            counts = verdicts(ranking, "margin", "risk_2", both=both)
-            print(f"\nCalled safer by {words}: {'; '.join(f'{name}: {count}' for name, count in counts.items())}")
+        for rule in Rule:
+            counts = verdicts(ranking, "margin", "risk_2", rule)
+            print(f"\nCalled safer by {rule.value} {'; '.join(f'{name}: {count}' for name, count in counts.items())}")
     for name in explained:
         print(f"\n{FIGURES[name].label}, not as the truths: the safer car, the other; difference [95 % over φ]")
         for one in exceptions(ranking, name):

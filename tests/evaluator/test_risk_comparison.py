@@ -1,4 +1,4 @@
-"""Two cars by margin and risk: safer is who is so by one of them and by none less safe."""
+"""Two cars by margin and risk: safer is who is so by one of them, while no estimate of the others points elsewhere."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from skd_evaluator.campaign.compare.comparison import (
     LESS_SAFE,
     NOT_TOLD_APART,
@@ -90,6 +92,67 @@ def told(results: dict[str, StoredResult], **directions: int) -> Comparison:
 )
 def test_the_verdict_is_that_of_those_who_say_something(directions, verdict, results):
     assert told(results, **directions).verdict == verdict
+
+
+def leant(results: dict[str, StoredResult], sign: float, **figures: tuple[float, int]) -> Comparison:
+    """Return a comparison in which each figure is so many standard errors of 0.1 off, and tells apart or does not."""
+    differences = {}
+    for name, (off, told_apart) in figures.items():
+        value = sign * 0.1 * off
+        half = 0.5 * abs(value) if told_apart else 2.0 * abs(value) + 0.1
+        differences[name] = Difference(value, (value - half, value + half), 0.95, 0.1, 0.1, 9.0, 1.0, True)
+    pair = (results["A"], results["B"]) if sign > 0.0 else (results["B"], results["A"])
+    return Comparison(*pair, differences, (4, 4), (), "", ())
+
+
+@pytest.mark.parametrize(
+    ("figures", "verdict", "opposed"),
+    [
+        ({"margin": (3.0, 1), "risk_2": (-1.0, 0)}, SAFER, ()),
+        ({"margin": (3.0, 1), "risk_2": (0.6, 0)}, NOT_TOLD_APART, ("risk_2",)),
+        ({"margin": (3.0, 1), "risk_2": (0.4, 0)}, SAFER, ()),
+        ({"margin": (3.0, 1), "risk_1": (0.0, 0), "risk_2": (0.0, 0)}, SAFER, ()),
+        ({"margin": (-0.1, 0), "risk_1": (-3.0, 1), "risk_2": (-1.0, 0)}, SAFER, ()),
+        ({"margin": (-0.7, 0), "risk_1": (-3.0, 1), "risk_2": (1.0, 0)}, NOT_TOLD_APART, ("margin", "risk_2")),
+        ({"margin": (0.7, 0), "risk_1": (3.0, 1)}, NOT_TOLD_APART, ("margin",)),
+        ({"margin": (3.0, 1), "risk_1": (2.0, 0), "risk_3": (2.0, 0)}, SAFER, ()),
+        ({"margin": (3.0, 1), "risk_1": (2.0, 1)}, NOT_TOLD_APART, ()),
+        ({"margin": (-0.7, 0), "risk_1": (0.6, 0)}, NOT_TOLD_APART, ()),
+        ({"margin": (-3.0, 1), "risk_1": (-3.0, 1), "risk_2": (0.6, 0)}, NOT_TOLD_APART, ()),
+    ],
+)
+def test_an_estimate_that_points_the_other_way_withholds_the_verdict(figures, verdict, opposed, results):
+    """More margin is safer, more risk is not; half a standard error is a tie, as no hit beside no hit is.
+
+    Risks at other scales than that which ranks cars oppose where they are sure.
+    """
+    found = leant(results, 1.0, **figures)
+    assert (found.verdict, found.opposed) == (verdict, opposed)
+
+
+@given(
+    figures=st.dictionaries(
+        st.sampled_from(["margin", "risk_1", "risk_2", "risk_3"]),
+        st.tuples(st.floats(-4.0, 4.0), st.integers(0, 1)),
+        min_size=1,
+    )
+)
+def test_no_car_is_safer_from_both_sides(figures, results):
+    there, back = (leant(results, sign, **figures) for sign in (1.0, -1.0))
+    mirrored = {SAFER: LESS_SAFE, LESS_SAFE: SAFER}
+    assert back.verdict == mirrored.get(there.verdict, there.verdict)
+    assert back.opposed == there.opposed
+    better = {name: off if name == "margin" else -off for name, (off, _) in figures.items()}
+    if there.verdict == SAFER:
+        assert min(better.get("margin", 0.0), better.get("risk_2", 0.0)) >= -0.5
+        assert any(told_apart and better[name] > 0.0 for name, (_, told_apart) in figures.items())
+
+
+def test_which_figures_point_where_is_said(results, monkeypatch):
+    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 1, "risk_1": 0, "risk_2": 0}))
+    monkeypatch.setattr(Comparison, "opposed", property(lambda _self: ("risk_2",)))
+    lines = compare(results["A"], results["B"]).lines()
+    assert any("better by margin, and worse by the estimate of risk R(2), by less than would" in line for line in lines)
 
 
 def test_in_what_a_car_is_better_and_in_what_worse_is_said(results, monkeypatch):

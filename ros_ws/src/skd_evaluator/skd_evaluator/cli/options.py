@@ -202,8 +202,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="put assessments side by side and say which car is safer",
         description="Put results of skd assess side by side: their figures in one table, and their vulnerability "
         "curves in one picture, in which safer cars lie further right. For each car it says whether it is safer or "
-        "less safe than the first, or cannot be told apart from it. That goes by the margin, and compares trajectory "
-        "by trajectory where both results are about the same safe trajectories φ.",
+        "less safe than the first, or cannot be told apart from it. That goes by the margin and by the risk: one of "
+        "them has to tell the cars apart, and none the other way, and neither margin nor R(2) may point the other "
+        "way even by an estimate that is not sure. Cars are compared trajectory by trajectory where both results are "
+        "about the same safe trajectories φ.",
     )
     compare.add_argument(
         "paths",

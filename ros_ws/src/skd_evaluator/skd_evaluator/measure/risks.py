@@ -24,6 +24,8 @@ from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.statistics import Interval, mean, wilson_interval
 
 SCALES: Final = (1.0, 2.0, 3.0)
+RANKS: Final = 2.0
+"""Scale whose risk ranks cars, fixed before any were ranked (docs/ranking.md)."""
 FEW_HITS: Final = 50
 """Hits of crude runs below which subset simulation is asked."""
 UNSEEN: Final = 1e-4

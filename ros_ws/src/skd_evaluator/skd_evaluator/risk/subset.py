@@ -17,9 +17,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.randomness import Role, generator
 
+from skd_evaluator.measure.behaviour.walking import OF_PERSON
 from skd_evaluator.measure.risks import Subsets, Touch
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 
@@ -30,9 +32,17 @@ LEVELS: Final = 9
 SHARE: Final = 10
 """One of so many crossings is kept for the next level."""
 _STEP, _WANTED = 0.5, 0.44  # first step of the moves; share of them that should be accepted
-_MOVED = 1.0, 0.25  # share of the normals that moves of each kind change: the fewer, the further they can go
+_MOVED = (1.0, 1.0, 1.0), (0.5, 0.12, 0.05)
+"""Shares of the normals that moves of each kind change: the walker's of each tick, the car's, and the car's start.
+
+The fewer, the further they can go. The person's are always moved, for the whole crossing hangs on them. What a car
+draws early, and where it starts, decides in which tick it brakes: a move of that seldom stays within a level, and then
+all else that it moved was in vain.
+"""
+_ALL_EVERY = 4  # moves in a row, of which one is of all normals: a car may hang on one normal alone
 _OTHER_PHI, _OTHER_DRAW = 0.1, 0.3  # how often a move changes φ, or the car's draws by number
 _DRAWS = 1 << 31
+_PARTS = 256  # shares of the normals are drawn in so many parts: whole bytes cost least
 _FIRST = 1 << 20  # number of the simulation that finds the levels
 
 
@@ -85,10 +95,11 @@ def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort
             break
         parts = [(now.of(order), ends.of(order))]
         for turn in range(1, SHARE):
-            kind = turn % 2
+            kind = _kind(turn)
             crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
             parts.append((crossings, after))
-            step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt((turn + 1) // 2)))
+            tries = sum(_kind(one) == kind for one in range(1, turn + 1))
+            step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt(tries)))
         thresholds.append(threshold)
         steps.append((step[0], step[1]))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
@@ -119,7 +130,7 @@ def replicate(
         chosen = np.resize(rng.permutation(inside), count // SHARE)  # each at most once, where there are as many
         parts = [(now.of(chosen), ends.of(chosen))]
         for turn in range(1, SHARE):
-            kind = turn % 2
+            kind = _kind(turn)
             crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
             parts.append((crossings, after))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
@@ -142,6 +153,11 @@ def _begun(
     return crossings, runner.run(crossings, scale)
 
 
+def _kind(turn: int) -> int:
+    """Return of which kind a move is: 0: of all normals; 1: of some."""
+    return 0 if turn % _ALL_EVERY == 2 else 1
+
+
 def _next(
     now: Crossings,
     ends: Ends,
@@ -160,21 +176,32 @@ def _next(
     return now.where(fine, trial), ends.where(fine, found), float(fine.mean())
 
 
-def _moved(now: Crossings, share: float, step: float, phis: int, rng: np.random.Generator) -> Crossings:
+def _moved(
+    now: Crossings, shares: tuple[float, float, float], step: float, phis: int, rng: np.random.Generator
+) -> Crossings:
     """Return crossings near some: all normals moved or some, φ and the car's draws exchanged now and then."""
-    keep = math.sqrt(1.0 - step * step)
+    keep, count = math.sqrt(1.0 - step * step), len(now)
+    of_walker, of_car, of_start = shares
 
-    def near(normals: FloatArray) -> FloatArray:
-        moves = rng.random(normals.shape) < share
-        return np.where(moves, keep * normals + step * rng.standard_normal(normals.shape), normals)
+    def some(shape: tuple[int, ...], share: float) -> npt.NDArray[np.bool_]:
+        return rng.integers(_PARTS, size=shape, dtype=np.uint8) < round(_PARTS * share)
 
-    other_phi = rng.random(len(now)) < _OTHER_PHI
-    other_draw = rng.random(len(now)) < _OTHER_DRAW
+    def near(normals: FloatArray, moves: npt.NDArray[np.bool_]) -> FloatArray:
+        trial = rng.standard_normal(normals.shape)
+        trial *= step
+        trial += keep * normals
+        return np.where(moves, trial, normals)
+
+    walker, car = some(now.walker.shape, of_walker), some(now.car.shape, of_car)
+    walker[:, : len(OF_PERSON)] = True
+    car[:, :1] = some(car[:, :1].shape, of_start)  # of a car that is known, its first normal
+    other_phi = rng.random(count) < _OTHER_PHI
+    other_draw = rng.random(count) < _OTHER_DRAW
     return Crossings(
-        np.where(other_phi, rng.integers(phis, size=len(now)), now.phi),
-        near(now.walker),
-        near(now.car),
-        np.where(other_draw, _DRAWS + rng.integers(_DRAWS, size=len(now)), now.draw),
+        np.where(other_phi, rng.integers(phis, size=count), now.phi),
+        near(now.walker, walker),
+        near(now.car, car),
+        np.where(other_draw, _DRAWS + rng.integers(_DRAWS, size=count), now.draw),
     )
 
 

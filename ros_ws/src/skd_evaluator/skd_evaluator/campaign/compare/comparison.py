@@ -1,9 +1,10 @@
 """Compare two assessments: whether one car is safer than the other, and how sure that is.
 
 Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
-so or tie, and one of them says so. Figures of planned kamikazes depend on car and adversary: they are
-compared only if the kamikazes had the same knowledge and the same objective. Then they may object: if planned
-deformations surely say the opposite of the margins, the cars are not told apart.
+so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
+other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
+and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
+object: if planned deformations surely say the opposite of the margins, the cars are not told apart.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_sp
 from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
+RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
+_SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEFORMATION, *RISKS)}
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
 
 
@@ -72,14 +76,29 @@ class Comparison:
         if judge is None:
             return NOT_COMPARED
         says = {one for one in self.votes.values() if one}
-        return NOT_TOLD_APART if self.disagree or len(says) != 1 else _VERDICTS[says.pop()]
+        if self.disagree or len(says) != 1 or self.opposed:
+            return NOT_TOLD_APART
+        return _VERDICTS[says.pop()]
 
     @property
     def votes(self) -> dict[str, int]:
         """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
-        names = [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
-        better = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in names}
-        return {name: better[name] * self.differences[name].direction for name in names}
+        return {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
+
+    @property
+    def opposed(self) -> tuple[str, ...]:
+        """Of margin and R(2) those that do not tell the cars apart, and point away from all figures that do.
+
+        Risks at other scales oppose where they are sure: where φ itself is dangerous for a car, people who deviate
+        three times as much are hit less, and few who deviate once are hit by a good one.
+        """
+        says = {one for one in self.votes.values() if one}
+        asked = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
+        return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
+
+    @property
+    def _deciding(self) -> list[str]:
+        return [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
 
     @property
     def decided_by(self) -> str | None:
@@ -110,6 +129,7 @@ class Comparison:
             "second": str(self.second.folder),
             "verdict": self.verdict,
             "judged_by": self.decided_by,
+            "opposed_by": list(self.opposed),
             "design": self.design,
             "refusals": list(self.refusals),
             "planned_refusal": self.planned_refusal,
@@ -183,14 +203,22 @@ def _of_the_risks(held: Comparison) -> list[str]:
     between = f"{held.first.folder} and {held.second.folder}"
     if unlike := unlike_behaviours(held.first, held.second):
         return [f"risks of {between} are of different behaviour models, {unlike}, and are not compared"]
-    better, worse = ([AT_THE_TOP[name].label for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
+    better, worse = ([name for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
     if better and worse:
-        said = f"better by {', '.join(better)} and worse by {', '.join(worse)}"
+        said = f"better by {_labels(better)} and worse by {_labels(worse)}"
         return [f"{between} are not told apart: the second is {said}"]
+    if held.opposed:
+        sure, unsure = ("better", "worse") if better else ("worse", "better")
+        said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
+        return [f"{between} are not told apart: the second is {said}, by less than would tell them apart"]
     judge = held.judged_by
     if (better or worse) and judge is not None and not held.votes[judge]:
-        return [f"{between} are told apart by {', '.join(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
+        return [f"{between} are told apart by {_labels(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
     return []
+
+
+def _labels(figures: Sequence[str]) -> str:
+    return ", ".join(AT_THE_TOP[name].label for name in figures)
 
 
 def _of_the_judge(held: Comparison) -> list[str]:

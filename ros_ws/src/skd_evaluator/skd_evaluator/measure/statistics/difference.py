@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,8 @@ else:
     special = on_demand("scipy.special")
 
 Groups = Sequence[npt.ArrayLike]
+TIE: Final = 0.5
+"""Standard errors up to which a difference points nowhere: beyond, one direction is more than twice as likely."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,13 @@ class Difference:
     def direction(self) -> int:
         """1: the second is more; −1: less; 0: they are not told apart."""
         if self.interval is None or self.interval[0] <= 0.0 <= self.interval[1]:
+            return 0
+        return 1 if self.value > 0.0 else -1
+
+    @property
+    def leaning(self) -> int:
+        """Where the estimate points, told apart or not: 1: the second is more; −1: less; 0: a tie (`TIE`)."""
+        if abs(self.value) <= TIE * (self.standard_error or 0.0):
             return 0
         return 1 if self.value > 0.0 else -1
 
