@@ -46,6 +46,10 @@ class Terminal:
         """All that it has drawn, without sequences that move or colour."""
         return _SEQUENCE.sub("", self._output.decode("utf-8", errors="replace"))
 
+    def count(self, sequence: str) -> int:
+        """How often a sequence was sent."""
+        return self._output.count(sequence.encode())
+
     def press(self, keys: str) -> None:
         """Press keys."""
         os.write(self._descriptor, keys.encode())

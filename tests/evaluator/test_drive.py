@@ -232,3 +232,35 @@ def test_on_a_terminal_one_walks_by_keys(here):
     last = terminal.text.rstrip().splitlines()[-1].strip()
     assert last in ended  # what has ended is said again, where it stays
     assert re.fullmatch(r"(collision after [\d.]+ s at [\d.]+ m/s|arrived); \d+ ticks", last)
+
+
+def test_the_terminal_is_given_back_when_it_is_left(here):
+    """Below a shell, as a user has it: Ctrl-Z, fg, and Ctrl-\\, after which the shell shows what is typed."""
+    shell = Terminal(["/bin/bash", "--norc", "--noprofile", "-i"], PYTHONPATH=str(here), PS1="> ")
+    shell.press(f"{sys.executable} -m skd_evaluator drive\r")
+    shell.wait_for("clearance 1")
+    shell.press("\x1a")
+    shell.wait_for("Stopped")
+    shell.press("stty -a | tr ' ' '\\n' | grep -x -e -*icanon\r")
+    assert not shell.wait_for("-?icanon\r").group(0).startswith("-")
+    assert drawn_on(shell) == 0
+    shell.press("fg\r")
+    shell.wait_for("clearance 1")
+    assert drawn_on(shell) == 1
+    shell.press("+")  # a key, without the enter key
+    shell.wait_for(r"time \d")
+    shell.press("\x1c")
+    shell.wait_for("interrupted; nothing was written")
+    shell.press("stty -a | tr ' ' '\\n' | grep -x -e -*icanon\r")
+    assert not shell.wait_for("-?icanon\r").group(0).startswith("-")
+    assert drawn_on(shell) == 0
+    shell.press("exit\r")
+    assert shell.finish() == 0
+
+
+def drawn_on(terminal: Terminal) -> int:
+    """How often the other screen was entered and not left; the cursor is hidden on it and nowhere else."""
+    found = terminal.count("\x1b[?1049h") - terminal.count("\x1b[?1049l")
+    hidden = terminal.count("\x1b[?25l") - terminal.count("\x1b[?25h")
+    assert (found > 0) == (hidden > 0)
+    return found

@@ -42,10 +42,11 @@ def key_names(text: str) -> Iterator[str]:
 
 
 @contextmanager
-def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
+def reading_keys(press: Callable[[str], None]) -> Iterator[list[object]]:
     """Call a function with the name of each key that is pressed, as long as this lasts; the terminal shows none.
 
-    Standard input has to be a terminal. The function is called in a thread of its own.
+    Standard input has to be a terminal; its attributes of before are yielded. The function is called in a thread of
+    its own, which ends where the terminal is closed.
     """
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
@@ -54,7 +55,10 @@ def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
     def read() -> None:
         while not over.is_set():
             if select.select([descriptor], [], [], _WAIT)[0]:
-                data = os.read(descriptor, 256)
+                try:
+                    data = os.read(descriptor, 256)
+                except OSError:  # it was closed
+                    return
                 if not data:
                     return
                 for name in key_names(data.decode("utf-8", errors="ignore")):
@@ -64,7 +68,7 @@ def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
     try:
         tty.setcbreak(descriptor)  # Ctrl-C is still a signal
         reader.start()
-        yield
+        yield list(before)
     finally:
         over.set()
         reader.join(2.0 * _WAIT)

@@ -144,10 +144,11 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
 def _on_terminal(title: str, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
     """Draw on the terminal and read its keys, as long as this lasts."""
     from skd_evaluator.driving.keyboard import reading_keys  # not every system has such terminals
+    from skd_evaluator.driving.leaving import leaving_in_order
 
     console = terminal()
     screen = Screen(title, KEYS if by_keys else KEYS_OF_ONLOOKER, console)
-    with reading_keys(controls.press), drawing(screen, console):
+    with reading_keys(controls.press) as usual, leaving_in_order(sys.stdin.fileno(), usual), drawing(screen, console):
         yield screen
 
 
