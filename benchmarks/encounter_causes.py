@@ -10,7 +10,10 @@ as η_max; how many there were stands in brackets.
 * *told*: the same, told the car's state in every tick (`--told`): the sensor;
 * *no halves*: beside pedestrians the margin without half speeds, which no kamikaze has: what is left below *told* is
   the noise to come, and what a plan leaves;
-* *margin*: searched from all of these hits on, so it is never more than the best of them.
+* *margin*: searched from all of these hits on, so it is never more than the best of them; with a star the search has
+  not converged.
+
+What *planned* exceeds the margin by is split into what attempts without a hit bring in, at η_max each, and the rest.
 
     .venv/bin/python benchmarks/encounter_causes.py --out encounter_causes.json
     .venv/bin/python benchmarks/encounter_causes.py --encounters cpna cbfa --cars C=1 --attempts 10
@@ -50,7 +53,9 @@ from skd_sim.errors import UsageError
 
 MORE = 10
 """Times as many simulations."""
+_LITTLE = 0.01  # m: a ratio to less says nothing
 COLUMNS = ("planned", "more", "sensed", "told", "no halves", "margin")
+DERIVED = ("excess: misses + rest", "planned, told over margin")
 
 
 def plans_of(plan: Plan, calls: int) -> Mapping[str, Plan]:
@@ -101,7 +106,7 @@ def row_of(plan: Plan, arguments: argparse.Namespace) -> dict[str, Any]:
 def line(name: str, car: str, row: Mapping[str, Any]) -> str:
     """Return a row of the table: means, of the kamikazes with their misses."""
     if "refused" in row:
-        return f"| {name} | {car} | – ({row['refused']}) |" + " |" * len(COLUMNS)
+        return f"| {name} | {car} | – ({row['refused']}) |" + " |" * (len(COLUMNS) + 1)
     cells = []
     for kind in COLUMNS:
         values: Sequence[float] | None = row.get(kind)
@@ -109,11 +114,14 @@ def line(name: str, car: str, row: Mapping[str, Any]) -> str:
             cells.append("")
             continue
         missed = sum(value >= row["eta_max"] for value in values)
-        cells.append(f"{np.mean(values):.3f}" + (f" ({missed})" if missed else ""))
-    cells[-1] += "" if row["exact"] or row["converged"] else "*"
-    margin = float(np.mean(row["margin"]))
-    ratio = f"{np.mean(row['planned']) / margin:.2f}, {np.mean(row['told']) / margin:.2f}" if margin > 0.01 else "–"
-    return f"| {name} | {car} | {' | '.join(cells)} | {ratio} |"
+        star = "*" if kind == "margin" and not (row["exact"] or row["converged"]) else ""
+        cells.append(f"{np.mean(values):.2f}{star}" + (f" ({missed})" if missed else ""))
+    planned, least = np.array(row["planned"]), np.array(row["margin"])
+    excess, missed = planned - least, planned >= row["eta_max"]
+    cells.append(f"{np.mean(excess * missed):.2f} + {np.mean(excess * ~missed):.2f}")
+    margin = float(least.mean())
+    cells.append(f"{planned.mean() / margin:.2f}, {np.mean(row['told']) / margin:.2f}" if margin > _LITTLE else "–")
+    return f"| {name} | {car} | {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -138,7 +146,7 @@ def main() -> None:
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(folder))))
     there = arguments.out is not None and arguments.out.is_file()
     rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
-    print(f"| encounter | car | {' | '.join(COLUMNS)} | planned, told over margin |\n|{'---|' * (len(COLUMNS) + 3)}")
+    print(f"| encounter | car | {' | '.join((*COLUMNS, *DERIVED))} |\n|{'---|' * (len(COLUMNS) + len(DERIVED) + 2)}")
     for source in arguments.encounters:
         name = shown_name(source)
         for car in arguments.cars:

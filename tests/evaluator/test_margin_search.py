@@ -318,7 +318,7 @@ def least_of_one_action(episode: Episode) -> float:
 
 
 def test_of_a_car_that_decides_often_a_driver_who_leaves_phi_once_is_found_with_few_ticks():
-    """φ goes by on the lane beside. Walks up to the car from where it has passed found nothing in three of five."""
+    """φ goes by on the lane beside. Walks up to the car from where it has passed found nothing in these two."""
     scenario = replace(load_scenario("oncoming_turn"), control_period=0.05)
     phi = Trajectory(np.column_stack([np.full(20, -3.5), 24.0 - 2.5 * np.arange(20)]), scenario.time_step)
     for number in range(1, 3):

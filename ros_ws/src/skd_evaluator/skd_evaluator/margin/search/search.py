@@ -147,8 +147,6 @@ def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last
     if planning is None and tree.within_ticks:
         search.leave(last)
     search.walk_up(last)
-    if planning is None and tree.best is None:
-        search.leave(last)
     turns: list[Callable[[], object]] = [search.expand_best, search.vary]
     if planning is not None:
         turns.append(planning.turn)
