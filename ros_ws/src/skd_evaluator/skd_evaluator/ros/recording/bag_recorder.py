@@ -14,7 +14,7 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EPISODE, EPISODE_RESULT, MARKERS, TF
+from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EGO_ODOMETRY, EPISODE, EPISODE_RESULT, MARKERS, TF
 
 from skd_evaluator.bags.writer import RecordedMessage
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
@@ -124,14 +124,19 @@ class BagRecorder:
         wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
         if self._own_world:
             wanted[self._node.resolve_topic_name(TF)] = states | between
+        odometry = self._node.resolve_topic_name(EGO_ODOMETRY)
+        last = range(tick_stamp(start, result.ticks - 1, step) + 1, tick_stamp(start, result.ticks, step))
+        heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, odometry)}
         deadline = time.monotonic() + self._patience
         checked = 0
         while time.monotonic() < deadline:
             for message in self._messages[checked:]:
-                if message.topic in wanted:
-                    wanted[message.topic] = wanted[message.topic] - {message.stamp}
+                if message.topic in heard:
+                    heard[message.topic].add(message.stamp)
             checked = len(self._messages)
-            if not any(wanted.values()):
+            # A state within the last tick was followed by another one, so the car has answered it.
+            wanted[self._drive_topic].update(stamp for stamp in heard[odometry] if stamp in last)
+            if all(stamps <= heard[topic] for topic, stamps in wanted.items()):
                 return
             listen(SETTLE)
 

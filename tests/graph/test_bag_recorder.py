@@ -1,0 +1,65 @@
+"""What a recording waits for when an episode is over: messages that other topics still have on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
+from skd_evaluator.ros.recording.bag_recorder import BagRecorder
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.stamps import period_stamp, tick_stamp
+from skd_sim.messages.command_messages import message_class
+from skd_sim.nodes.support import CLOCK, EGO_ODOMETRY
+
+START, TICKS, PERIODS = 1_000_000_000, 3, 3
+DRIVE, WALK = "/cmd_vel", "/adversary/velocity_command"
+COMMAND = message_class("geometry_msgs/msg/TwistStamped")
+
+
+class Names:
+    """A node as far as a recorder asks it: for names, and for subscriptions on which nothing comes."""
+
+    def resolve_topic_name(self, topic: str) -> str:
+        return f"/{topic.lstrip('/')}"
+
+    def create_subscription(self, *_: Any, **__: Any) -> None:
+        return None
+
+
+@pytest.mark.parametrize("until", [PERIODS, 2])
+def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until: int) -> None:
+    """The simulator had it, or the episode would not be over: after a tick with all its periods, or with a contact."""
+    crossing = load_scenario("crossing")
+    scenario = dataclasses.replace(crossing, control_period=crossing.time_step / PERIODS)
+    step = scenario.time_step
+    recorder = BagRecorder(
+        cast(Node, Names()), tmp_path, DRIVE, WALK, own_world=False, patience=60.0, write=lambda _recording: None
+    )
+    recorder.begin(EpisodeKey("test", 0, START), tick_stamp(START, scenario.ticks, step))
+    moments = [(tick, period) for tick in range(TICKS) for period in range(PERIODS)]
+    moments = moments[: len(moments) - PERIODS + until]
+    stamps = [period_stamp(START, *moment, PERIODS, step) for moment in moments]
+    end = tick_stamp(START, TICKS, step)
+    for stamp in (*stamps, end):
+        for topic, kind in ((CLOCK, Clock), (EGO_ODOMETRY, Odometry)):
+            recorder.keep(f"/{topic.lstrip('/')}", kind, stamp, b"")
+    for tick in range(TICKS):
+        recorder.keep(WALK, COMMAND, tick_stamp(START, tick, step), b"")
+    for stamp in stamps[:-1]:
+        recorder.keep(DRIVE, COMMAND, stamp, b"")
+    awaited = [stamps[-1]]
+
+    def listen(_seconds: float) -> None:
+        recorder.keep(DRIVE, COMMAND, awaited.pop(), b"")
+
+    recorder.settle(Episode(scenario, Mode.SAFE, 0, 0), Result(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen)
+    assert not awaited
+    assert [kept.stamp for kept in recorder._messages if kept.topic == DRIVE] == stamps
