@@ -41,7 +41,7 @@ class Drawing(Honest):
 class Looking(Honest):
     "Takes scans, and remembers the nearest."
     def sense(self, scan):
-        self.nearest = float(np.min(scan.ranges))
+        self.nearest = min(10.0, float(np.min(scan.ranges)))
     def command(self, car, adversary):
         return super().command(car, adversary) - 0.01 * self.nearest
 
@@ -74,7 +74,7 @@ class Counting(Honest):
         super().reset(scenario, rng)
         Counting.episodes += 1
     def command(self, car, adversary):
-        return min(super().command(car, adversary), -0.02 * Counting.episodes)
+        return min(super().command(car, adversary), -0.02 * min(20, Counting.episodes))
 
 class Unseeded(Honest):
     def command(self, car, adversary):
