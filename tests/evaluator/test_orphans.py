@@ -175,7 +175,7 @@ class Car:
         if marker and self.calls == 4 and abs(adversary.x) < 2.0 and not os.path.exists(marker):
             open(marker, "w").close()
             os.kill(os.getpid(), signal.SIGSTOP)
-        return -2.0 if adversary.y > -1.0 else 0.5
+        return -2.0 if 500.0 > adversary.y > -1.0 else 0.5
 """
 
 

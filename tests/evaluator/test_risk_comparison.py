@@ -148,6 +148,21 @@ def test_no_car_is_safer_from_both_sides(figures, results):
         assert any(told_apart and better[name] > 0.0 for name, (_, told_apart) in figures.items())
 
 
+@pytest.mark.parametrize(
+    ("figures", "behind"),
+    [
+        ({"margin": (-3.0, 1), "risk_2": (-1.0, 0)}, "margin"),
+        ({"margin": (0.7, 0), "risk_1": (3.0, 1)}, "risk_1"),
+        ({"margin": (-3.0, 1), "risk_1": (-3.0, 1)}, None),
+        ({"margin": (3.0, 1), "risk_2": (1.0, 0)}, None),
+        ({"margin": (-3.0, 0), "risk_2": (1.0, 0)}, None),
+    ],
+)
+def test_a_gate_does_not_wait_until_all_estimates_point_one_way(figures, behind, results):
+    """Who surely has less margin does not pass because a risk points the other way and is not sure."""
+    assert leant(results, 1.0, **figures).behind_by == behind
+
+
 def test_which_figures_point_where_is_said(results, monkeypatch):
     monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 1, "risk_1": 0, "risk_2": 0}))
     monkeypatch.setattr(Comparison, "opposed", property(lambda _self: ("risk_2",)))

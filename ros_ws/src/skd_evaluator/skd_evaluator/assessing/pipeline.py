@@ -175,6 +175,8 @@ def assessed(
     if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
         rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
     alone = runners.ways if runners.fresh is None else runners.here
+    if len(rating.reasons) == rating.episodes:  # all were aborted: that is what there is to say
+        alone = None
     if alone is not None and is_own_world(plan.simulator) and not plan.car.is_own:
         rating = replace(rating, warnings=(*rating.warnings, *doubts_of_driving(plan, alone)))
     return rating

@@ -14,7 +14,7 @@ SAME: Final = 1e-6
 _PARTS: Final = 4  # of a tick, at whose ends it is looked at by how much a hit is missed
 _SLOWEST: Final = 0.2  # m/s; somebody beside the car's way who stands, or goes away, counts as if walking there so
 
-_CREEPING: Final = 0.6
+CREEPING: Final = 0.6
 """m/s; a car that is less than that faster than a hit counts as if it were so much faster.
 
 Else a car that rolls up to somebody is as far from a hit as one that stands, a hit by it is near nothing, and one that
@@ -83,10 +83,10 @@ def missed_by(
     """Return the least time by which a disc misses the front of the moving car in a tick, s; infinity if it stands.
 
     Ahead that is the distance over how much faster than a hit the car is: of a car that brakes at b and comes to that
-    speed a distance m short of somebody it is never less than √(2m/b), so that crossings are ordered by m, and a car
-    that creeps, and can stop at once, is far from a hit, though not out of reach of one (`_CREEPING`). To the side it
-    is the distance over how fast the disc comes: whoever stands beside the way of the car, or has left it, is far from
-    a hit, however near.
+    speed a distance m short of somebody it is never less than √(2m/b), or m over `CREEPING`, so that crossings are
+    ordered by m, and a car that creeps, and can stop at once, is far from a hit, though not out of reach of one. To the
+    side it is the distance over how fast the disc comes: whoever stands beside the way of the car, or has left it, is
+    far from a hit, however near.
 
     It orders crossings by how near they are to a hit, and no more hangs on it: it is looked at some times in a tick.
 
@@ -114,6 +114,6 @@ def missed_by(
                 return 0.0
             outside = 1.0 - radius / apart
             comes = max(_SLOWEST, -to_the_left if left > 0.0 else to_the_left)
-            along, across = outside * off / max(speed - hit_speed, _CREEPING), outside * aside / comes
+            along, across = outside * off / max(speed - hit_speed, CREEPING), outside * aside / comes
             least = min(least, math.sqrt(along * along + across * across))
     return least

@@ -97,6 +97,15 @@ class Comparison:
         return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
 
     @property
+    def behind_by(self) -> str | None:
+        """Figure by which the second car is surely less safe while none says surely that it is safer; None: no such.
+
+        It decides at a gate, which does not wait until all estimates point one way.
+        """
+        sure = {name: vote for name, vote in self.votes.items() if vote}
+        return next(iter(sure)) if set(sure.values()) == {-1} and not self.disagree else None
+
+    @property
     def _deciding(self) -> list[str]:
         return [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
 

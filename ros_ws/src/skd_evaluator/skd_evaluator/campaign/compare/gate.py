@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, RISKS, compare
+from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 
@@ -69,7 +69,9 @@ def _check_limit(value: float | None, limit: Limit) -> Check:
 
 
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
-    """Compare an assessment with an earlier one: it fails if the interval of the difference says that it is less safe.
+    """Compare an assessment with an earlier one: it fails if a figure is surely worse, and none is surely better.
+
+    A verdict that the car is less safe waits until no estimate points the other way; a gate does not.
 
     Args:
         folder: folder of the assessment.
@@ -77,7 +79,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))
-    judge = found.decided_by
+    judge = found.behind_by or found.decided_by
     beside = "".join(f"; {line}" for line in found.lines())
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
@@ -87,4 +89,4 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     low, high = held.interval
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
     text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
-    return Check(name, text, failed=found.verdict == LESS_SAFE)
+    return Check(name, text, failed=found.behind_by is not None)
