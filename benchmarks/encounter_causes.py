@@ -26,18 +26,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
-import os
-import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from encounter_table import CARS, EXAMPLES, deformation_of, plan_for, processor_minutes, shown_name, store
+from encounter_table import CARS, computed, deformation_of, let_cars_be_found, shown_name
 from half_speeds import whole_speeds
+from kept_rows import KeptRows, add_table_options
 from skd_evaluator.assessing.pipeline import planners_of
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -47,9 +45,7 @@ from skd_evaluator.margin.search import tree
 from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.measure.margins import Margins
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.episode.episode import EpisodeLog, Mode
-from skd_sim.errors import UsageError
 
 MORE = 10
 """Times as many simulations."""
@@ -127,41 +123,23 @@ def line(name: str, car: str, row: Mapping[str, Any]) -> str:
 def main() -> None:
     """Run the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--encounters", nargs="+", default=list(SCENARIOS.own), metavar="NAME")
+    add_table_options(parser, 15, "on all φ together")
     parser.add_argument("--cars", nargs="+", default=["C=1"], choices=list(CARS), metavar="CAR")
     number: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
-    parser.add_argument("--safe", **number, default=5, help="φ of each encounter, at most")
-    parser.add_argument("--attempts", **number, default=15, help="on all φ together")
     parser.add_argument("--simulations", **number, default=300, help="for each decision")
     parser.add_argument("--paper-simulations", **number, default=1000, help="in the encounters of the paper")
     parser.add_argument("--controller-calls", **number, default=25_000, help="of copies of the car, an episode")
-    parser.add_argument("--margin-limit", **number, default=512, help="ticks of the car, for each attempt")
-    parser.add_argument("--workers", **number, default=1)
-    parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
     arguments = parser.parse_args()
     arguments.runs = 1
-    for folder in (EXAMPLES / "idm", Path(__file__).parent):
-        sys.path.append(str(folder))
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(folder))))
-    there = arguments.out is not None and arguments.out.is_file()
-    rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
+    let_cars_be_found()
+    kept = KeptRows(arguments.out, arguments.most_minutes)
     print(f"| encounter | car | {' | '.join((*COLUMNS, *DERIVED))} |\n|{'---|' * (len(COLUMNS) + len(DERIVED) + 2)}")
     for source in arguments.encounters:
         name = shown_name(source)
         for car in arguments.cars:
-            if car not in rows.get(name, {}):
-                if processor_minutes() > arguments.most_minutes:
-                    continue
-                try:
-                    plan = plan_for(source, car, arguments)
-                    row = {"refused": plan} if isinstance(plan, str) else row_of(plan, arguments)
-                except UsageError as error:
-                    row = {"refused": str(error)}
-                rows.setdefault(name, {})[car] = row
-                if arguments.out:
-                    store(rows, arguments.out)
-            print(line(name, car, rows[name][car]), flush=True)
+            row = kept.row(name, car, partial(computed, source, car, arguments, partial(row_of, arguments=arguments)))
+            if row is not None:
+                print(line(name, car, row), flush=True)
 
 
 if __name__ == "__main__":

@@ -24,20 +24,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import math
 import os
-import resource
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cars.triggers import TRIGGERS
 from encounter_rows import closeness_lines, line, order_lines, table_head
+from kept_rows import KeptRows, Row, add_table_options
 from road_user_limits import beyond
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -54,7 +54,6 @@ from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import control_period_of, make_controller, with_control_period
-from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
@@ -247,57 +246,39 @@ def same(one: EpisodeLog, other: EpisodeLog) -> bool:
     )
 
 
-def processor_minutes() -> float:
-    """Return the processor time of this process and of those that have ended, minutes."""
-    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in both) / 60.0
-
-
-def store(rows: Mapping[str, Any], path: Path) -> None:
-    """Write all rows by one rename."""
-    partial = path.with_name(f"{path.name}.partial")
-    partial.write_text(json.dumps(rows, indent=1, ensure_ascii=False), encoding="utf-8")
-    partial.replace(path)
-
-
 def main() -> None:
     """Run the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--encounters", nargs="+", default=list(SCENARIOS.own), metavar="NAME")
+    add_table_options(parser, 100, "of each row, on all φ together")
     parser.add_argument("--cars", nargs="+", default=list(CARS), choices=list(CARS), metavar="CAR")
     number: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
-    parser.add_argument("--safe", **number, default=5, help="φ of each encounter, at most")
-    parser.add_argument("--attempts", **number, default=100, help="of each row, on all φ together")
     parser.add_argument("--runs", **number, default=100, help="runs along φ")
     parser.add_argument("--simulations", **number, default=300, help="for each decision")
     parser.add_argument("--paper-simulations", **number, default=1000, help="in the encounters of the paper")
     parser.add_argument("--margins", type=whole_number(0), default=20, metavar="N", help="attempts with a margin")
-    parser.add_argument("--margin-limit", **number, default=512, help="ticks of the car, for each of these attempts")
-    parser.add_argument("--workers", **number, default=1)
     parser.add_argument("--graph", action="store_true", help="compare with the node graph and its recordings")
-    parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
     arguments = parser.parse_args()
-    for folder in (EXAMPLES / "idm", Path(__file__).parent):  # nodes are processes of their own
-        sys.path.append(str(folder))
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(folder))))
+    let_cars_be_found()
     if arguments.graph:
         prepare_ros(GraphOptions())
-    there = arguments.out is not None and arguments.out.is_file()
-    rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
+    kept = KeptRows(arguments.out, arguments.most_minutes)
     print(table_head(), flush=True)
     for source in arguments.encounters:
         name = shown_name(source)
         for car in arguments.cars:
-            if car not in rows.get(name, {}):
-                if processor_minutes() > arguments.most_minutes:
-                    continue
-                rows.setdefault(name, {})[car] = computed(source, car, rows.get(name, {}), arguments)
-                if arguments.out:
-                    store(rows, arguments.out)
-            print(line(name, car, rows[name][car]), flush=True)
-    shown = {name: rows[name] for name in map(shown_name, arguments.encounters) if name in rows}
+            work = partial(_with_graph, name=name, car=car, kept=kept, arguments=arguments)
+            row = kept.row(name, car, partial(computed, source, car, arguments, work))
+            if row is not None:
+                print(line(name, car, row), flush=True)
+    shown = {name: kept.rows[name] for name in map(shown_name, arguments.encounters) if name in kept.rows}
     print("", *order_lines(shown), "", *closeness_lines(shown), sep="\n")
+
+
+def let_cars_be_found() -> None:
+    """Have cars that are classes be found, also by processes of their own."""
+    for folder in (EXAMPLES / "idm", Path(__file__).parent):
+        sys.path.append(str(folder))
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(folder))))
 
 
 def shown_name(source: str) -> str:
@@ -305,17 +286,21 @@ def shown_name(source: str) -> str:
     return Path(source).stem
 
 
-def computed(source: str, car: str, others: Mapping[str, Any], arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return one row, computed; the first of its encounter and those of third parties are compared with the graph."""
+def computed(source: str, car: str, arguments: argparse.Namespace, work: Callable[[Plan], Row]) -> Row:
+    """Return one row, computed from its plan, or why there is none."""
     try:
         plan = plan_for(source, car, arguments)
-        if isinstance(plan, str):
-            return {"refused": plan}
-        row, some = row_of(plan, arguments)
-        if arguments.graph and (car in THIRD_PARTY or not any("graph" in one for one in others.values())):
-            row["graph"] = same_in_graph_and_recording(plan.controller, some)
+        return {"refused": plan} if isinstance(plan, str) else work(plan)
     except UsageError as error:
         return {"refused": str(error)}
+
+
+def _with_graph(plan: Plan, *, name: str, car: str, kept: KeptRows, arguments: argparse.Namespace) -> Row:
+    """Return a row; the first of its encounter and those of third parties are compared with the graph."""
+    row, some = row_of(plan, arguments)
+    others = kept.rows.get(name, {}).values()
+    if arguments.graph and (car in THIRD_PARTY or not any("graph" in one for one in others)):
+        row["graph"] = same_in_graph_and_recording(plan.controller, some)
     return row
 
 

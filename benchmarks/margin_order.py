@@ -19,25 +19,22 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 from cars.triggers import TRIGGERS
-from encounter_table import CARS, plan_for, processor_minutes, shown_name, store
+from encounter_table import computed, shown_name
+from kept_rows import KeptRows, add_table_options
 from skd_evaluator.assessing.pipeline import planners_of
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.cli.arguments import whole_number
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.measure.statistics.statistics import normal_interval
-from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.episode.episode import Mode
-from skd_sim.errors import UsageError
 
 GROUPS = (("C=0.75", "C=1", "C=1.25"), tuple(reversed(list(TRIGGERS))))
 """Cars by which one brakes later, the latest first."""
@@ -87,18 +84,10 @@ def line(name: str, cars: Sequence[str], rows: dict[str, Any]) -> str | None:
 def main() -> None:
     """Run the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--encounters", nargs="+", default=list(SCENARIOS.own), metavar="NAME")
-    number: dict[str, Any] = {"type": whole_number(1), "metavar": "N"}
-    parser.add_argument("--safe", **number, default=5, help="φ of each encounter, at most")
-    parser.add_argument("--attempts", **number, default=20, help="of each car, on all φ together")
-    parser.add_argument("--margin-limit", **number, default=512, help="ticks of the car, for each attempt")
-    parser.add_argument("--workers", **number, default=1)
-    parser.add_argument("--most-minutes", type=float, default=math.inf, metavar="MIN", help="of processor time")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="JSON of all rows")
+    add_table_options(parser, 20, "of each car, on all φ together")
     arguments = parser.parse_args()
     arguments.runs = arguments.simulations = arguments.paper_simulations = 1
-    there = arguments.out is not None and arguments.out.is_file()
-    rows: dict[str, dict[str, Any]] = json.loads(arguments.out.read_text(encoding="utf-8")) if there else {}
+    kept = KeptRows(arguments.out, arguments.most_minutes)
     print(
         "| encounter | cars, later to earlier | margin (m) | found | later less than earlier |\n|---|---|---|---|---|"
     )
@@ -106,18 +95,9 @@ def main() -> None:
         name = shown_name(source)
         for cars in GROUPS:
             for car in cars:
-                assert car in CARS
-                if car in rows.get(name, {}) or processor_minutes() > arguments.most_minutes:
-                    continue
-                try:
-                    plan = plan_for(source, car, arguments)
-                    found = {"refused": plan} if isinstance(plan, str) else margins_of(plan, arguments)
-                except UsageError as error:
-                    found = {"refused": str(error)}
-                rows.setdefault(name, {})[car] = found
-                if arguments.out:
-                    store(rows, arguments.out)
-            if said := line(name, cars, rows.get(name, {})):
+                work = partial(margins_of, arguments=arguments)
+                kept.row(name, car, partial(computed, source, car, arguments, work))
+            if said := line(name, cars, kept.rows.get(name, {})):
                 print(said, flush=True)
 
 
