@@ -8,7 +8,7 @@ from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating, hit_too_often
+from skd_evaluator.campaign.judge.rating import Rating, hit_too_often
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
@@ -33,11 +33,6 @@ def most_frequent(reasons: Iterable[str]) -> str:
     """Return the first reason of the most frequent kind."""
     kind, most = next(iter(counted_reasons(reasons).items()))
     return str(most["first"] or kind)
-
-
-def disbelief(warnings: Iterable[str]) -> list[str]:
-    """Return those of an assessment's warnings that make it fail."""
-    return [line for line in warnings if line.startswith(DISBELIEF)]
 
 
 def doubts(rating: Rating, *, planned: bool = True) -> list[str]:

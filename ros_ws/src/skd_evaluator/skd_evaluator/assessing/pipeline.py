@@ -172,14 +172,23 @@ def assessed(
         rating = with_floors(rating, runners.here, progress)
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
-    if runners.fresh is not None and not (plan.car.is_own or plan.car.is_external):
-        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_the_controller(rating, runners.fresh)))
+    return replace(rating, warnings=(*rating.warnings, *_doubts_of_the_car(rating, plan, runners)))
+
+
+def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[str, ...]:
+    """Return, a line each, why a user's car is not the one that its episodes show, or hardly drives; empty if neither.
+
+    SKD's own cars are known. A car whose episodes were all aborted is not asked to drive: there is nothing else to say.
+    """
+    if plan.car.is_own:
+        return ()
+    found: tuple[str, ...] = ()
+    if runners.fresh is not None and not plan.car.is_external:
+        found += doubts_of_the_controller(rating, runners.fresh)
     alone = runners.ways if runners.fresh is None else runners.here
-    if len(rating.reasons) == rating.episodes:  # all were aborted: that is what there is to say
-        alone = None
-    if alone is not None and is_own_world(plan.simulator) and not plan.car.is_own:
-        rating = replace(rating, warnings=(*rating.warnings, *doubts_of_driving(plan, alone)))
-    return rating
+    if alone is not None and is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes:
+        found += doubts_of_driving(plan, alone)
+    return found
 
 
 def assess_in_process(

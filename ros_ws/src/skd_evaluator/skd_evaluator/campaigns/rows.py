@@ -15,9 +15,9 @@ from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
 
-from skd_evaluator.assessing.findings import disbelief, doubts, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
 from skd_evaluator.campaign.judge.figure_table import columns
-from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.judge.rating import Rating, disbelief
 from skd_evaluator.campaign.store.checked import check_result
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt

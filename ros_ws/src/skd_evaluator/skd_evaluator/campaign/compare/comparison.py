@@ -19,7 +19,7 @@ from skd_sim.encounter.scenario import scenario_from_dict
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
-from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
+from skd_evaluator.campaign.judge.rating import HARDLY_DRIVES, disbelief
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.risks import RANKS
@@ -75,7 +75,7 @@ class Comparison:
         judge = self.judged_by
         if judge is None:
             return NOT_COMPARED
-        says = {one for one in self.votes.values() if one}
+        says = set(self._sure.values())
         if self.disagree or len(says) != 1 or self.opposed:
             return NOT_TOLD_APART
         return _VERDICTS[says.pop()]
@@ -92,7 +92,7 @@ class Comparison:
         Risks at other scales oppose where they are sure: where φ itself is dangerous for a car, people who deviate
         three times as much are hit less, and few who deviate once are hit by a good one.
         """
-        says = {one for one in self.votes.values() if one}
+        says = set(self._sure.values())
         asked = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
         return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
 
@@ -102,8 +102,12 @@ class Comparison:
 
         It decides at a gate, which does not wait until all estimates point one way.
         """
-        sure = {name: vote for name, vote in self.votes.items() if vote}
-        return next(iter(sure)) if set(sure.values()) == {-1} and not self.disagree else None
+        return next(iter(self._sure)) if set(self._sure.values()) == {-1} and not self.disagree else None
+
+    @property
+    def _sure(self) -> dict[str, int]:
+        """Of `votes` those that tell the cars apart."""
+        return {name: vote for name, vote in self.votes.items() if vote}
 
     @property
     def _deciding(self) -> list[str]:
@@ -112,7 +116,7 @@ class Comparison:
     @property
     def decided_by(self) -> str | None:
         """Figure that decides: a risk, where the margin does not tell the cars apart and the risk does."""
-        told = [name for name, vote in self.votes.items() if vote]
+        told = list(self._sure)
         undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not told
         return self.judged_by if undecided or self.judged_by in told else told[0]
 
@@ -305,7 +309,7 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
     found = [
         f"{one.folder} is not compared, for its own assessment failed: {line}"
         for one in (first, second)
-        for line in _said_of(one, DISBELIEF)
+        for line in disbelief(_warnings_of(one))
     ]
     if ours["eta_max"] != theirs["eta_max"]:
         found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
@@ -340,9 +344,13 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
     for name, what in (("seed", "seeds"), ("simulations", "budgets of the planner"), ("version", "versions of SKD")):
         if ours.get(name) != theirs.get(name):
             found.append(f"{between} have different {what}, {ours.get(name)} and {theirs.get(name)}")
-    return found + [f"{one.folder}: {line}" for one in (first, second) for line in _said_of(one, HARDLY_DRIVES)]
+    return found + [
+        f"{one.folder}: {line}"
+        for one in (first, second)
+        for line in _warnings_of(one)
+        if line.startswith(HARDLY_DRIVES)
+    ]
 
 
-def _said_of(result: StoredResult, beginning: str) -> list[str]:
-    """Return the warnings of a result that begin so."""
-    return [line for line in map(str, result.figures.get("warnings") or ()) if line.startswith(beginning)]
+def _warnings_of(result: StoredResult) -> list[str]:
+    return [str(line) for line in result.figures.get("warnings") or ()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -53,6 +53,11 @@ DISBELIEF = "do not believe these figures: "
 """Begins a warning that makes an assessment fail."""
 HARDLY_DRIVES = "with nobody within a kilometre "
 """Begins a warning of a car that slows down for nobody, which a comparison repeats."""
+
+
+def disbelief(warnings: Iterable[str]) -> list[str]:
+    """Return those of an assessment's warnings that make it fail."""
+    return [line for line in warnings if line.startswith(DISBELIEF)]
 
 
 @dataclass(frozen=True)

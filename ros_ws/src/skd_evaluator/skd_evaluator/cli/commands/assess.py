@@ -21,7 +21,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.findings import disbelief, doubts, most_frequent, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import doubts, most_frequent, too_many_aborted, undefined
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import (
     Further,
@@ -32,7 +32,7 @@ from skd_evaluator.assessing.pipeline import (
     learned_plan,
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
-from skd_evaluator.campaign.judge.rating import Rating, judge_all
+from skd_evaluator.campaign.judge.rating import Rating, disbelief, judge_all
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
