@@ -48,6 +48,10 @@ class SpeedsUp(Brakes):
     begins, ends, deceleration = 0.0, 2.0, -2.0
 class Stands(Brakes):
     sees, begins, ends, deceleration = 5000.0, 0.0, 100.0, 9.0
+class FailsAlone(Brakes):
+    begins, ends, deceleration = 1.5, 100.0, 6.0
+    def command(self, car, adversary):
+        return super().command(car, adversary) if adversary.y - car.y < 500.0 else 1 / 0
 class Raises:
     def reset(self, scenario, rng): pass
     def command(self, car, adversary): return 1 / 0
@@ -198,6 +202,10 @@ def test_cells_that_cannot_be_judged_say_why(cars):
                "--out", "stands", cwd=cars)  # fmt: skip
     assert [cell.colour for cell in cells_of(cars / "stands")] == [""]
     assert "the car slows down to 0 km/h with nobody near, which is no test at 20 km/h" in done.stdout
+    done = skd("ncap", "--controller", "ncap_cars:FailsAlone", "--encounters", "cpna-50", "--speeds", "20:20:10", *NONE,
+               "--out", "alone", cwd=cars)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "whether the car keeps its speed with nobody near cannot be told: controller ncap_cars:Fails" in done.stdout
     (cars / "fast.yaml").write_text("name: fast\ndescription: fast\nextends: cpna-50\nprotocol:\n  speed: 2.0\n")
     done = skd("ncap", "--encounters", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
     assert "the test's target has 5 km/h, this one 7.2 km/h" in done.stdout

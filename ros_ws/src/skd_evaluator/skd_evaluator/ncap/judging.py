@@ -105,8 +105,21 @@ def _begun(
 def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: ExecutorRunner) -> Cell:
     protocol = plan.scenario.protocol
     assert protocol is not None
-    slowing = None if plan.car.is_own else slowing_for_nobody(plan, runner)
-    return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, slowing)
+    why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
+    return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
+
+
+def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
+    """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
+    try:
+        slowing = slowing_for_nobody(plan, runner)
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # it has a static test all the same
+        return f"whether the car keeps its speed with nobody near cannot be told: {error}"
+    if slowing is None:
+        return ""
+    return f"the car slows down to {KMH * slowing.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
 def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -> Cell:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from skd_evaluator.campaign.judge.alone import Slowing
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.ncap.colours import colour_of
 from skd_evaluator.ncap.matrices import Criterion, MatrixPoint
@@ -16,9 +15,7 @@ FASTER = 1.0
 """km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
 
 
-def with_test(
-    cell: Cell, tested: Tested, target: float, point: MatrixPoint | None, slowing: Slowing | None = None
-) -> Cell:
+def with_test(cell: Cell, tested: Tested, target: float, point: MatrixPoint | None, why_none: str = "") -> Cell:
     """Return a cell with what came of its static test.
 
     Args:
@@ -26,7 +23,7 @@ def with_test(
         tested: its test.
         target: speed of the target in that, km/h.
         point: what 2026's matrix has there; None: nothing.
-        slowing: what the car slows down to with nobody near; None: it drives, or nobody looked.
+        why_none: why the car's own driving makes it no test; empty if it does not, or nobody looked.
     """
     if tested.aborted:
         return replace(cell, why=f"the test was aborted: {tested.aborted}")
@@ -39,9 +36,8 @@ def with_test(
     fastest = KMH * tested.fastest
     if fastest > point.speed + FASTER:
         return replace(cell, why=f"the car speeds up to {fastest:.0f} km/h, which is no test at {point.speed:g} km/h")
-    if slowing is not None:
-        slower = f"the car slows down to {KMH * slowing.last:.0f} km/h with nobody near"
-        return replace(cell, why=f"{slower}, which is no test at {point.speed:g} km/h")
+    if why_none:
+        return replace(cell, why=why_none)
     if not math.isclose(target, point.target, abs_tol=SAME):
         told = f"the test's target has {point.target:g} km/h, this one {target:.3g} km/h"
         return replace(cell, target=None, why=told)
