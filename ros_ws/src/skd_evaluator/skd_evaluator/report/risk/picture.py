@@ -63,7 +63,7 @@ def _draw(axes: Axes, cars: Sequence[RatedCar], place: int, floor: float) -> Non
             [one.margin], [at], yerr=rise, xerr=reach, fmt=marker, ms=6.5, color=colour, capsize=2.5, lw=1.3, zorder=4,
             label=one.label, mfc="white" if value < floor else colour, clip_on=False,
         )  # fmt: skip
-    axes.margins(x=0.1)
+    axes.margins(x=0.14)  # the last name stands beside its point
     axes.set_yscale("log")
     axes.set_ylim(floor, 1.0)
     axes.set_title(f"R({SCALES[place]:g})", loc="left", fontsize=10)

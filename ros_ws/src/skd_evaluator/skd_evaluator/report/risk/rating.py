@@ -14,7 +14,7 @@ from skd_evaluator.measure.statistics.statistics import Interval
 
 LEAST: Final = 1e-9
 """Below it no risk is drawn: subset simulation ends there."""
-_APART: Final = 0.1  # of width and height between two names
+_APART: Final = 0.12  # of width and height between two names
 
 
 @dataclass(frozen=True)
