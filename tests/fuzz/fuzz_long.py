@@ -2,18 +2,21 @@
 
 `TARGET` gets bytes. `TARGET-structure` gets inputs that are put together as right ones are and then changed
 (`fuzz_structures.py`), from choices that are led in the same way. Inputs that reach something new are kept below
-`.fuzz/`, where the next run begins; what ends a run is written there as `crash-…`, `timeout-…` or `oom-…`. Give it back
-with `scripts/fuzz TARGET FILE`.
+`.fuzz/`, where the next run begins; what ends a run is written there as `TARGET-crash-…`, `…-timeout-…` or `…-oom-…`. Give
+it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import random
 import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import atheris
@@ -38,8 +41,10 @@ with atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_
     from fuzz_structures import STRUCTURES
     from fuzz_targets import HERE, TARGETS, Target
 
-_LONGEST = 20
-"""s that an input may take."""
+_LONGEST = 20.0
+"""s of processor time that an input may take."""
+_STUCK = 300
+"""s after which an input is taken for one that never ends, on however busy a machine."""
 _MEMORY = 2000
 """MB that the process may have."""
 
@@ -47,32 +52,61 @@ _MEMORY = 2000
 class _Reading:
     """Reads inputs until the processor time is used up."""
 
-    def __init__(self, target: Target, seconds: float) -> None:
+    def __init__(self, name: str, target: Target, seconds: float, kept: Path) -> None:
+        self._name = name
         self._target = target
         self._folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
         self._seconds = seconds
         self._count = 0
+        self._kept = kept
+        self._known = _files(kept)
+        self._first = self._known
+        self._latest = self._looked = 0.0  # processor time at which something new was seen, and was looked for
 
     def of_bytes(self, data: bytes) -> None:
-        self._begin()
-        self._target.run(data, self._folder)
+        with self._timed():
+            self._target.run(data, self._folder)
 
     def of_structures(self, data: bytes) -> None:
-        self._begin()
-        STRUCTURES[self._target.name](self._target, self._folder).hypothesis.fuzz_one_input(data)
+        with self._timed():
+            STRUCTURES[self._target.name](self._target, self._folder).hypothesis.fuzz_one_input(data)
 
-    def _begin(self) -> None:
+    @contextlib.contextmanager
+    def _timed(self) -> Iterator[None]:
+        begin = time.process_time()
+        yield
+        end = time.process_time()
+        if self._count:  # the first one compiles kernels
+            assert end - begin <= _LONGEST, f"an input took {end - begin:.0f} s of processor time"
         self._count += 1
-        if self._count % 64 == 0 and time.process_time() > self._seconds:
+        if end - self._looked >= self._seconds / 200:
+            self._looked, count = end, _files(self._kept)
+            if count > self._known:
+                self._known, self._latest = count, end
+        if end > self._seconds:
+            self._tell()
             self.close()
-            print(
-                f"{self._target.name}: {self._count} inputs in {self._seconds / 60:.0f} processor minutes, no finding"
-            )
-            sys.stdout.flush()
             raise KeyboardInterrupt  # libFuzzer ends with what it knows
+
+    def _tell(self) -> None:
+        minutes, latest, new = self._seconds / 60.0, self._latest / 60.0, self._known - self._first
+        print(
+            f"{self._name}: {self._count} inputs in {minutes:.1f} processor minutes, no finding; {new} reached "
+            f"something new, the last of them after {latest:.1f} minutes"
+        )
+        sys.stdout.flush()
+        runs = self._kept.parent / "runs.csv"
+        if not runs.exists():
+            runs.write_text("target,processor_minutes,inputs,new,last_new_minute\n")
+        with runs.open("a") as file:
+            file.write(f"{self._name},{minutes:.1f},{self._count},{new},{latest:.1f}\n")
 
     def close(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _files(folder: Path) -> int:
+    return sum(1 for _ in os.scandir(folder))
 
 
 def main() -> None:
@@ -83,10 +117,10 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=2.0, help="of processor time (default: %(default)s)")
     given = parser.parse_args()
     name, _, structured = given.target.partition("-")
-    reading = _Reading(TARGETS[name], 3600.0 * given.hours)
-    one = reading.of_structures if structured else reading.of_bytes
     found = HERE.parents[1] / ".fuzz" / given.target
     found.mkdir(parents=True, exist_ok=True)
+    reading = _Reading(given.target, TARGETS[name], 3600.0 * given.hours, found)
+    one = reading.of_structures if structured else reading.of_bytes
     if given.inputs:
         words = [str(path) for path in given.inputs]
     else:
@@ -97,7 +131,7 @@ def main() -> None:
                 content = random.Random(number).randbytes(256 << number % 6)
                 (found / f"random-{number}").write_bytes(content)
         words = [
-            f"-artifact_prefix={found.parent}/{given.target}-", f"-timeout={_LONGEST}", f"-rss_limit_mb={_MEMORY}",
+            f"-artifact_prefix={found.parent}/{given.target}-", f"-timeout={_STUCK}", f"-rss_limit_mb={_MEMORY}",
             "-max_len=65536", "-print_final_stats=1", "-len_control=0", str(found), *seeds,
         ]  # fmt: skip
     atheris.Setup([sys.argv[0], *words], one)
