@@ -35,6 +35,8 @@ class Terminal:
         variables: Mapping[str, str] = {**os.environ, "TERM": "xterm-256color", **environment}
         self.pid, self._descriptor = pty.fork()
         if self.pid == 0:
+            for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP, signal.SIGHUP):
+                signal.signal(number, signal.SIG_DFL)  # ignored in what a shell starts in the background
             os.execve(words[0], list(words), dict(variables))
         fcntl.ioctl(self._descriptor, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
         self._output = b""

@@ -183,6 +183,19 @@ def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
 
 
+@pytest.mark.parametrize("name", ["positions", "car"])
+@pytest.mark.parametrize("value", [1e160, -2e6])
+def test_states_beyond_all_bounds_are_said_in_one_line(result, skd_here, name, value):
+    """Squares of such numbers are infinite, which numpy says on the terminal."""
+
+    def edit(values: np.ndarray) -> np.ndarray:
+        values[len(values) // 2] = value
+        return values
+
+    change_arrays(result, **{name: edit})
+    one_line(skd_here("show", str(result), "--out", "shown"), 2, "a state is not finite, or beyond ±1e+06")
+
+
 # --- controllers
 
 

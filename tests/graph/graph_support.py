@@ -21,6 +21,7 @@ import pytest
 from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
 from forked_skd import TOKEN, ForkedSkd
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.report.progress import PREPARING
 from skd_evaluator.ros.session import graphs_session
 from skd_sim.episode.episode import EpisodeLog
 
@@ -71,7 +72,9 @@ def assert_all_gone(token: str, timeout: float = 10.0) -> None:
 
 
 _OF_A_BUSY_MACHINE = re.compile(
-    r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, )"  # the last after five seconds
+    r"skd: (waiting for \S+ \(\d+ s\): |\w+ did not end within |[^:]+: \d+ of \d+, |"  # the last after five seconds
+    + re.escape(PREPARING)
+    + ")"
 )
 
 
@@ -90,7 +93,7 @@ class Finished:
 
     @property
     def timeless(self) -> list[str]:
-        """Lines of standard error but those that a busy machine adds: nodes that come or end late, how far it is."""
+        """Lines of standard error but those that a busy or new machine adds: nodes that come or end late, progress."""
         return [line for line in self.lines if not _OF_A_BUSY_MACHINE.match(line)]
 
 

@@ -17,6 +17,9 @@ from skd_sim.inputs.outside import open_regular
 LARGEST = 128 * 2**20
 """Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
 
+FARTHEST = 1e6
+"""m, m/s, s, rad: no state that is read is beyond; squares of what is 10¹⁴⁸ times as far are infinite."""
+
 Array = npt.NDArray[Any]
 
 
@@ -25,6 +28,11 @@ class Column(NamedTuple):
 
     dtype: npt.DTypeLike
     shape: tuple[int, ...]
+
+
+def within_reach(*arrays: Array) -> bool:
+    """Tell whether all numbers are finite and none is beyond `FARTHEST`."""
+    return all(bool((np.abs(one) <= FARTHEST).all()) for one in arrays)
 
 
 def read_arrays(

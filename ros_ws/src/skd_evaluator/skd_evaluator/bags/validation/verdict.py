@@ -12,6 +12,7 @@ from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState
 
+from skd_evaluator.arrays import FARTHEST, within_reach
 from skd_evaluator.bags.validation.plausibility import implausible
 from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, first_touch, recompute
 from skd_evaluator.campaign.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
@@ -120,8 +121,8 @@ def _form(log: EpisodeLog) -> str:
             return ""
     elif count == 1:
         return "has no tick"
-    if not (np.isfinite(log.adversary).all() and np.isfinite(log.car).all()):
-        return "has a state that is not finite"
+    if not within_reach(log.adversary, log.car):
+        return f"has a state that is not finite, or beyond ±{FARTHEST:g}"
     return ""
 
 

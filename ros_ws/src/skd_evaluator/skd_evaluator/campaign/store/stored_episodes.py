@@ -15,7 +15,7 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.episode.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
 
-from skd_evaluator.arrays import Column, read_arrays
+from skd_evaluator.arrays import FARTHEST, Column, read_arrays, within_reach
 from skd_evaluator.campaign.plan.plan import Stage
 from skd_evaluator.measure.distances.deformation import deformation_pairs
 from skd_evaluator.measure.distances.frechet import discrete_frechet_pairs
@@ -359,19 +359,19 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     # Of an episode that was aborted before it began there is no state of the car.
     never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
     known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
-    if not (np.isfinite(arrays["positions"]).all() and np.isfinite(arrays["car"][known]).all()):
-        return "a position is not finite"
+    if not within_reach(arrays["positions"], arrays["car"][known]):
+        return f"a state is not finite, or beyond ±{FARTHEST:g}"
     hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
-    if (np.diff(offsets)[hit] < 2).any() or not np.isfinite(arrays["impact_time"][hit]).all():
+    if (np.diff(offsets)[hit] < 2).any() or not within_reach(arrays["impact_time"][hit]):
         return "a collision has no way or no time"
     speeds = arrays["impact_speed"][hit]
-    if not (np.isfinite(speeds).all() and (speeds >= 0.0).all()):
-        return "a collision has no impact speed, or one below 0"
+    if not (within_reach(speeds) and (speeds >= 0.0).all()):
+        return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
     if fault := _strange_id(arrays):
         return fault
-    if not (np.isfinite(arrays["time_step"]) and arrays["time_step"] > 0.0):
-        return "time_step must be above 0"
+    if not 0.0 < arrays["time_step"] <= FARTHEST:
+        return "time_step must be above 0, and finite"
     belief = arrays.get("belief", np.empty((0, 4)))
-    if np.isinf(belief).any() or (belief[:, 1::2] < 0.0).any():
-        return "a belief is infinite, or has a negative deviation"
+    if not within_reach(belief[~np.isnan(belief)]) or (belief[:, 1::2] < 0.0).any():
+        return f"a belief is beyond ±{FARTHEST:g}, or has a negative deviation"
     return ""

@@ -14,6 +14,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
+from skd_evaluator.arrays import FARTHEST, within_reach
 from skd_evaluator.campaign.judge.failures import Failures, Walkers, failures_of
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
@@ -58,8 +59,8 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         whole = ends[0] == 0 and ends[-1] == len(positions) == len(car) and all(b - a > 1 for a, b in spans)
         if not whole or not len(spans) == len(times) == len(speeds) == len(rows) or min(rows) < 0:
             raise ValueError("the arrays of the failures do not go together")
-        if not all(np.isfinite(one).all() for one in (positions, car, times, speeds)):
-            raise ValueError("a place, time or speed of a failure is not finite")
+        if not within_reach(positions, car, times, speeds):
+            raise ValueError(f"a place, time or speed of a failure is not finite, or beyond ±{FARTHEST:g}")
     if order is not None:
         places = [rows.index(row) for row in order]
         rows, spans, times, speeds = list(order), [spans[one] for one in places], times[places], speeds[places]
