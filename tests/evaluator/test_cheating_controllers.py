@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cli_support import skd
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
+from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -56,16 +56,14 @@ class Stack(Honest):
             frame = frame.f_back
         return super().command(car, adversary)
 
-class Fourth(Honest):
-    "Is another car in the fourth process that is started for it, by a file that it keeps."
-    number = 0
-    def __init__(self):
-        if not Fourth.number:
-            with open("starts", "a") as file:
-                file.write("x")
-            Fourth.number = os.path.getsize("starts")
+class Twice(Honest):
+    "Is another car from its second reset on: one object is reset several times only where it is asked alone."
+    resets = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        self.resets += 1
     def command(self, car, adversary):
-        return -8.0 if Fourth.number == 4 else super().command(car, adversary)
+        return -8.0 if self.resets > 1 else super().command(car, adversary)
 
 class Counting(Honest):
     "Keeps something on its class."
@@ -128,9 +126,7 @@ def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> 
 
 
 def test_who_answers_otherwise_alone_is_not_believed(cars: Path) -> None:
-    """The fourth process is the last: after one that says what the car is, a worker's, and one that goes again."""
-    code, said, result = assessed(cars, "Fourth", "--margin-limit", 0, "--workers", 1)
-    assert (cars / "starts").stat().st_size == 4
+    code, said, result = assessed(cars, "Twice", "--margin-limit", 0, "--workers", 1)
     (warning,) = result["warnings"]
     assert warning.startswith("do not believe these figures: in ")
     assert "answered otherwise when it was asked the same alone" in warning
@@ -193,7 +189,8 @@ def test_what_is_asked_alone_is_what_was_asked(name: str) -> None:
     heard = overhear(make_controller(name, 1.0), name)
     log = run_episode(episode, heard)
     assert np.array_equal(log.car, run_episode(episode).car)
-    found = answered_alone(CarUnderTest(name, 1.0), [heard.questions, heard.questions], 60.0)
+    with Alone(CarUnderTest(name, 1.0)) as alone:
+        found = alone.answers([heard.questions, heard.questions], 60.0)
     assert found == [heard.answers, heard.answers]
     assert len(heard.answers) > 5
 
@@ -212,6 +209,7 @@ def test_why_there_are_no_answers_is_said(tmp_path: Path, monkeypatch, body: str
     )
     monkeypatch.syspath_prepend(tmp_path)
     questions = Questions(load_scenario("crossing"), np.random.default_rng(0))
-    found = answered_alone(CarUnderTest("leaves:Leaves"), [questions], 1.0)
+    with Alone(CarUnderTest("leaves:Leaves")) as alone:
+        found = alone.answers([questions], 1.0)
     assert isinstance(found, str)
     assert said in found

@@ -2,8 +2,8 @@
 
 `TARGET` gets bytes. `TARGET-structure` gets inputs that are put together as right ones are and then changed
 (`fuzz_structures.py`), from choices that are led in the same way. Inputs that reach something new are kept below
-`.fuzz/`, where the next run begins; what ends a run is written there as `TARGET-crash-…`, `…-timeout-…` or `…-oom-…`. Give
-it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`.
+`.fuzz/`, where the next run begins; what ends a run is written there as `TARGET-crash-…`, `…-timeout-…` or `…-oom-…`.
+Give it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`.
 """
 
 from __future__ import annotations

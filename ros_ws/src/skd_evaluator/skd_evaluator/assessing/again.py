@@ -19,7 +19,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
-from skd_evaluator.campaign.run.alone import Questions, answered_alone, overhear
+from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.led import led_otherwise
 from skd_evaluator.campaign.run.runner import run_episode
@@ -69,6 +69,11 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
     logs = _some(rating)
     if not logs:
         return ()
+    with Alone(rating.plan.car) as alone:  # begins while another process runs the episodes again
+        return _doubts(rating, logs, fresh, alone)
+
+
+def _doubts(rating: Rating, logs: Sequence[EpisodeLog], fresh: Fresh, alone: Alone) -> tuple[str, ...]:
     name = rating.plan.controller
     try:
         with fresh() as runner:
@@ -88,7 +93,7 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
             "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
             "of the episodes and on --workers",
         )
-    doubts = _doubts_alone(rating, heard, _SLOWER * seconds)
+    doubts = _doubts_alone(rating, alone, heard, _SLOWER * seconds)
     if otherwise:
         doubts += (
             f"{DISBELIEF}on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered "
@@ -97,9 +102,9 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
     return doubts
 
 
-def _doubts_alone(rating: Rating, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
+def _doubts_alone(rating: Rating, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
     car = rating.plan.car
-    found = answered_alone(car, [one.questions for one in heard], limit)
+    found = alone.answers([one.questions for one in heard], limit)
     if isinstance(found, str):
         return (
             f"{car.controller} could not be asked again what it was asked in {len(heard)} episodes, alone in a "

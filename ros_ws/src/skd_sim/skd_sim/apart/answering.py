@@ -15,7 +15,7 @@ import numpy as np
 
 from skd_sim.apart.beginning import Beginning, be_main
 from skd_sim.apart.copying import Copier, drawing, seed_anew
-from skd_sim.apart.guard import GuardedController, guard
+from skd_sim.apart.guard import GuardedController, GuardedSensingController, guard
 from skd_sim.apart.wire import (
     COMMAND,
     COMMANDS,
@@ -32,7 +32,7 @@ from skd_sim.apart.wire import (
     write_all,
 )
 from skd_sim.choices.registry import reason_of
-from skd_sim.controllers import SensingController, make_controller
+from skd_sim.controllers import make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.kernels.waiting import compile_for
@@ -73,6 +73,7 @@ class _Car:
         self._name, self._multiplier, self._main = "", 1.0, ""
         self._controllers: dict[int, GuardedController] = {}
         self._copier = Copier()
+        self._compiled: type[Any] | None = None  # whose modules' kernels do not wait any more
 
     def do(self, message: bytes) -> tuple[Kind, Any]:
         """Do what a message says; return the answer to its last operation."""
@@ -150,11 +151,12 @@ class _Car:
                 main, self._main = self._main, ""
                 be_main(main)
             made = make_controller(self._name, self._multiplier)
-            compile_for(made)
+            if type(made) is not self._compiled:
+                compile_for(made)
+                self._compiled = type(made)
             controller = self._controllers[number] = guard(made, self._name)
-            sensing = isinstance(controller, SensingController)
             told = {
-                "sensing": sensing,
+                "sensing": isinstance(controller, GuardedSensingController),
                 "control_period": controller.control_period,
                 "scene": controller.takes_scene,
                 "batches": controller.takes_batches,

@@ -10,13 +10,15 @@ sees.
 from __future__ import annotations
 
 import copy
+import math
+import time
 from collections.abc import Sequence
 from concurrent.futures import TimeoutError as TooLongError
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.apart.apart import ApartCar
+from skd_sim.apart.apart import ApartCar, ApartController
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.controllers.wrapped import WrappedController
@@ -92,44 +94,67 @@ def overhear(controller: Controller, name: str) -> OverheardController:
     return listening(controller, name)
 
 
-def answered_alone(car: CarUnderTest, conversations: Sequence[Questions], limit: float) -> list[list[float]] | str:
-    """Ask a controller anew, in a process of its own, and return its answers to each conversation.
+class Alone:
+    """A new process for a car's controller, which begins to load it at once and is asked later; a context manager."""
 
-    Args:
-        car: car whose controller is asked.
-        conversations: what it was asked, in the order in which it is to be asked now.
-        limit: time that its answers may take, s.
+    def __init__(self, car: CarUnderTest) -> None:
+        """Begin; do it before this process has other threads, for it is forked."""
+        self._car = car
+        self._pool = WorkerPool(1, answer_limit=math.inf)  # how long it may take is known when it is asked
+        self._begun = self._pool.submit(_begin, car)
 
-    Returns:
-        Answers, m/s²; or why there are none, in a few words.
-    """
-    pool = WorkerPool(1, answer_limit=_ENOUGH + limit)
-    try:
-        return pool.submit(_answers, car, list(conversations)).result(_ENOUGH + limit)
-    except TooLongError:
-        return f"it did not answer within {_ENOUGH + limit:.0f} s"
-    except (LostWorkerError, AssessmentError, UsageError) as error:
-        return str(error.reason if isinstance(error, LostWorkerError) else error)[:300]
-    finally:
-        pool.shutdown(wait=False)
+    def __enter__(self) -> Alone:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self._pool.shutdown(wait=False)
+
+    def answers(self, conversations: Sequence[Questions], limit: float) -> list[list[float]] | str:
+        """Ask the controller anew, and return its answers to each conversation.
+
+        Args:
+            conversations: what it was asked, in the order in which it is to be asked now.
+            limit: time that its answers may take, s.
+
+        Returns:
+            Answers, m/s²; or why there are none, in a few words.
+        """
+        latest = time.monotonic() + _ENOUGH + limit
+        try:
+            self._begun.result(_ENOUGH + limit)
+            return self._pool.submit(_answers, self._car, list(conversations)).result(
+                max(0.0, latest - time.monotonic())
+            )
+        except TooLongError:
+            return f"it did not answer within {_ENOUGH + limit:.0f} s"
+        except (LostWorkerError, AssessmentError, UsageError) as error:
+            return str(error.reason if isinstance(error, LostWorkerError) else error)[:300]
+
+
+class _Here:
+    """What a worker keeps between two tasks: the controller in its process."""
+
+    controller: ApartController | None = None
+
+
+def _begin(car: CarUnderTest) -> None:
+    """Load a controller: in a worker."""
+    _Here.controller = ApartCar(car).make()
 
 
 def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
-    """Return the answers of a controller: in a worker."""
-    process = ApartCar(car)
-    try:
-        controller = process.make()
-        found = []
-        for one in conversations:
-            assert one.scenario is not None
-            assert one.rng is not None
-            controller.reset(one.scenario, one.rng)
-            answers = []
-            for scan, state, adversary in one.asked:
-                if scan is not None and isinstance(controller, SensingController):
-                    controller.sense(scan)
-                answers.append(controller.command(state, adversary))
-            found.append(answers)
-        return found
-    finally:
-        process.close()
+    """Return the answers of the controller: in a worker, which has loaded it, or took the place of one that had."""
+    controller = _Here.controller or ApartCar(car).make()
+    found = []
+    for one in conversations:
+        assert one.scenario is not None
+        assert one.rng is not None
+        controller.reset(one.scenario, one.rng)
+        answers = []
+        for scan, state, adversary in one.asked:
+            if scan is not None and isinstance(controller, SensingController):
+                controller.sense(scan)
+            answers.append(controller.command(state, adversary))
+        found.append(answers)
+    return found
