@@ -104,7 +104,7 @@ def test_a_car_that_does_not_brake_hits(tmp_path: Path):
         ({"aside": 2.0}, "beside its lane's centre"),
         ({"frame": Frame(0.0, 0.0, 1.2)}, "off its φ"),
         ({"frame": Frame(0.0, 3.0, 0.0)}, "off its φ after"),
-        ({"ids": ("lead", "dummy")}, "no object 'car' but dummy, lead"),
+        ({"ids": ("lead", "dummy")}, "no object 'car' but 'dummy', 'lead'"),
         ({"other_rate": 1.0}, "hole of 1.00 s"),
         ({"speed": 600.0}, "m and times in s"),
     ],
@@ -132,6 +132,8 @@ def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
         ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
         ("t,id,x,y\n0,car,nan,0\n", "line 2: x must be finite"),
         ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 positions are no track"),
+        ('t,id,x,y\n0,"a\nb",0,0\n', r"has no object 'car' but 'a\\nb'; name them"),
+        ("t,id,x,y\n" + "".join(f"{t},car,0,0\n" for t in (0, 1, 2, 3, 1e9)) + "0,other,0,0\n", "lasts 1e.09 s"),
     ],
 )
 def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):

@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "exchange"))
 from bag_forge import campaign_messages, write_mcap
 from exchange_support import safe
 from fuzz_targets import _CELL, _SPECIFICATION, CORPUS, TARGETS, as_messages, episode
+from fuzz_trials import walk
 from mcap.writer import CompressionType
 from skd_adversary.car_forest import pack
 from skd_adversary.car_model_file import car_model_data, read_car_model
@@ -31,6 +32,7 @@ from skd_evaluator.campaigns.episode_record import to_bytes
 from skd_evaluator.campaigns.store import EpisodeStore
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.exchange.going_out.formats import FORMATS
+from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
@@ -153,6 +155,25 @@ def exchanged(scratch: Path) -> None:
     put("exchange", "bag", (scratch / "b.mcap").read_bytes(), 5)
 
 
+def trials(scratch: Path) -> None:
+    rows = "walk,0,0.4,3.5,12.5\nwalk,1,0,,30\n"
+    put("trials", "trials.csv", f"phi,hit,clearance,required_deceleration,gap\n{rows}".encode(), 0)
+    put("trials", "recordings.csv", b"phi,file\nwalk,recorded.csv\n", 0)
+    places = [(0.3 * tick, x, y) for tick, (x, y) in enumerate(walk())]
+    table = "t,id,x,y,heading,speed\n"
+    table += "".join(f"{t:.1f},other,{x:.2f},{y:.2f},,\n" for t, x, y in places)
+    table += "".join(f"{t:.1f},car,0,{-30.0 + 3.0 * t:.2f},1.5708,3\n" for t, _, _ in places)
+    put("trials", "recorded.csv", table.encode(), 1)
+    behaviour = load_behaviour("walkers")
+    put("trials", "behaviour.yaml", yaml.safe_dump(behaviour.as_dict(), allow_unicode=True).encode(), 2)
+    sway = 0.02 * np.sin(np.arange(40))
+    rows = "".join(f"{0.3 * k:.1f},{0.4 * k + sway[k]:.3f},{sway[k]:.3f}\n" for k in range(40))
+    put("trials", "track.csv", f"t,x,y\n{rows}".encode(), 3)
+    words = ["--encounters", "cpna", "--speeds", "20:40:20", "--kamikaze-count", "1", "--quiet"]
+    assert skd(["ncap", *words, "--out", str(scratch / "ncap")]) == 0
+    put("trials", "ncap.json", compact(scratch / "ncap" / "ncap.json"), 4)
+
+
 def main() -> None:
     for name in TARGETS:
         (CORPUS / name).mkdir(parents=True, exist_ok=True)
@@ -164,6 +185,7 @@ def main() -> None:
         documents(Path(scratch))
         tables_forests_stores(Path(scratch))
         exchanged(Path(scratch))
+        trials(Path(scratch))
         for target in TARGETS.values():
             for data in target.seeds():
                 folder = Path(tempfile.mkdtemp(dir=scratch))

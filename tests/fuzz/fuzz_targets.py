@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fuzz_trials import behaviour_file, protocol_result, recorded_people, recorded_trial, trials_table
 from skd_adversary.car_forest import CarForest
 from skd_adversary.car_model_file import car_model_for_scenario, car_model_from, car_model_text, fitted_car
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
@@ -381,6 +382,7 @@ TARGETS = {
         ),
         Target("car_model", (_model_file, _forest, _forest_inside)),
         Target("store", (_database, _record)),
+        Target("trials", (trials_table, recorded_trial, behaviour_file, recorded_people, protocol_result)),
     )
 }
 

@@ -12,6 +12,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text
+from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.bags.recording import ADVERSARY, CAR
 from skd_evaluator.fusion.bag_tracks import Row, bag_tracks
@@ -81,10 +82,8 @@ def _rows_of_table(path: Path, ids: tuple[str, str]) -> dict[str, list[Row]]:
         raise UsageError(f"{path}: not csv: {error}") from error
     for name in ids:
         if not rows[name]:
-            raise UsageError(
-                f"{path}: has no object {name!r} but {', '.join(sorted(known)[:5]) or 'none'}; name them by --car and "
-                "--road-user"
-            )
+            others = ", ".join(map(short, sorted(known)[:5])) or "none"
+            raise UsageError(f"{path}: has no object {name!r} but {others}; name them by --car and --road-user")
     return rows
 
 

@@ -11,6 +11,8 @@ from skd_sim.errors import UsageError
 
 LONGEST_HOLE = 0.5
 """s without a position, above which a track is refused: a car at 50 km/h moves 7 m in it."""
+LONGEST = 3600.0
+"""s that a track may last: every fiftieth of a second of it is tried as the beginning of a trial."""
 FASTEST = 70.0
 """m/s that nobody on a proving ground exceeds between two positions, jumps of a few centimetres left aside."""
 _JITTER = 0.3  # m
@@ -55,8 +57,8 @@ class Track:
         """Return it, once it is looked at.
 
         Raises:
-            UsageError: too few positions, times that do not increase, numbers that are not finite, jumps, or speeds
-                that are not those of the positions.
+            UsageError: too few positions, times that do not increase or last too long, numbers that are not finite,
+                jumps, or speeds that are not those of the positions.
         """
         if len(self.times) < 5:
             raise UsageError(f"{self.where}: {len(self.times)} positions are no track")
@@ -66,6 +68,11 @@ class Track:
         steps = np.diff(self.times)
         if (steps <= 0.0).any():
             raise UsageError(f"{self.where}: times must increase strictly, in s")
+        if self.times[-1] - self.times[0] > LONGEST:
+            raise UsageError(
+                f"{self.where}: lasts {self.times[-1] - self.times[0]:.4g} s, more than {LONGEST:g} s: are times in s? "
+                "Cut it to the trial"
+            )
         moved = np.hypot(*np.diff(self.places, axis=0).T)
         worst = int(np.argmax(moved - FASTEST * steps))
         if moved[worst] > FASTEST * steps[worst] + _JITTER:

@@ -23,7 +23,8 @@ DEEPEST = 50
 _MOST = 3_000_000
 """Values in JSON: a campaign of ten thousand cells has a third of them, and each takes its hundred bytes of memory."""
 _BLOCK = 2**20
-_LARGEST_WHOLE = 2**64  # what a whole number of ours may be: seeds and ids have 64 bits
+LARGEST_WHOLE = 2**64
+"""What a whole number of ours may be: seeds and ids have 64 bits."""
 
 
 def open_regular(path: Path) -> IO[bytes]:
@@ -145,8 +146,8 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> int:
-    value = int(text) if len(text) <= len(str(_LARGEST_WHOLE)) + 1 else _LARGEST_WHOLE + 1
-    if abs(value) > _LARGEST_WHOLE:
+    value = int(text) if len(text) <= len(str(LARGEST_WHOLE)) + 1 else LARGEST_WHOLE + 1
+    if abs(value) > LARGEST_WHOLE:
         raise ValueError(f"{text[:40]} has more than 64 bits")
     return value
 

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular
+from skd_sim.inputs.outside import LARGEST_WHOLE, open_regular
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
@@ -37,10 +37,22 @@ class _Loader(yaml.SafeLoader):
             self._depth -= 1
         return node
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Return a whole number of at most 64 bits: no such file needs more, and not all code can compare more."""
+        value: int = super().construct_yaml_int(node)
+        if abs(value) > LARGEST_WHOLE:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{node.value[:40]} has more than 64 bits", node.start_mark
+            )
+        return value
+
     def _mark(self) -> yaml.Mark:
         parser: Any = self  # PyYAML's parser has no types
         mark: yaml.Mark = parser.peek_event().start_mark
         return mark
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def read_text(path: Path) -> str:
