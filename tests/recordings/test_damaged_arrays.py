@@ -107,6 +107,19 @@ def test_an_outcome_that_cannot_be(copy: Path, refused: Refused, outcome: int) -
     assert "episodes.npz" in refused(edited(copy, put("outcome", outcome)))
 
 
+@pytest.mark.parametrize("number", [0xD800, 0xDFFF, 0x110000, 0xFFFFFFFF])
+def test_a_text_of_characters_that_there_are_not(assessed: Path, tmp_path: Path, refused: Refused, number: int) -> None:
+    """Python has no such text: what takes it for one fails anywhere."""
+    copy = Path(shutil.copytree(assessed, tmp_path / "copy"))
+
+    def put_character(arrays: Arrays) -> None:
+        codes = arrays["objective"].copy().view(np.uint32)
+        codes[0] = number
+        arrays["objective"] = codes.view(arrays["objective"].dtype)
+
+    assert "objective has a text of which no character has the number" in refused(edited(copy, put_character))
+
+
 def retype(name: str, kind: type) -> Callable[[Arrays], object]:
     return lambda arrays: arrays.update({name: arrays[name].astype(kind)})
 

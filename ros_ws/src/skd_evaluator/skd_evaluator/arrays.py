@@ -83,7 +83,14 @@ def _array(content: bytes, name: str, column: Column) -> Array:
     if math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
         raise UsageError(f"{name} says that it has the shape {shape}, and has {len(content) - stream.tell()} bytes")
     values = np.frombuffer(content, dtype, offset=stream.tell())
+    if dtype.kind == "U" and not _are_texts(np.frombuffer(content, np.uint32, offset=stream.tell())):
+        raise UsageError(f"{name} has a text of which no character has the number")
     return values.reshape(shape, order="F" if fortran else "C")
+
+
+def _are_texts(numbers: Array) -> bool:
+    """Tell whether all are numbers of characters: Python cannot hold others, and half a character cannot be written."""
+    return bool(((numbers < 0xD800) | ((numbers > 0xDFFF) & (numbers <= 0x10FFFF))).all())
 
 
 def _fits(shape: Sequence[int], wanted: Sequence[int]) -> bool:
