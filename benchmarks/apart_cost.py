@@ -18,13 +18,25 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_evaluator.cli.arguments import whole_number
-from skd_sim.apart.apart import apart, close_all
+from skd_sim.apart.apart import ApartCar, apart, close_all
 from skd_sim.apart.guard import guard
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.state import AdversaryState, CarState
+
+
+class Keeps:
+    """A user's class that needs nothing: neither kernels nor a library."""
+
+    def reset(self, scenario: object, rng: object) -> None:
+        """Begin."""
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        """Keep the speed."""
+        return 0.0
+
 
 CARS = {"carla": "skd_sim.controllers.carla_agent:CarlaAgent", "cal": "skd_sim.controllers.cal:CalController"}
 _BLOCK = 1000  # calls between two looks at the clock
@@ -58,6 +70,21 @@ def calls(blocks: int) -> tuple[float, float]:
     return within, outside
 
 
+def start(controller: str, repeats: int) -> Cost:
+    """Return what it takes until a new process has loaded a controller, medians; its end is in the processor time."""
+    found = []
+    for _ in range(repeats):
+        begin, before = time.perf_counter(), os.times()
+        process = ApartCar(CarUnderTest(controller))
+        process.make()
+        wall = time.perf_counter() - begin
+        process.close()
+        after = os.times()
+        spent = after.children_user + after.children_system - before.children_user - before.children_system
+        found.append(Cost(wall, spent))
+    return Cost(*(statistics.median(column) for column in zip(*found, strict=True)))
+
+
 def assess(controller: str, folder: Path, options: list[str]) -> Cost:
     """Return what an assessment of a car takes; its result is left in `folder`."""
     begin, before = time.perf_counter(), os.times()
@@ -80,6 +107,12 @@ def main() -> None:
     arguments = parser.parse_args()
     within, outside = calls(arguments.blocks)
     print(f"a call of command: {within:.1f} µs within the process, {outside:.1f} µs apart")
+    for said, name in (
+        ("that law, whose kernels take numba", CARS["carla"]),
+        ("one of nothing else", "apart_cost:Keeps"),
+    ):
+        cost = start(name, 5)
+        print(f"a process for a class: {cost.wall:.2f} s, {cost.processor:.2f} s of processor time ({said})")
     options = ["--safe-count", "6", "--kamikaze-count", "20", "--collision-runs", "20", "--knowledge", "nothing"]
     options += ["--margin-limit", str(arguments.margin_limit)]
     print(f"skd assess {' '.join(options)}; s, medians of {arguments.pairs} pairs")
