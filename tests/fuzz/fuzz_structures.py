@@ -16,9 +16,10 @@ import yaml
 from fuzz_targets import CORPUS, Target, arrays_of, as_messages, seed_arrays
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skd_evaluator.fusion.figures import FIGURES
 
 JUNK: list[Any] = [
-    None, True, False, 0, -1, 1, 0.5, -0.0, 1e308, 5e-324, 2**31, 2**63, 2**64, -(2**63), "", "abc", "\x1b[2J",
+    None, True, False, 0, -1, 1, 0.5, -0.0, 1e308, 5e-324, 2**31, 2**63, 2**64, -(2**63), 10**400, "", "abc", "\x1b[2J",
     "\u202e", "../x", "~x", "x" * 300, "a\x00b", "φ", [], {}, [1], [None], {"a": {"b": 1}}, [[0.0, 1.0]], math.nan,
     math.inf, -math.inf, "nan", "1e400", "2020-01-01",
 ]  # fmt: skip
@@ -108,7 +109,9 @@ def changed_arrays(draw: st.DrawFn) -> bytes:
         elif array.size:
             flat = array.reshape(-1).copy()
             place = draw(st.integers(0, flat.size - 1))
-            if flat.dtype.kind == "U":
+            if flat.dtype.kind == "U" and flat.dtype.itemsize and draw(st.booleans()):
+                flat.view(np.uint32)[place] = draw(st.integers(0, 2**32 - 1))
+            elif flat.dtype.kind == "U":
                 flat = flat.astype("U16")
                 flat[place] = draw(st.text(max_size=16).filter(lambda one: one.isprintable()))
             elif flat.dtype.kind == "f":
@@ -116,7 +119,7 @@ def changed_arrays(draw: st.DrawFn) -> bytes:
                     flat[place] = draw(st.floats())
             elif flat.dtype.kind == "b":
                 flat[place] = not flat[place]
-            else:
+            elif flat.dtype.kind in "iu":
                 info = np.iinfo(flat.dtype)
                 near = st.integers(max(info.min, int(flat[place]) - 2), min(info.max, int(flat[place]) + 2))
                 flat[place] = draw(near | st.integers(info.min, info.max))
@@ -201,6 +204,39 @@ def record(draw: st.DrawFn) -> bytes:
     return b"\x01" + _RECORD.pack(*head) + struct.pack(f"<{count}d", *numbers) + reason
 
 
+@st.composite
+def recorded(draw: st.DrawFn) -> bytes:
+    """Return the table of a recorded trial, of which some rows have other cells, are gone, doubled or much later."""
+    header, *rows = (CORPUS / "trials" / "recorded.csv").read_bytes()[1:].decode().splitlines()
+    for _ in range(draw(st.integers(1, 4))):
+        place = draw(st.integers(0, len(rows) - 1))
+        cells = rows[place].split(",")
+        how = draw(st.sampled_from(["cell", "cell", "cell", "gone", "doubled"]))
+        if how == "cell":
+            cells[draw(st.integers(0, len(cells) - 1))] = draw(_cell | st.floats().map(repr))
+            rows[place] = ",".join(cells)
+        elif how == "doubled":
+            rows.append(rows[place])
+        elif len(rows) > 1:
+            del rows[place]
+    return b"\x01" + "\n".join([header, *rows, ""]).encode("utf-8", "surrogatepass")
+
+
+@st.composite
+def trials(draw: st.DrawFn) -> bytes:
+    """Return a table of trials of any cells."""
+    names = draw(st.lists(st.sampled_from(["phi", "file", "gap", *FIGURES]), min_size=1, max_size=5))
+    rows = draw(st.lists(st.lists(_cell, min_size=len(names), max_size=len(names)), max_size=6))
+    return b"\x00" + "\n".join(",".join(row) for row in [names, *rows]).encode("utf-8", "surrogatepass")
+
+
+def _model_or_result(one: tuple[int, Any]) -> bytes:
+    reader, document = one
+    return bytes([reader]) + (_as_yaml(document) if reader == _BEHAVIOUR else _as_json(document))
+
+
+_BEHAVIOUR = 2  # its reader among those of `trials`
+
 INPUTS: dict[str, st.SearchStrategy[bytes]] = {
     "yaml": changed_document("yaml", _YAML).map(lambda one: bytes([one[0]]) + _as_yaml(one[1])),
     "json": changed_document("json", _JSON).map(lambda one: bytes([one[0]]) + _as_json(one[1])),
@@ -209,6 +245,9 @@ INPUTS: dict[str, st.SearchStrategy[bytes]] = {
     "cdr": changed_messages(),
     "csv": table(),
     "store": record(),
+    "trials": st.one_of(
+        changed_document("trials", ("behaviour.yaml", "ncap.json")).map(_model_or_result), recorded(), trials()
+    ),
 }
 """Inputs of a target; recordings (`mcap`) are framed by lengths and checksums, which bytes alone go around."""
 
