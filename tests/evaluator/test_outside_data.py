@@ -186,8 +186,11 @@ def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
 # --- controllers
 
 
-@pytest.mark.parametrize("answer", [True, False, np.True_])
-def test_yes_and_no_are_no_accelerations(answer):
+@pytest.mark.parametrize(
+    "answer",
+    [True, False, np.True_, np.array(True), np.array("-5"), b"5", np.complex128(-5.0), np.ma.masked, np.array(-5, object)],
+)
+def test_what_is_no_number_is_no_acceleration(answer):
     class Car:
         def reset(self, scenario, rng):
             pass

@@ -6,6 +6,7 @@ scale s multiplies all of them.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -172,22 +173,36 @@ def _check_keys(data: Any, names: tuple[str, ...], where: str, what: str, option
 def _parameter(data: Any, name: str, where: str) -> Parameter:
     what, meaning = f"parameters.{name}", MEANINGS[name]
     _check_keys(data, _ENTRY, where, what, _ENTRY[2:])
-    value = data["value"]
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not meaning.low <= value <= meaning.high:
+    value = _number(data["value"])
+    if not meaning.low <= value <= meaning.high:  # nan, too
         unit = f" {meaning.unit}" if meaning.unit else ""
         raise UsageError(
-            f"{where}: {what}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, got {short(value)}"
+            f"{where}: {what}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, got "
+            f"{short(data['value'])}"
         )
     if not isinstance(data["source"], str) or not data["source"].strip():
         raise UsageError(f"{where}: {what}.source must say where the value is from, got {short(data['source'])}")
     interval = data.get("interval_95")
     if interval is None:
-        return Parameter(float(value), data["source"])
+        return Parameter(value, data["source"])
     pair = isinstance(interval, list) and len(interval) == 2
-    if not pair or not all(isinstance(one, (int, float)) and math.isfinite(one) for one in interval):
-        raise UsageError(f"{where}: {what}.interval_95 must be two numbers, got {short(interval)}")
-    return Parameter(float(value), data["source"], (float(interval[0]), float(interval[1])))
+    low, high = map(_number, interval) if pair else (math.nan, math.nan)
+    if not low <= high:
+        raise UsageError(f"{where}: {what}.interval_95 must be two numbers, the lower one first, got {short(interval)}")
+    if not low <= value <= high:
+        raise UsageError(
+            f"{where}: {what}.interval_95 must hold the value {value:g}, got {short(interval)}: whoever changes the one "
+            "changes the other, or removes it"
+        )
+    return Parameter(value, data["source"], (low, high))
+
+
+def _number(value: Any) -> float:
+    """Return a finite number; nan where it is none."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # whole numbers have no end
+            return float(value) if math.isfinite(value) else math.nan
+    return math.nan
 
 
 def write_behaviour(path: Path, behaviour: Behaviour) -> None:
