@@ -88,7 +88,7 @@ def test_ordinary_yaml_means_what_it_says() -> None:
 
 @pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3\n", "{b: 2, a: {a: 1, 'a': 3}}", "1: a\n1.0: b\n"])
 def test_a_key_that_stands_there_twice_is_no_choice_between_values(text: str) -> None:
-    with pytest.raises(UsageError, match="the key (a|1.0) stands there twice.*line [123]"):
+    with pytest.raises(UsageError, match=r"the key (a|1.0) stands there twice.*line [123]"):
         parse_yaml(text, "here")
 
 

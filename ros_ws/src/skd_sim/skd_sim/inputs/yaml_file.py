@@ -43,7 +43,7 @@ class _Loader(yaml.SafeLoader):
         if len(found) != len(node.value):
             seen = set()
             for name, _ in node.value:
-                key = self.construct_object(name, deep=deep)  # type: ignore[no-untyped-call]
+                key = self.construct_object(name, deep=deep)
                 if key in seen:
                     said = f"the key {name_of_key(key)} stands there twice: remove one"
                     raise yaml.constructor.ConstructorError(None, None, said, name.start_mark)

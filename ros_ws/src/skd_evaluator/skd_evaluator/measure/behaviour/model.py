@@ -119,14 +119,19 @@ class Behaviour:
         return {"name": self.name, "kind": self.kind, "description": self.description, "parameters": rows}
 
 
+def file_of(name: str | Path) -> Path:
+    """Return the file of a behaviour model, by its name, or by the path of that file or of the folder that holds it."""
+    path = _SHIPPED.get(str(name), Path(name).expanduser())
+    return path / FILE_NAME if path.is_dir() else path
+
+
 def load_behaviour(name: str | Path) -> Behaviour:
     """Return the behaviour model of a name, or of a file or the folder that holds it.
 
     Raises:
         UsageError: there is none, or the file is no behaviour model; says which key, and what would be right.
     """
-    path = _SHIPPED.get(str(name), Path(name).expanduser())
-    path = path / FILE_NAME if path.is_dir() else path
+    path = file_of(name)
     try:
         text = read_text(path)
     except OSError as error:
@@ -191,8 +196,8 @@ def _parameter(data: Any, name: str, where: str) -> Parameter:
         raise UsageError(f"{where}: {what}.interval_95 must be two numbers, the lower one first, got {short(interval)}")
     if not low <= value <= high:
         raise UsageError(
-            f"{where}: {what}.interval_95 must hold the value {value:g}, got {short(interval)}: whoever changes the one "
-            "changes the other, or removes it"
+            f"{where}: {what}.interval_95 must hold the value {value:g}, got {short(interval)}: whoever changes the "
+            "one changes the other, or removes it"
         )
     return Parameter(value, data["source"], (low, high))
 
