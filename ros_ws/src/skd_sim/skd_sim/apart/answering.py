@@ -59,7 +59,8 @@ def answer_all(questions: int, answers: int) -> None:
             except NoNumberError as error:
                 kind, value = Kind.NO_NUMBER, str(error)
             except BaseException as error:  # copying a user's object may raise anything
-                kind, value = Kind.FAILED, str(error) if isinstance(error, AssessmentError) else reason_of(error)
+                said = f"controller {car.name}: its process failed with {reason_of(error)}"
+                kind, value = Kind.FAILED, str(error) if isinstance(error, AssessmentError) else said
             write_all(answers, answer_with(kind, value))
     except ClosedError:
         with contextlib.suppress(Exception):  # a controller may have closed or replaced them
