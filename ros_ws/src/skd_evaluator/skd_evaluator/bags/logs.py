@@ -25,6 +25,7 @@ from skd_evaluator.bags.validation import Damage, Found, accept
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
+from skd_evaluator.campaign.store.manifest import check_as_written
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")
@@ -149,6 +150,8 @@ def _said_beside(path: Path) -> _Beside:
 def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
+        for file in (path, *(path.with_name(name) for name in _SUMMARIES if (path.parent / name).exists())):
+            check_as_written(file)
         logs = _logs_in(path)
     except UsageError as error:
         damage.leave_out(str(error))
