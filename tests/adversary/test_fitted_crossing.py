@@ -195,7 +195,7 @@ def _point(value: float) -> dict[str, object]:
         (
             ("parameters", "speed_noise", "estimate"),
             -0.05,
-            "speed_noise.estimate must be from 0 to 1 .relative., got -",
+            "speed_noise.estimate must be ≥ 0 .relative., got -",
         ),
         (("family", "lapse"), -3.0, "family.lapse must be from 0 to 1, got -3"),
         (("footprint",), {"front": 2.25}, "footprint.rear must be a finite number, got None"),

@@ -335,12 +335,9 @@ def _parameter(value: Any, where: str, name: str) -> Parameter:
             f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {short(distribution)}"
         )
     numbers = {one: _number(prior.get(one), where, f"{key}.prior.{one}") for one in _NAMES[distribution]}
+    most = math.inf if data.get("reason") else LARGEST.get(name, math.inf)
     for one, number in numbers.items():
-        # A value, ends, a mean or a deviation; no parameter of a car is negative.
-        if not 0.0 <= number <= LARGEST[name]:
-            raise UsageError(
-                f"{where}: {key}.prior.{one} must be from 0 to {LARGEST[name]:g} ({PARAMETERS[name]}), got {number:g}"
-            )
+        _check_within(number, most, where, f"{key}.prior.{one}", PARAMETERS[name])
     try:
         thought = Prior(distribution, *numbers.values())
     except UsageError as error:
@@ -353,14 +350,18 @@ def _parameter(value: Any, where: str, name: str) -> Parameter:
     low, high = (_number(end, where, f"{key}.interval_95") for end in interval)
     estimate = _number(data.get("estimate"), where, f"{key}.estimate")
     error_of_it = _number(data.get("standard_error"), where, f"{key}.standard_error")
-    if not 0.0 <= estimate <= LARGEST[name]:
-        raise UsageError(
-            f"{where}: {key}.estimate must be from 0 to {LARGEST[name]:g} ({PARAMETERS[name]}), got {estimate:g}"
-        )
+    _check_within(estimate, most, where, f"{key}.estimate", PARAMETERS[name])
     if error_of_it < 0.0:
         raise UsageError(f"{where}: {key}.standard_error must be ≥ 0, got {error_of_it:g}")
     _check_agree(estimate, (low, high), thought, where, key, planned=name != "trigger_spread")
     return Parameter(thought, estimate, error_of_it, (low, high))
+
+
+def _check_within(number: float, most: float, where: str, key: str, unit: str) -> None:
+    """See that a number of a parameter can be one, a value, an end, a mean or a deviation; no parameter is negative."""
+    if not 0.0 <= number <= most:
+        wanted = "≥ 0" if math.isinf(most) else f"from 0 to {most:g}"
+        raise UsageError(f"{where}: {key} must be {wanted} ({unit}), got {number:g}")
 
 
 def _check_agree(

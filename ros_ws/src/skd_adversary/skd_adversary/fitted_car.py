@@ -32,14 +32,11 @@ LARGEST = {
     "deceleration": 30.0,
     "deceleration_noise": 1.0,
     "reaction_delay": 10.0,
-    "cruise_speed": 120.0,
-    "cruise_gain": 100.0,
-    "cruise_acceleration": 30.0,
-    "speed_noise": 1.0,
 }
-"""The most that each can be thought to be, in its unit: more than recordings of cars may show, and a fit looks for.
+"""The most that each can be where logs determine it, in its unit: more than recordings may show, and a fit looks for.
 
-A number in another unit, such as mm, is beyond it.
+A number in another unit, such as mm, is beyond it. What others come to (a speed to which a car that speeds up is on its
+way, say) has no end.
 """
 
 LONGEST_DELAY = 3
