@@ -186,6 +186,25 @@ def test_a_few_copies_that_are_another_car_are_found_where_attempts_are_few(cars
     assert any("answered otherwise when nobody made copies of it" in one for one in result["warnings"])
 
 
+def test_a_regulators_grid_has_no_margin_of_copies_that_are_another_car(cars: Path) -> None:
+    words = ("--encounters", "cpna", "--speeds", "30:30:10", "--kamikaze-count", 1, "--margin-limit", 8, "--quiet")
+    found = {}
+    for name in ("Honest", "Copied"):
+        out = cars / f"ncap_{name}"
+        done = skd(
+            *map(str, ("ncap", "--controller", f"cheats:{name}", *words, "--workers", 1, "--out", out)),
+            cwd=cars, PYTHONPATH=str(cars),
+        )  # fmt: skip
+        assert done.returncode == 0
+        (grid,) = json.loads((out / "ncap.json").read_text())["grids"]
+        found[name] = grid["cells"]
+    assert not any("made copies" in cell.get("margin_why", "") for cell in found["Honest"])
+    assert [cell.get("margin") for cell in found["Copied"]] == [None] * 5
+    assert all(
+        "answered otherwise when nobody made copies of it" in cell.get("margin_why", "") for cell in found["Copied"]
+    )
+
+
 def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_back(cars: Path) -> None:
     counts = (
         "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16, "
