@@ -40,7 +40,8 @@ def a_car(**priors: Prior) -> FittedCar:
         for name in PARAMETERS
     }
     for name, prior in priors.items():
-        parameters[name] = Parameter(prior, prior.first, prior.second, (prior.first, prior.second))
+        ends = (prior.first, max(prior.first, prior.second))
+        parameters[name] = Parameter(prior, prior.first, prior.second, ends)
     return FittedCar("distance", "none", "sharp", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)
 
 
@@ -162,6 +163,12 @@ def test_round_trip(tmp_path):
     assert fitted_car(car_model_text(car)) == car
 
 
+def _point(value: float) -> dict[str, object]:
+    """Return what a file says of a parameter that is known."""
+    prior = {"distribution": "point", "value": value}
+    return {"estimate": value, "standard_error": 0.0, "interval_95": [value, value], "prior": prior}
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -171,8 +178,25 @@ def test_round_trip(tmp_path):
         (("parameters", "trigger", "prior", "distribution"), "beta", "must be one of point, uniform, normal"),
         (("parameters", "trigger", "estimate"), "far", "parameters.trigger.estimate must be a finite number"),
         (("parameters",), None, "parameters must be a mapping"),
-        (("parameters", "trigger", "prior", "value"), -1.0, "parameters.trigger.prior.value must be ≥ 0, got -1"),
+        (
+            ("parameters", "trigger", "prior", "value"),
+            -1.0,
+            "parameters.trigger.prior.value must be from 0 to 60 .m., got -1",
+        ),
         (("parameters", "trigger", "interval_95"), [1.0], "interval_95 must be a list of two numbers"),
+        (("parameters", "trigger", "interval_95"), [9.5, 8.5], "trigger.interval_95 must hold the estimate 9, got"),
+        (("parameters", "trigger", "estimate"), 12.0, "trigger.interval_95 must hold the estimate 12"),
+        (("parameters", "trigger", "prior"), {"distribution": "point", "value": 40.0}, "trigger.prior, .* contradicts"),
+        (("parameters", "trigger", "standard_error"), -0.5, "trigger.standard_error must be ≥ 0, got -0.5"),
+        (("parameters", "trigger", "unit"), "s", "trigger.unit must be m where family.measure is distance, got 's'"),
+        (("family", "measure"), "time", "trigger.unit must be s where family.measure is time, got 'm'"),
+        (("parameters", "deceleration"), _point(3500.0), "prior.value must be from 0 to 30 .m/s²., got 3500"),
+        (("parameters", "reaction_delay"), _point(1.2), "reaction_delay.estimate must be at most 3 ticks of 0.3 s"),
+        (
+            ("parameters", "speed_noise", "estimate"),
+            -0.05,
+            "speed_noise.estimate must be ≥ 0 .relative., got -",
+        ),
         (("family", "lapse"), -3.0, "family.lapse must be from 0 to 1, got -3"),
         (("footprint",), {"front": 2.25}, "footprint.rear must be a finite number, got None"),
     ],

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from common import wait_until
+from common import PATIENCE, wait_until
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -448,6 +448,32 @@ def test_who_ends_its_process_is_named(cars: Path) -> None:
     )
     with pytest.raises(AssessmentError, match="ends:Car: its process ended with exit code 9"):
         apart(CarUnderTest("ends:Car")).reset(CROSSING, controller_generator(bytes(32)))
+
+
+def test_who_fails_between_two_questions_is_named_in_a_line(cars: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (cars / "rings.py").write_text(
+        "import signal\nclass Car:\n    def reset(self, scenario, rng):\n"
+        "        signal.signal(signal.SIGALRM, lambda *_: 1 / 0)\n        signal.setitimer(signal.ITIMER_REAL, 0.02)\n"
+        "    def command(self, car, adversary): return 0.0\n"
+    )
+    controller = apart(CarUnderTest("rings:Car"))
+    controller.reset(CROSSING, controller_generator(bytes(32)))
+    controller._car._process.wait(PATIENCE)
+    with pytest.raises(AssessmentError, match="rings:Car: its process ended with exit code 1"):
+        controller.command(CarState(0.0, 0.0, 0.0, 0.0), AdversaryState(0.0, 0.0, 0.0, 0.0))
+    said = "controller rings:Car: its own code failed between two questions with ZeroDivisionError: division by zero"
+    assert capfd.readouterr().err.splitlines() == [said]
+
+
+def test_whose_attributes_fail_is_named(cars: Path) -> None:
+    (cars / "shy.py").write_text(
+        "class Car:\n    @property\n    def takes_scene(self): raise RuntimeError('no laser')\n"
+        "    def reset(self, scenario, rng): pass\n    def command(self, car, adversary): return 0.0\n"
+    )
+    with pytest.raises(
+        UsageError, match=r"controller shy:Car: cannot be asked which methods .* RuntimeError: no laser"
+    ):
+        apart(CarUnderTest("shy:Car"))
 
 
 def test_a_call_that_takes_long_is_seen(cars: Path) -> None:

@@ -97,6 +97,24 @@ class Copied(Honest):
         return made
     def command(self, car, adversary):
         return -8.0 if self.copied else super().command(car, adversary)
+
+class SomeCopies(Honest):
+    "Holds the brake for some ticks; every tenth copy, and those made of it, hold it for long."
+    control_period = None
+    copies = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        self.held = 0
+    def __deepcopy__(self, memo):
+        SomeCopies.copies += 1
+        made = object.__new__(type(self))
+        vars(made).update(vars(self))
+        if SomeCopies.copies % 10 == 0:
+            made.held = 99
+        return made
+    def command(self, car, adversary):
+        self.held = 5 if super().command(car, adversary) < 0.0 else self.held - 1
+        return -6.0 if self.held > 0 else 0.0
 """
 SMALL = (
     "--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet",
@@ -155,6 +173,32 @@ def test_who_is_another_car_for_the_search_is_not_believed_and_hits_count(cars: 
         (warning,) = [one for one in result["warnings"] if part in one]
         assert warning.startswith("do not believe these figures: ")
     assert result["margin"] <= result["deformation"]
+
+
+def test_a_few_copies_that_are_another_car_are_found_where_attempts_are_few(cars: Path) -> None:
+    few = ("--safe-count", 2, "--kamikaze-count", 3, "--simulations", 20, "--margin-limit", 32, "--workers", 1)
+    code, _, result = assessed(cars, "SomeCopies", *few)
+    assert code == 1
+    assert any("answered otherwise when nobody made copies of it" in one for one in result["warnings"])
+
+
+def test_a_regulators_grid_has_no_margin_of_copies_that_are_another_car(cars: Path) -> None:
+    words = ("--encounters", "cpna", "--speeds", "30:30:10", "--kamikaze-count", 1, "--margin-limit", 8, "--quiet")
+    found = {}
+    for name in ("Honest", "Copied"):
+        out = cars / f"ncap_{name}"
+        done = skd(
+            *map(str, ("ncap", "--controller", f"cheats:{name}", *words, "--workers", 1, "--out", out)),
+            cwd=cars, PYTHONPATH=str(cars),
+        )  # fmt: skip
+        assert done.returncode == 0
+        (grid,) = json.loads((out / "ncap.json").read_text())["grids"]
+        found[name] = grid["cells"]
+    assert not any("made copies" in cell.get("margin_why", "") for cell in found["Honest"])
+    assert [cell.get("margin") for cell in found["Copied"]] == [None] * 5
+    assert all(
+        "answered otherwise when nobody made copies of it" in cell.get("margin_why", "") for cell in found["Copied"]
+    )
 
 
 def test_a_campaign_fails_on_one_that_is_not_believed_and_again_when_it_is_read_back(cars: Path) -> None:

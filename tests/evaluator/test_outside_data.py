@@ -7,7 +7,8 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,15 @@ from cli_support import SMALL, one_line
 from common import run_skd
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import table
-from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.provenance import controller_files
+from skd_evaluator.report.history.runs import find_runs
+from skd_evaluator.risk.asked import risk_asked
 from skd_sim.apart.guard import guard
 from skd_sim.apart.wire import ANSWER, Kind, read_answer
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -196,11 +202,79 @@ def test_states_beyond_all_bounds_are_said_in_one_line(result, skd_here, name, v
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "a state is not finite, or beyond ±1e+06")
 
 
+# --- folders
+
+
+@pytest.fixture
+def closed() -> Iterator[Path]:
+    """A folder with a folder in it that nobody may look into, for as long as the test is nobody."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        folder.chmod(0o755)
+        (folder / "closed").mkdir(0o000)
+        root = os.geteuid() == 0
+        if root:
+            os.seteuid(65534)
+        try:
+            yield folder
+        finally:
+            if root:
+                os.seteuid(0)
+            (folder / "closed").chmod(0o700)
+
+
+def test_a_folder_that_nobody_may_look_into_is_not_left_out_without_a_word(closed):
+    (run,) = find_runs([closed])
+    assert (run.folder, run.remark) == (closed / "closed", "cannot be looked into (Permission denied)")
+    (found,) = map(verify, folders_below(closed))
+    assert not found.fine
+    assert found.problems == (f"{closed / 'closed'}: cannot be looked into (Permission denied)",)
+    with pytest.raises(UsageError, match=r"closed: cannot be looked into \(Permission denied\)"):
+        read_recordings([closed])
+
+
+def test_a_result_that_is_a_link_to_nowhere_is_not_left_out_without_a_word(tmp_path):
+    for name, leads in (("round", "assessment.json"), ("away", "nowhere")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "assessment.json").symlink_to(leads)
+    found = [verify(folder) for folder in folders_below(tmp_path)]
+    assert [(one.folder.name, one.fine) for one in found] == [("away", False), ("round", False)]
+    assert all("assessment.json: cannot be read" in one.problems[0] for one in found)
+
+
+def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
+    behaviour = tmp_path / "fitted" / "behaviour.yaml"
+    behaviour.parent.mkdir()
+    write_behaviour(behaviour, load_behaviour("walkers"))
+    write_manifests(behaviour.parent)
+    assert risk_asked(str(behaviour.parent)).behaviour == load_behaviour("walkers")
+    text = behaviour.read_text()
+    behaviour.write_text(text.replace("value: 0.3\n", "value: 0.0\n"))
+    for source in (behaviour, behaviour.parent):
+        with pytest.raises(UsageError, match=r"behaviour\.yaml: is not what was written: .* a copy in another folder"):
+            risk_asked(str(source))
+    shutil.copy(behaviour, tmp_path / "mine.yaml")
+    assert risk_asked(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
+
+
 # --- controllers
 
 
-@pytest.mark.parametrize("answer", [True, False, np.True_])
-def test_yes_and_no_are_no_accelerations(answer):
+@pytest.mark.parametrize(
+    "answer",
+    [
+        True,
+        False,
+        np.True_,
+        np.array(True),
+        np.array("-5"),
+        b"5",
+        np.complex128(-5.0),
+        np.ma.masked,
+        np.array(-5, object),
+    ],
+)
+def test_what_is_no_number_is_no_acceleration(answer):
     class Car:
         def reset(self, scenario, rng):
             pass

@@ -16,6 +16,7 @@ import pytest
 from bag_forge import Sent, forged
 from common import run_skd
 from recordings_support import MOST_MEMORY, MOST_TIME
+from skd_evaluator.campaign.store.manifest import MANIFEST
 from watched import watched
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -44,7 +45,10 @@ def assessed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(params=["probe", "assessed"])
 def copy(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(request.getfixturevalue(request.param), tmp_path / "copy"))
+    """A copy whose manifest is gone, as whoever changes a file on purpose removes it."""
+    made = Path(shutil.copytree(request.getfixturevalue(request.param), tmp_path / "copy"))
+    (made / MANIFEST).unlink()
+    return made
 
 
 @pytest.fixture
@@ -84,6 +88,13 @@ def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.Captur
     assert "left out" not in said.err
     with np.load(copy / "episodes.npz") as arrays:
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
+
+
+@pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])
+def test_what_the_manifest_knows_otherwise_is_refused(probe: Path, tmp_path: Path, refused: Refused, name: str) -> None:
+    changed = Path(shutil.copytree(probe, tmp_path / "changed"))
+    (changed / name).write_bytes((changed / name).read_bytes() + b" ")
+    assert f"{name}: is not what was written: its SHA-256 is another than in {MANIFEST}" in refused(changed)
 
 
 @pytest.mark.parametrize("name", ["positions", "car", "impact_time", "impact_speed"])
@@ -172,7 +183,7 @@ def test_objects_are_not_unpacked(copy: Path, refused: Refused) -> None:
 
 def test_a_log_that_is_there_twice(assessed: Path, tmp_path: Path, refused: Refused) -> None:
     """The rows of one run stand in the place of another of the same length."""
-    folder = Path(shutil.copytree(assessed, tmp_path / "copy"))
+    folder = Path(shutil.copytree(assessed, tmp_path / "copy", ignore=shutil.ignore_patterns(MANIFEST)))
 
     def copied(arrays: Arrays) -> None:
         offsets = arrays["offsets"]

@@ -35,6 +35,8 @@ HOSTILE = {
     "nothing": "",
     "a key that is a list": "? [1, 2]\n: 3\n",
     "too long": "# " + "x" * LARGEST + "\n",
+    "a key twice": SCENARIO + "horizon: 5.0\n",
+    "a key twice, further in": SCENARIO.replace("  width:", "  width: 9.0\n  width:"),
     "zero time step": SCENARIO.replace("time_step: 0.3", "time_step: 0"),
     "whole number without end": SCENARIO.replace("horizon: 12.0", f"horizon: {10**400}"),
     "infinite": SCENARIO.replace("horizon: 12.0", "horizon: .inf"),
@@ -83,6 +85,12 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 def test_ordinary_yaml_means_what_it_says() -> None:
     assert parse_yaml("a: [1, {b: 2.5}]\nc: text\n", "here") == {"a": [1, {"b": 2.5}], "c": "text"}
     assert parse_yaml(SCENARIO, "here") == load_scenario("crossing").as_dict()
+
+
+@pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3\n", "{b: 2, a: {a: 1, 'a': 3}}", "1: a\n1.0: b\n"])
+def test_a_key_that_stands_there_twice_is_no_choice_between_values(text: str) -> None:
+    with pytest.raises(UsageError, match=r"the key (a|1.0) stands there twice.*line [123]"):
+        parse_yaml(text, "here")
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,8 @@ from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_adversary.car_forest import CarForest
 from skd_adversary.fitted_car import (
+    LARGEST,
+    LONGEST_DELAY,
     OPTIONAL,
     PARAMETERS,
     Calibration,
@@ -118,13 +120,18 @@ def _with_forest(data: Any, path: Path) -> Any:
     return {**data, "forest": base64.b64encode(packed).decode("ascii")}
 
 
+def file_of(source: Path) -> Path:
+    """Return the file of a car model, by its path or that of the folder that `skd fit` wrote."""
+    return source / FILE_NAME if source.is_dir() else source
+
+
 def read_car_model(source: Path) -> FittedCar:
     """Return the fitted car in a file, or in a folder that `skd fit` wrote.
 
     Raises:
         UsageError: it cannot be read, or is no car model.
     """
-    path = source / FILE_NAME if source.is_dir() else source
+    path = file_of(source)
     try:
         text = read_text(path)
     except OSError as error:
@@ -149,14 +156,8 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
         if family.get(key) not in allowed:
             raise UsageError(f"{where}: family.{key} must be one of {', '.join(allowed)}, got {short(family.get(key))}")
         chosen[key] = str(family[key])
-    given = _mapping(top.get("parameters"), where, "parameters")
-    for name in given:
-        if name not in PARAMETERS:
-            raise UsageError(f"{where}: unknown key parameters.{name_of_key(name)}; allowed: {', '.join(PARAMETERS)}")
-    for name in PARAMETERS:
-        needed = name not in OPTIONAL or (name == "path_half_width" and chosen["gate"] != "none")
-        if needed and name not in given:
-            raise UsageError(f"{where}: missing key parameters.{name}")
+    time_step = _number(top.get("time_step"), where, "time_step")
+    parameters = _parameters(top.get("parameters"), where, chosen, time_step)
     footprint = top.get("footprint")
     size: dict[str, float] = {}
     if footprint is not None:  # files of earlier versions have none
@@ -172,14 +173,14 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
             gate=chosen["gate"],
             spread=chosen["spread"],
             lapse=lapse,
-            parameters={name: _parameter(value, where, f"parameters.{name}") for name, value in given.items()},
+            parameters=parameters,
             families=tuple(_row(FamilyRow, row, where, "families") for row in top.get("families") or ()),
             chosen=str(family.get("name", "")),
             calibration=_row(Calibration, calibration, where, "calibration") if calibration else None,
             logs=int(top.get("logs", 0)),
             ticks=int(top.get("ticks", 0)),
             braking_ticks=int(top.get("braking_ticks", 0)),
-            time_step=_number(top.get("time_step"), where, "time_step"),
+            time_step=time_step,
             version=str(top.get("version", "unknown")),
             front=size.get("front"),
             rear=size.get("rear"),
@@ -297,7 +298,35 @@ def _row(kind: Callable[..., _Row], value: Any, where: str, key: str) -> _Row:
     return kind(**row)
 
 
-def _parameter(value: Any, where: str, key: str) -> Parameter:
+def _parameters(value: Any, where: str, family: Mapping[str, str], time_step: float) -> dict[str, Parameter]:
+    """Return the parameters of a law, with what the family needs, each in its unit."""
+    given = _mapping(value, where, "parameters")
+    for name in given:
+        if name not in PARAMETERS:
+            raise UsageError(f"{where}: unknown key parameters.{name_of_key(name)}; allowed: {', '.join(PARAMETERS)}")
+    units = {**PARAMETERS, **(dict.fromkeys(("trigger", "trigger_spread"), "s") if family["measure"] == "time" else {})}
+    found: dict[str, Parameter] = {}
+    for name in PARAMETERS:
+        needed = name not in OPTIONAL or (name == "path_half_width" and family["gate"] != "none")
+        if needed and name not in given:
+            raise UsageError(f"{where}: missing key parameters.{name}")
+    for name, one in given.items():
+        found[name] = _parameter(one, where, name)
+        if (unit := one.get("unit", units[name])) != units[name]:
+            raise UsageError(
+                f"{where}: parameters.{name}.unit must be {units[name]} where family.measure is {family['measure']}, "
+                f"got {short(unit)}"
+            )
+    if (found["reaction_delay"].estimate or 0.0) > (LONGEST_DELAY + 1e-9) * time_step:
+        raise UsageError(
+            f"{where}: parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {time_step:g} s, "
+            f"with which the adversary can plan, got {found['reaction_delay'].estimate:g} s"
+        )
+    return found
+
+
+def _parameter(value: Any, where: str, name: str) -> Parameter:
+    key = f"parameters.{name}"
     data = _mapping(value, where, key)
     prior = _mapping(data.get("prior"), where, f"{key}.prior")
     distribution = prior.get("distribution")
@@ -305,11 +334,12 @@ def _parameter(value: Any, where: str, key: str) -> Parameter:
         raise UsageError(
             f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {short(distribution)}"
         )
-    numbers = [_number(prior.get(name), where, f"{key}.prior.{name}") for name in _NAMES[distribution]]
-    if numbers[0] < 0.0:  # a value, a lower end or a mean; no parameter of a car is negative
-        raise UsageError(f"{where}: {key}.prior.{_NAMES[distribution][0]} must be ≥ 0, got {numbers[0]:g}")
+    numbers = {one: _number(prior.get(one), where, f"{key}.prior.{one}") for one in _NAMES[distribution]}
+    most = math.inf if data.get("reason") else LARGEST.get(name, math.inf)
+    for one, number in numbers.items():
+        _check_within(number, most, where, f"{key}.prior.{one}", PARAMETERS[name])
     try:
-        thought = Prior(distribution, *numbers)
+        thought = Prior(distribution, *numbers.values())
     except UsageError as error:
         raise UsageError(f"{where}: {key}.prior: {error}") from error
     if data.get("reason"):
@@ -317,10 +347,46 @@ def _parameter(value: Any, where: str, key: str) -> Parameter:
     interval = data.get("interval_95")
     if not isinstance(interval, list) or len(interval) != 2:
         raise UsageError(f"{where}: {key}.interval_95 must be a list of two numbers, got {short(interval)}")
+    low, high = (_number(end, where, f"{key}.interval_95") for end in interval)
+    estimate = _number(data.get("estimate"), where, f"{key}.estimate")
+    error_of_it = _number(data.get("standard_error"), where, f"{key}.standard_error")
+    _check_within(estimate, most, where, f"{key}.estimate", PARAMETERS[name])
+    if error_of_it < 0.0:
+        raise UsageError(f"{where}: {key}.standard_error must be ≥ 0, got {error_of_it:g}")
+    _check_agree(estimate, (low, high), thought, where, key, planned=name != "trigger_spread")
+    return Parameter(thought, estimate, error_of_it, (low, high))
+
+
+def _check_within(number: float, most: float, where: str, key: str, unit: str) -> None:
+    """See that a number of a parameter can be one, a value, an end, a mean or a deviation; no parameter is negative."""
+    if not 0.0 <= number <= most:
+        wanted = "≥ 0" if math.isinf(most) else f"from 0 to {most:g}"
+        raise UsageError(f"{where}: {key} must be {wanted} ({unit}), got {number:g}")
+
+
+def _check_agree(
+    estimate: float, interval: tuple[float, float], prior: Prior, where: str, key: str, *, planned: bool
+) -> None:
+    """See that what is said of a parameter is what the adversary plans with.
+
+    Args:
+        estimate: its value.
+        interval: of 95 %.
+        prior: what is planned with.
+        where: file or other origin.
+        key: of the parameter.
+        planned: whether it is; that of the spread of a sharp law is not.
+
+    Raises:
+        UsageError: they contradict each other.
+    """
     low, high = interval
-    return Parameter(
-        thought,
-        _number(data.get("estimate"), where, f"{key}.estimate"),
-        _number(data.get("standard_error"), where, f"{key}.standard_error"),
-        (_number(low, where, f"{key}.interval_95"), _number(high, where, f"{key}.interval_95")),
-    )
+    slack = 1e-9 * max(1.0, abs(estimate))
+    if not low - slack <= estimate <= high + slack:
+        raise UsageError(f"{where}: {key}.interval_95 must hold the estimate {estimate:g}, got [{low:g}, {high:g}]")
+    first, last = (prior.first, prior.second) if prior.distribution == "uniform" else (prior.first, prior.first)
+    if planned and not first - slack <= estimate <= last + slack:
+        raise UsageError(
+            f"{where}: {key}.prior, which the adversary plans with, contradicts its estimate {estimate:g}: whoever "
+            "changes the one changes the other"
+        )

@@ -25,6 +25,23 @@ PARAMETERS = {
 }
 """Every parameter and its unit; half-widths of uniform noise are relative to the quantity that they perturb."""
 
+LARGEST = {
+    "trigger": 60.0,
+    "trigger_spread": 60.0,
+    "path_half_width": 20.0,
+    "deceleration": 30.0,
+    "deceleration_noise": 1.0,
+    "reaction_delay": 10.0,
+}
+"""The most that each can be where logs determine it, in its unit: more than recordings may show, and a fit looks for.
+
+A number in another unit, such as mm, is beyond it. What others come to (a speed to which a car that speeds up is on its
+way, say) has no end.
+"""
+
+LONGEST_DELAY = 3
+"""Ticks between what the car sees and what it does, at most, that are looked for in logs and planned with."""
+
 OPTIONAL = ("path_half_width", "cruise_acceleration")
 """Of them, those that a car may not have: no path that it looks at, no limit to how it speeds up."""
 

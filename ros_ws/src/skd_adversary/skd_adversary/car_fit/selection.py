@@ -23,8 +23,9 @@ from skd_adversary.car_fit.families import (
 )
 from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange
+from skd_adversary.fitted_car import LONGEST_DELAY
 
-DELAYS = (0, 1, 2, 3)
+DELAYS = range(LONGEST_DELAY + 1)
 """Ticks."""
 FOLDS = 3
 _HOPELESS = 100.0  # of AIC behind the best: a family that held-out likelihood need not be asked about

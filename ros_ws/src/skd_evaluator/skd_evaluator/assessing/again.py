@@ -21,7 +21,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import led_otherwise
+from skd_evaluator.campaign.run.led import ALIKE, led_otherwise
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 
@@ -29,7 +29,6 @@ EPISODES = 12
 """So many are run again, spread over all."""
 WAYS = 96
 """So many of the ways on which the search for the margin has led the car are gone again, spread over all."""
-_ALIKE = 1e-6  # m, m/s, m/s²: what libraries that add up in several threads may differ by
 _SLOWER = 3.0  # times as long the answers may take as the episodes did
 
 _Item = TypeVar("_Item")
@@ -82,7 +81,7 @@ def _doubts(rating: Rating, logs: Sequence[EpisodeLog], fresh: Fresh, alone: Alo
             heard = list(runner.map(_heard, [log.episode for log in logs]))
             seconds = time.perf_counter() - begin
             led = _spread(rating.led, WAYS)
-            otherwise = sum(far > _ALIKE for far in runner.map(led_otherwise, led))
+            otherwise = sum(far > ALIKE for far in runner.map(led_otherwise, led))
     except (AssessmentError, UsageError) as error:
         return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
     changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
@@ -114,7 +113,7 @@ def _doubts_alone(rating: Rating, alone: Alone, heard: Sequence[Heard], limit: f
         float(np.max(np.abs(np.subtract(one.answers, answers)), initial=0.0))
         for one, answers in zip(heard, found, strict=True)
     ]
-    wrong = [number for number, one in enumerate(far) if one > _ALIKE]
+    wrong = [number for number, one in enumerate(far) if one > ALIKE]
     if not wrong:
         return ()
     return (
@@ -149,7 +148,7 @@ def _same(first: EpisodeLog, second: EpisodeLog) -> bool:
     if first.outcome != second.outcome or first.adversary.shape != second.adversary.shape:
         return False
     pairs = ((first.adversary, second.adversary), (first.car, second.car))
-    return all(np.allclose(one, other, rtol=0.0, atol=_ALIKE) for one, other in pairs)
+    return all(np.allclose(one, other, rtol=0.0, atol=ALIKE) for one, other in pairs)
 
 
 def _named(log: EpisodeLog) -> str:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from skd_adversary.car_model_file import car_model_for_scenario
+from skd_adversary.car_model_file import car_model_for_scenario, file_of
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
 from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -24,6 +24,7 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.workers import check_controller
+from skd_evaluator.campaign.store.manifest import check_as_written
 
 
 def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:
@@ -141,7 +142,9 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     check_knowledge(known, car, model=model)
     plain["knowledge"] = str(known)
     if model:
-        plain["car_model"] = car_model_for_scenario(Path(plain["car_model"]).expanduser(), scenario)
+        source = Path(plain["car_model"]).expanduser()
+        plain["car_model"] = car_model_for_scenario(source, scenario)
+        check_as_written(file_of(source))
     return Plan(scenario, **values_of(CampaignOptions, plain))
 
 

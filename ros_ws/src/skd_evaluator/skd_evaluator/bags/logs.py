@@ -16,7 +16,7 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.outside import folders_in, read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.inventory import holds_recordings
@@ -25,6 +25,7 @@ from skd_evaluator.bags.validation import Damage, Found, accept
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
+from skd_evaluator.campaign.store.manifest import check_as_written
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")
@@ -87,7 +88,7 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
     if path.is_dir():
-        arrays = [file for file in sorted(path.rglob(EPISODES)) if not any(file.parent.rglob("*.mcap"))]
+        arrays = _arrays_below(path, damage)
         bags = holds_recordings(path)
         if not bags and not arrays:
             raise UsageError(f"{path}: holds neither .mcap files nor {EPISODES}; record some with skd probe")
@@ -101,6 +102,16 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
             yield log.episode.car.label, recording_of(log)
     for file in arrays:
         yield from _read_npz(file, damage)
+
+
+def _arrays_below(folder: Path, damage: Damage) -> list[Path]:
+    """Return each episodes.npz at or below a folder that has no bags below its own."""
+    holding = {
+        path
+        for path, _, files in folders_in(folder, lambda path, why: damage.leave_out(f"{path}: {why}"))
+        if EPISODES in files
+    }
+    return [path / EPISODES for path in sorted(holding) if not any(path.rglob("*.mcap"))]
 
 
 @dataclass(frozen=True)
@@ -139,6 +150,8 @@ def _said_beside(path: Path) -> _Beside:
 def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
+        for file in (path, *(path.with_name(name) for name in _SUMMARIES if (path.parent / name).exists())):
+            check_as_written(file)
         logs = _logs_in(path)
     except UsageError as error:
         damage.leave_out(str(error))

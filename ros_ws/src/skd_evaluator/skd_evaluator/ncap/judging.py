@@ -19,6 +19,7 @@ from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.led import ALIKE, led_otherwise
 from skd_evaluator.campaign.run.static_test import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
@@ -141,11 +142,15 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
             return [[log.trajectory.positions for log in found] for found in hits]
 
         found = least_ways(episodes, planned, runner, lambda *_told: None, asked.margin_limit)
+        otherwise = sum(far > ALIKE for far in runner.map(led_otherwise, found.led))
         ways, _ = with_planned_hits(episodes, found.ways, by_id)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
+    if otherwise:
+        why = "the car answered otherwise when nobody made copies of it: the margin would be that of another car"
+        return replace(cell, margin_why=f"on {otherwise} of {len(found.led)} ways that the search tried, {why}")
     margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
     if asked.equivalent:
         cell = _with_equivalent(cell, plan, margins, phi, asked, runner)

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 from rich.console import Console, RenderableType
@@ -112,7 +112,7 @@ def _bar(above: Above | None) -> Iterator[CampaignProgress]:
     # What is printed meanwhile goes through the bar, which draws with sequences of its own: it is guarded before that.
     bars = _Bars(*columns, console=Console(file=own(sys.stderr)), transient=True)
     bars.above = above
-    with bars as progress, guarded():
+    with _terminal_left_in_order(), bars as progress, guarded():
         tasks: dict[str, Any] = {}
         lock = threading.Lock()
         preparing = progress.add_task("preparing", total=None)
@@ -125,6 +125,15 @@ def _bar(above: Above | None) -> Iterator[CampaignProgress]:
                 progress.update(tasks[label], completed=done, total=total)
 
         yield update
+
+
+def _terminal_left_in_order() -> AbstractContextManager[None]:
+    """Have the cursor, which bars hide, there again whenever somebody else has the terminal."""
+    try:
+        from skd_sim.program.leaving import CURSOR, leaving_in_order  # not every system has such terminals
+    except ImportError:
+        return nullcontext()
+    return leaving_in_order(own(sys.stderr).fileno(), CURSOR)
 
 
 class _Stage(NamedTuple):

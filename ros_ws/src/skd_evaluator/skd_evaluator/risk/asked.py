@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR
-from skd_evaluator.measure.behaviour.model import Behaviour, load_behaviour
+from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.measure.behaviour.model import Behaviour, file_of, load_behaviour
 
 NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
 
@@ -33,6 +34,17 @@ def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False)
     """Return what options ask.
 
     Raises:
-        UsageError: there is no such behaviour model.
+        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.
     """
-    return RiskAsked(None if behaviour == NO_BEHAVIOUR else load_behaviour(behaviour), runs, subset)
+    return RiskAsked(None if behaviour == NO_BEHAVIOUR else behaviour_asked(behaviour), runs, subset)
+
+
+def behaviour_asked(name: str) -> Behaviour:
+    """Return the behaviour model of a name, file or folder, as `skd behaviour fit` wrote it.
+
+    Raises:
+        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.
+    """
+    behaviour = load_behaviour(name)
+    check_as_written(file_of(name))
+    return behaviour

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import os
@@ -58,11 +59,18 @@ def answer_all(questions: int, answers: int) -> None:
             except NoNumberError as error:
                 kind, value = Kind.NO_NUMBER, str(error)
             except BaseException as error:  # copying a user's object may raise anything
-                kind, value = Kind.FAILED, str(error) if isinstance(error, AssessmentError) else reason_of(error)
+                said = f"controller {car.name}: its process failed with {reason_of(error)}"
+                kind, value = Kind.FAILED, str(error) if isinstance(error, AssessmentError) else said
             write_all(answers, answer_with(kind, value))
     except ClosedError:
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
+        with contextlib.suppress(Exception):  # a controller may have closed or replaced them
+            for stream in (sys.stdout, sys.stderr):
+                stream.flush()
+    except BaseException as error:  # of a handler of signals of the controller's own, which comes between two questions
+        said = f"controller {car.name}: its own code failed between two questions with {reason_of(error)}\n"
+        with contextlib.suppress(OSError):
+            os.write(2, said.encode("utf-8", "backslashreplace"))
+        os._exit(1)
     os._exit(0)  # whatever the controller's own threads are at
 
 
@@ -74,6 +82,11 @@ class _Car:
         self._controllers: dict[int, GuardedController] = {}
         self._copier = Copier()
         self._compiled: type[Any] | None = None  # whose modules' kernels do not wait any more
+
+    @property
+    def name(self) -> str:
+        """Name of the controller; empty before it is told."""
+        return self._name
 
     def do(self, message: bytes) -> tuple[Kind, Any]:
         """Do what a message says; return the answer to its last operation."""
@@ -154,13 +167,20 @@ class _Car:
             if type(made) is not self._compiled:
                 compile_for(made)
                 self._compiled = type(made)
-            controller = self._controllers[number] = guard(made, self._name)
-            told = {
-                "sensing": isinstance(controller, GuardedSensingController),
-                "control_period": controller.control_period,
-                "scene": controller.takes_scene,
-                "batches": controller.takes_batches,
-            }
+            try:
+                controller = self._controllers[number] = guard(made, self._name)
+                told = {
+                    "sensing": isinstance(controller, GuardedSensingController),
+                    "control_period": controller.control_period,
+                    "scene": controller.takes_scene,
+                    "batches": controller.takes_batches,
+                }
+            except UsageError:
+                raise
+            except BaseException as error:  # a user's attributes may raise anything
+                raise UsageError(
+                    f"controller {self._name}: cannot be asked which methods and attributes it has: {reason_of(error)}"
+                ) from None
             return Kind.TEXT, told
         if operation == Op.GENERATORS:
             return Kind.NUMBER, sum(1 for _ in drawing(self._controllers[number]))

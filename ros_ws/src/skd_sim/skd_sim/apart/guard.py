@@ -30,6 +30,17 @@ def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
         return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
 
 
+def _is_number(answer: Any) -> bool:
+    """Return whether an answer may be taken for a number: `float` takes texts, too, and drops what is imaginary.
+
+    A yes or no is no acceleration, though Python counts it as one; nor is an array of one.
+    """
+    if isinstance(answer, (np.ndarray, np.generic)):
+        return answer.dtype.kind in "fiu" and not np.ma.is_masked(answer)
+    no_number = isinstance(answer, (str, bytes, bytearray, bool))
+    return not no_number and not str(getattr(answer, "dtype", "")).endswith("bool")  # as of PyTorch
+
+
 class GuardedController(WrappedController):
     """A user's controller, whose failures name it instead of ending in a traceback of ours."""
 
@@ -46,9 +57,7 @@ class GuardedController(WrappedController):
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", lambda: self._controller.command(car, adversary))
         try:
-            # A yes or no is no acceleration, though Python counts it as one.
-            no_number = isinstance(answer, (str, bytes, bool, np.bool_))
-            acceleration = math.nan if no_number else float(answer)
+            acceleration = float(answer) if isinstance(answer, float) or _is_number(answer) else math.nan
         except BaseException:  # a number of a user's own kind, too
             acceleration = math.nan
         if not math.isfinite(acceleration):

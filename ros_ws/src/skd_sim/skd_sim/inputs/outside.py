@@ -11,6 +11,7 @@ import json
 import math
 import os
 import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -79,6 +80,22 @@ def is_there(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):  # too long, or with a zero in it
         return False
+
+
+def folders_in(folder: Path, unread: Callable[[Path, str], None]) -> Iterator[tuple[Path, list[str], list[str]]]:
+    """Yield a folder and those below it, as `os.walk` does from the top; links are not followed.
+
+    Args:
+        folder: where to begin.
+        unread: told of a folder that cannot be looked into, and why, in a few words: what is in there is not skipped
+            without a word.
+    """
+
+    def say(error: OSError) -> None:
+        unread(Path(os.fsdecode(error.filename)), f"cannot be looked into ({error.strerror})")
+
+    for path, inside, files in os.walk(folder, onerror=say):
+        yield Path(path), inside, files
 
 
 def real_path(path: Path) -> Path:

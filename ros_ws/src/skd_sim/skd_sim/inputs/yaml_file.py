@@ -23,7 +23,7 @@ _short.maxlevel = 2
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain data without aliases, by which a short text can mean gigabytes, and without deep nesting."""
+    """Plain data without aliases, by which a short text can mean gigabytes, without deep nesting, each key once."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
@@ -45,6 +45,19 @@ class _Loader(yaml.SafeLoader):
                 None, None, f"{node.value[:40]} has more than 64 bits", node.start_mark
             )
         return value
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        # PyYAML takes the last of two equal keys, and a reader of the file may see the first.
+        found: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+        if len(found) != len(node.value):
+            seen = set()
+            for name, _ in node.value:
+                key = self.construct_object(name, deep=deep)
+                if key in seen:
+                    said = f"the key {name_of_key(key)} stands there twice: remove one"
+                    raise yaml.constructor.ConstructorError(None, None, said, name.start_mark)
+                seen.add(key)
+        return found
 
     def _mark(self) -> yaml.Mark:
         parser: Any = self  # PyYAML's parser has no types

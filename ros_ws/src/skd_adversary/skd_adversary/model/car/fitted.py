@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -17,7 +17,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.fitted_car import FittedCar
+from skd_adversary.fitted_car import LONGEST_DELAY, FittedCar
 from skd_adversary.model.car import basic
 from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.model.interfaces import on_road, velocity_on_road
@@ -27,7 +27,6 @@ from skd_adversary.model.parts import CarKernels, Sensor, template
 PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, ADVERSARY_VX, ADVERSARY_VY, MEMORY = range(
     STATE_DIM, STATE_DIM + 10
 )
-LONGEST_DELAY: Final = 3  # ticks
 FITTED_STATE_DIM = MEMORY + LONGEST_DELAY
 
 _PRIORS = (

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.apart.apart import apart
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode
 from skd_sim.simulation.branching import Branch
+
+ALIKE: Final = 1e-6
+"""m, m/s, m/s²: what libraries that add up in several threads may differ by."""
 
 
 class LedWay(NamedTuple):

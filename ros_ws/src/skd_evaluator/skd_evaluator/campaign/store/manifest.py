@@ -145,3 +145,17 @@ def check_unchanged(folder: Path, names: Iterable[str]) -> bool:
                 else f"{folder / name}: is not what was written: its SHA-256 is another than in {MANIFEST}"
             )
     return True
+
+
+def check_as_written(path: Path) -> None:
+    """See that a file is what was written, if the manifest of its folder knows it; one of a user's own it does not.
+
+    Raises:
+        UsageError: it is another, or the manifest cannot be read.
+    """
+    known = (read_manifest(path.parent) or {}).get(path.name)
+    if known is not None and sha256_of(path) != known:
+        raise UsageError(
+            f"{path}: is not what was written: its SHA-256 is another than in {MANIFEST} beside it; who changes it on "
+            "purpose makes a copy in another folder"
+        )

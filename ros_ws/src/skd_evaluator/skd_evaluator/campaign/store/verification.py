@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json, read_text
+from skd_sim.inputs.outside import folders_in, read_json, read_text
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
@@ -83,8 +83,12 @@ def folders_below(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder; give that of a result")
-    inside = [one.parent for name in (ASSESSMENT, MANIFEST) for one in sorted(folder.glob(f"**/{name}"))]
-    found = list(dict.fromkeys([*([folder] if (folder / _CAMPAIGN).exists() else []), *sorted(set(inside))]))
+    inside: set[Path] = set()
+    for path, *names in folders_in(folder, lambda path, _: inside.add(path)):  # of which `verify` says so
+        here = {name for some in names for name in some}
+        if ASSESSMENT in here or MANIFEST in here or (path == folder and _CAMPAIGN in here):
+            inside.add(path)
+    found = sorted(inside)
     if not found:
         raise UsageError(f"{folder}: holds no {ASSESSMENT} and no {MANIFEST}; give the folder of a result")
     return found
@@ -97,6 +101,10 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         folder: the folder of a result.
         key: by which it has to be signed.
     """
+    try:
+        there = {path.name for path in folder.iterdir()}
+    except OSError as error:
+        return Verified(folder, None, problems=(f"{folder}: cannot be looked into ({error.strerror})",))
     problems: list[str] = []
     files = None
     try:
@@ -105,17 +113,17 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
     except UsageError as error:
         problems.append(str(error))
     remarks: list[str] = []
-    if key is not None and not (folder / _CAMPAIGN).exists():  # whose rows are held against its cells
+    if key is not None and _CAMPAIGN not in there:  # whose rows are held against its cells
         fault = key.fault_of(folder / MANIFEST)
         (problems if fault else remarks).append(fault or "signed by the key")
-    elif (folder / SIGNATURE).exists():
+    elif SIGNATURE in there:
         remarks.append("signed; --key says by whom it has to be")
-    if (folder / _CAMPAIGN).exists():
+    if _CAMPAIGN in there:
         problems += _rows_that_differ(folder)
     elif files is None and not problems:
         remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
     named = files is not None and ASSESSMENT in (*files.same, *files.changed, *files.missing)
-    if not named and not (folder / ASSESSMENT).exists():
+    if not named and ASSESSMENT not in there:
         return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
     try:
         figures, former = read_figures(folder)

@@ -19,7 +19,7 @@ from skd_evaluator.campaign.store.results import episode_summary
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.risk.asked import behaviour_asked
 from skd_evaluator.risk.single import single_crossing
 from skd_evaluator.ros.programs.node_logs import log_of
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = result_folder(arguments)
     number, attempt = arguments.safe_number, arguments.attempt
     if arguments.mode == "risk":
-        episode = single_crossing(plan, load_behaviour(arguments.behaviour), number, attempt, arguments.scale)
+        episode = single_crossing(plan, behaviour_asked(arguments.behaviour), number, attempt, arguments.scale)
     else:
         episode = single_episode(plan, Mode[arguments.mode.upper()], attempt, safe_number=number)
     compile_for_graph(plan, [plan.objective])

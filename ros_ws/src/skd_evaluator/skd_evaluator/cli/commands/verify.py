@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _with_episodes(found: Verified) -> Verified:
     """Return what was found, and whether each episode can have happened: see `skd_evaluator.bags.validation`."""
-    if not (found.folder / ASSESSMENT).exists() or found.problems:
+    if found.problems or not (found.folder / ASSESSMENT).exists():
         return found
     damage = Damage(skip=True)
     try:
@@ -62,7 +62,7 @@ def _with_episodes(found: Verified) -> Verified:
 
 def _with_decisions(found: Verified, sample: Sample, runner: ExecutorRunner) -> Verified:
     """Return what was found with whether the kamikazes of the result were planned as it says."""
-    if not (found.folder / ASSESSMENT).exists() or found.problems:
+    if found.problems or not (found.folder / ASSESSMENT).exists():
         return found
     try:
         decided = stored_verification(found.folder, sample, runner, lambda _label, _done, _total: None)

@@ -42,7 +42,7 @@ _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
 _MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
 _IN_VAIN = 0, 1, 8  # ticks that a turn counts as, beyond its own, in which nothing new was simulated
-_REMEMBERED = 2  # of the ways that were tried, beside the best
+_REMEMBERED = 8  # of the ways that were tried, beside the best: as many as are gone again where attempts are few
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 

@@ -6,6 +6,7 @@ scale s multiplies all of them.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -118,14 +119,19 @@ class Behaviour:
         return {"name": self.name, "kind": self.kind, "description": self.description, "parameters": rows}
 
 
+def file_of(name: str | Path) -> Path:
+    """Return the file of a behaviour model, by its name, or by the path of that file or of the folder that holds it."""
+    path = _SHIPPED.get(str(name), Path(name).expanduser())
+    return path / FILE_NAME if path.is_dir() else path
+
+
 def load_behaviour(name: str | Path) -> Behaviour:
     """Return the behaviour model of a name, or of a file or the folder that holds it.
 
     Raises:
         UsageError: there is none, or the file is no behaviour model; says which key, and what would be right.
     """
-    path = _SHIPPED.get(str(name), Path(name).expanduser())
-    path = path / FILE_NAME if path.is_dir() else path
+    path = file_of(name)
     try:
         text = read_text(path)
     except OSError as error:
@@ -172,22 +178,36 @@ def _check_keys(data: Any, names: tuple[str, ...], where: str, what: str, option
 def _parameter(data: Any, name: str, where: str) -> Parameter:
     what, meaning = f"parameters.{name}", MEANINGS[name]
     _check_keys(data, _ENTRY, where, what, _ENTRY[2:])
-    value = data["value"]
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    if not number or not meaning.low <= value <= meaning.high:
+    value = _number(data["value"])
+    if not meaning.low <= value <= meaning.high:  # nan, too
         unit = f" {meaning.unit}" if meaning.unit else ""
         raise UsageError(
-            f"{where}: {what}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, got {short(value)}"
+            f"{where}: {what}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, got "
+            f"{short(data['value'])}"
         )
     if not isinstance(data["source"], str) or not data["source"].strip():
         raise UsageError(f"{where}: {what}.source must say where the value is from, got {short(data['source'])}")
     interval = data.get("interval_95")
     if interval is None:
-        return Parameter(float(value), data["source"])
+        return Parameter(value, data["source"])
     pair = isinstance(interval, list) and len(interval) == 2
-    if not pair or not all(isinstance(one, (int, float)) and math.isfinite(one) for one in interval):
-        raise UsageError(f"{where}: {what}.interval_95 must be two numbers, got {short(interval)}")
-    return Parameter(float(value), data["source"], (float(interval[0]), float(interval[1])))
+    low, high = map(_number, interval) if pair else (math.nan, math.nan)
+    if not low <= high:
+        raise UsageError(f"{where}: {what}.interval_95 must be two numbers, the lower one first, got {short(interval)}")
+    if not low <= value <= high:
+        raise UsageError(
+            f"{where}: {what}.interval_95 must hold the value {value:g}, got {short(interval)}: whoever changes the "
+            "one changes the other, or removes it"
+        )
+    return Parameter(value, data["source"], (low, high))
+
+
+def _number(value: Any) -> float:
+    """Return a finite number; nan where it is none."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # whole numbers have no end
+            return float(value) if math.isfinite(value) else math.nan
+    return math.nan
 
 
 def write_behaviour(path: Path, behaviour: Behaviour) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json, real_path
+from skd_sim.inputs.outside import folders_in, read_json, real_path
 
 from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
@@ -82,17 +81,19 @@ def find_runs(folders: Sequence[Path]) -> list[Run]:
     for folder in folders:
         if not folder.is_dir():
             raise UsageError(f"{folder}: is no folder")
-        for place in _places(folder):
+        unread: list[Run] = []
+        for place in _places(folder, unread):
             found.setdefault(real_path(place), read_run(place))
+        found.update((one.folder, one) for one in unread)
     return list(found.values())
 
 
-def _places(folder: Path) -> Iterator[Path]:
+def _places(folder: Path, unread: list[Run]) -> Iterator[Path]:
     """Yield the folders that hold an assessment, in the order of their names; hidden ones are left out."""
-    for path, inside, files in os.walk(folder):
+    for path, inside, files in folders_in(folder, lambda path, why: unread.append(Run(path, {}, why))):
         inside[:] = sorted(name for name in inside if not name.startswith((".", PREFIX)))
         if ASSESSMENT in files:
-            yield Path(path)
+            yield path
 
 
 def read_run(folder: Path) -> Run:
