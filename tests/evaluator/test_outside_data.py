@@ -19,6 +19,7 @@ from common import run_skd
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import table
 from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.campaign.plan.plan import Stage
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
@@ -187,6 +188,18 @@ def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, comm
 def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
     change_arrays(result, impact_speed=lambda values: values * math.nan)
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
+
+
+def test_an_attempt_of_a_number_without_end_takes_no_memory(result, skd_here):
+    """Figures are kept by the numbers of attempts: this one would take 34 GB."""
+
+    def edit(numbers: np.ndarray) -> np.ndarray:
+        kamikaze = np.flatnonzero(numbers >> 48 == int(Stage.KAMIKAZE))
+        numbers[kamikaze[-1]] |= 0xFFFF_FFFF
+        return numbers
+
+    change_arrays(result, episode_id=edit)
+    one_line(skd_here("show", str(result), "--out", "shown"), 2, "its attempts have numbers up to 4294967295, of which")
 
 
 @pytest.mark.parametrize("name", ["positions", "car"])

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.struck import closing_speed
@@ -46,6 +47,8 @@ from skd_evaluator.measure.statistics.statistics import (
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
 _ROUNDING = 1e-9  # m: a mean floor that is not above it is 0, where every kamikaze could have walked as φ
+_GAPS, _SPARSE = 1_000_000, 100
+"""So many attempts may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
 CONFIDENCE = 0.95
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
@@ -237,6 +240,7 @@ def judge(
     deformation is over all attempts, each with the deformation that it needed. SKD counts all collisions, the
     deformation only hits by the moving car.
     """
+    _check_numbers(kamikaze)
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
     attempts = [
@@ -275,6 +279,21 @@ def _attempts_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], dis
     mine = [pair for pair, counts in zip(pairs, hit, strict=True) if counts]
     failed = group.attempts - group.aborted - len(mine)
     return Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
+
+
+def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
+    """Refuse attempts of which nearly all are missing: figures are kept by their numbers, and a forged one is huge.
+
+    Raises:
+        UsageError: it is so.
+    """
+    numbers = [[split_episode_id(log.episode.episode_id)[2] for log in group.in_order] for group in kamikaze]
+    there, told = sum(map(len, numbers)), sum(max(mine, default=-1) + 1 for mine in numbers)
+    if told > _GAPS + _SPARSE * there:
+        raise UsageError(
+            f"its attempts have numbers up to {max(map(max, filter(None, numbers)))}, of which {there} are there: no "
+            "campaign leaves such gaps"
+        )
 
 
 def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
