@@ -18,7 +18,7 @@ from skd_sim.simulation.world import first_car_state
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.plan.options import RECORDED
 from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
-from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, recompute
+from skd_evaluator.campaign.store.rebuilt import Contradiction, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 
@@ -69,15 +69,16 @@ def check_result(
     Raises:
         UsageError: a figure contradicts the episodes, or their starts contradict the scenario.
     """
-    said = []
-    if former or not can_be_rebuilt(stored):
+    old = former or not can_be_rebuilt(stored)
+    if old:
         if manifest:
             raise UsageError(
                 f"{folder / EPISODES}: is of an older version than {MANIFEST} beside it, which was not written with it"
             )
-        return [f"{folder}: is of an older version, without {MANIFEST}: of it only the headline figures were checked"]
-    with understood(folder / ASSESSMENT):
-        found = recompute(figures, stored).contradict
+        found: tuple[Contradiction, ...] = ()
+    else:
+        with understood(folder / ASSESSMENT):
+            found = recompute(figures, stored).contradict
     if not manifest:  # what an older version did not have it cannot have got wrong
         found = tuple(one for one in found if not one.missing or one.name.partition(".")[0] in figures)
     refused = found if manifest else tuple(one for one in found if _is_firm(one.name) and one.is_of_numbers)
@@ -87,6 +88,7 @@ def check_result(
         raise UsageError(
             f"{folder / ASSESSMENT}: {shown}{more}: they are not of one assessment; skd verify {folder} lists all"
         )
+    said = []
     starts = starts_that_differ(folder, figures, stored)
     if starts is not None:
         if starts.refused:
@@ -98,8 +100,9 @@ def check_result(
             "it has no manifest: it is of an older version, or was changed; skd verify lists them"
         )
     elif not manifest:
+        what = "deformation and margin" if old else "figures"
         said.append(
-            f"{folder}: has no {MANIFEST}: nothing but its figures and the starts of its episodes was checked; skd "
+            f"{folder}: has no {MANIFEST}: nothing but its {what} and the starts of its episodes was checked; skd "
             "verify checks what else follows from the seed"
         )
     return said
