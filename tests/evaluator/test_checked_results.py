@@ -19,6 +19,7 @@ from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, write_manifests
 from skd_evaluator.campaign.store.rebuilt import recompute
 from skd_evaluator.campaign.store.result_file import read_figures
@@ -106,7 +107,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
 }
 UNSAID = {"gone"}
 """Of these, those that older versions need not have had."""
-SAID = {"gone inside", "margin_beyond", "inside", "curve", "row", "name", "seed", "equivalent", "text"}
+SAID = {"gone inside", "margin_beyond", "inside", "curve", "row", "name", "equivalent", "text"}
 """Of these, those that are said and not refused where there is no manifest."""
 INTERVALS: dict[str, Callable[[dict[str, Any]], object]] = {
     "margin_ci95": lambda figures: widen(figures, "margin_ci95"),
@@ -152,12 +153,67 @@ def test_every_reader_refuses_it_in_one_line(result, sweep, skd_here, name, mani
 
 
 def test_results_are_read_with_and_without_a_manifest(result, sweep, skd_here):
-    for _ in range(2):
-        for words in commands(result, sweep / "synthetic" / "C_0.5")[:3]:
-            done = skd_here(*words, "--overwrite")
+    for warned in (0, 1):
+        for words in commands(result, sweep / "synthetic" / "C_0.5")[:4]:
+            done = skd_here(*words, *([] if words[0] == "plan" else ["--overwrite"]))
             assert done.returncode == 0, done
-            assert "manifest" not in done.stderr
+            assert done.stderr.count("manifest") == warned, done.stderr
+            assert done.stderr.count("nothing but its figures and the starts of its episodes was checked") == warned
         (result / MANIFEST).unlink(missing_ok=True)
+
+
+STARTS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "start_speed": lambda figures: grow(figures, "scenario", "car", "start_speed"),
+    "start_gap": lambda figures: grow(figures, "scenario", "car", "start_gap"),
+    "start_gap_range": lambda figures: grow(figures, "scenario", "car", "start_gap_range"),
+    "meet_safe_trajectory": lambda figures: figures["scenario"]["car"].update(meet_safe_trajectory=True),
+}
+
+
+@pytest.mark.parametrize("manifest", ["removed", "rewritten"])
+@pytest.mark.parametrize("name", STARTS)
+def test_a_scenario_with_another_start_is_refused(result, name, manifest):
+    edit(result, STARTS[name], manifest)
+    for read in (read_result, lambda folder: read_subjects([folder])):
+        with pytest.raises(UsageError, match="episodes the car does not start as its seed and scenario have it"):
+            read(result)
+    assert any("does not start" in line for line in verify(result).problems)
+
+
+def test_starts_are_said_by_how_much_they_differ(result):
+    """All start as the scenario has it; a car that is 1.5 m/s faster is so by that much, in each of them."""
+    figures, stored = read_figures(result)[0], read_episodes(result)
+    assert starts_that_differ(result, figures, stored) is None
+    figures["scenario"]["car"]["start_speed"] += 1.5
+    found = starts_that_differ(result, figures, stored)
+    assert found is not None
+    assert found.refused
+    assert f"in {len(stored)} of {len(stored)} episodes" in found.line
+    assert "by 1.5 m or m/s" in found.line
+
+
+@pytest.mark.parametrize(
+    "elsewhere",
+    [
+        lambda figures: figures.update(safe="bags"),  # a recording, in whatever simulator it was made
+        lambda figures: figures["provenance"].update(command="evaluator --ros-args"),  # beside nodes of others
+        lambda figures: figures.update(provenance=None),  # of before there was any
+    ],
+)
+def test_starts_of_what_may_be_another_simulators_are_said(result, elsewhere):
+    edit(result, lambda figures: (elsewhere(figures), STARTS["start_speed"](figures)), "rewritten")
+    (line,) = read_result(result).remarks
+    assert "does not start as its seed and scenario have it" in line
+    assert "the simulator, the seed, the scenario or the episodes are others" in line
+
+
+def test_starts_of_another_simulator_are_its_own(result):
+    def change(figures: dict[str, Any]) -> None:
+        figures["options"]["simulator"] = "metadrive"
+        STARTS["start_speed"](figures)
+
+    edit(result, change, "rewritten")
+    assert read_result(result).remarks == ()
 
 
 def change_array(folder: Path, name: str, change: Callable[[np.ndarray], np.ndarray]) -> None:

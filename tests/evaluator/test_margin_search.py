@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from skd_evaluator.campaign.judge.rating import rate
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import least_ways
+from skd_evaluator.margin.assessment_margin import least_ways, with_margins
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.attempts import searched_margins
 from skd_evaluator.margin.search.search import search_margin
@@ -261,6 +262,25 @@ def test_attempts_teach_each_other_and_go_on_until_the_mean_stands_still():
     before, after = means[-2:]
     assert margins.converged == (before - after <= 0.02 * before or all(one.exhausted for one in margins.results))
     assert margins.converged or margins.budget == 128
+
+
+@pytest.mark.parametrize(("hit_speed", "missed"), [(30.0, 3), (0.556, 0)])
+def test_a_mean_that_stands_still_because_hardly_anything_was_found_is_said(hit_speed, missed):
+    """Where a hit would begin at 30 m/s there is none: the mean is η_max from the first tick on, and is to say so."""
+    scenario = replace(CROSSING, collision=replace(CROSSING.collision, hit_speed=hit_speed))
+    plan = Plan(
+        scenario, controller="carla", knowledge=Knowledge.NOTHING, safe_count=1, kamikaze_count=3, collision_runs=1,
+        simulations=1,
+    )  # fmt: skip
+    phi = Trajectory(np.array(POINTS), 0.3, "phi")
+    with InProcessRunner(1) as runner:
+        rating = rate(plan, [plan.objective], [phi], runner, lambda *_: None)
+        found = with_margins(rating, runner, lambda *_: None, 64)
+    assert found.margins is not None
+    assert found.margins.beyond == missed
+    said = [line for line in found.warnings if f"has found no hit in {missed} of 3 attempts" in line]
+    assert len(said) == (1 if missed else 0)
+    assert found.margins.converged or not missed
 
 
 def test_bad_questions_are_refused():

@@ -16,6 +16,7 @@ from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
+from skd_evaluator.campaign.plan.options import RECORDED
 from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
     KamikazeSet,
@@ -121,7 +122,7 @@ def rating_from(
     planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
     plan = Plan(
         scenario=first.scenario,
-        safe="bags",
+        safe=RECORDED,
         safe_count=len(ordered),
         kamikaze_count=_kamikaze_count(sets.values()),
         collision_runs=len(replays),

@@ -128,12 +128,14 @@ class LeastWays:
         ways: one way for each attempt; None: nobody can be hit within η_max, or no such way was found.
         budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
         converged: whether twice as many changed the mean by less than 2 %; exact ones are.
+        unfound: attempts in which the search found no hit, and had not tried everything.
         led: some of the ways that the search tried.
     """
 
     ways: list[LeastWay | None]
     budget: int | None = None
     converged: bool = True
+    unfound: int = 0
     led: tuple[LedWay, ...] = ()
 
 
@@ -161,7 +163,7 @@ def least_ways(
         return LeastWays(exact_margins(episodes, runner, progress))
     searched = searched_margins(episodes, planned(), runner, progress, min(DEFAULT_BUDGET, limit), limit)
     led = tuple(way for one in searched.results for way in one.led)
-    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, led)
+    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, searched.unfound, led)
 
 
 def with_planned_hits(
@@ -204,6 +206,21 @@ def _otherwise(plan: Plan, number: int, attempts: int) -> str:
     )
 
 
+def _hardly_found(unfound: int, attempts: int, eta_max: float) -> tuple[str, ...]:
+    """Return, in one line, that the mean stands still because hardly anything was found; nothing where it does not.
+
+    An attempt without a hit counts as η_max whatever the search does, until there is one; so the mean of many of them
+    hardly changes, and that it does not says little of the search.
+    """
+    if 2 * unfound <= attempts:
+        return ()
+    return (
+        f"the search for the margin has found no hit in {unfound} of {attempts} attempts, and had not tried everything "
+        f"in them: each counts as {eta_max:g} m, so that the mean hardly changed says little of how well was searched, "
+        "and the margin may be less",
+    )
+
+
 def with_margins(
     rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int, graph: EpisodeRunner | None = None
 ) -> Rating:
@@ -238,12 +255,14 @@ def with_margins(
             walked = walked_margins(led, logs_of(rating), graph, progress, limit=most)
             ways = walked.ways
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
+            unfound = walked.unfound
         else:
             planned = planned_ways(rating)
             found = least_ways(
                 episodes, lambda: [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit
             )
             ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
+            unfound = found.unfound
             rating = replace(rating, led=found.led)
             if found.budget is not None:
                 ways, shorter = with_planned_hits(episodes, ways, logs_of(rating))
@@ -253,6 +272,9 @@ def with_margins(
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(rating, margin_note=f"its search ended: {error}")
+    if settings["converged"]:
+        doubt = _hardly_found(unfound, len(episodes), plan.scenario.eta_max)
+        rating = replace(rating, warnings=(*rating.warnings, *doubt))
     sizes = [len(group) for group in per_phi]
     starts = [sum(sizes[:index]) for index in range(len(sizes))]
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))

@@ -80,7 +80,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))
     judge = found.behind_by or found.decided_by
-    beside = "".join(f"; {line}" for line in found.lines())
+    beside = "".join(f"; {line}" for line in (*earlier.remarks, *found.lines()))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)

@@ -12,6 +12,8 @@ from skd_evaluator.measure import behaviour
 SYNTHETIC = "synthetic"
 OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
+RECORDED = "bags"
+"""What results of recordings have in its place: φ of the recorded episodes, in whatever simulator they ran."""
 DEFAULT_MARGIN_LIMIT = 1024
 MARGIN_LIMIT_TEXT = (
     "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "

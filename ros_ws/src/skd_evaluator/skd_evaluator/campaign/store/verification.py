@@ -15,6 +15,7 @@ from skd_sim.inputs.outside import folders_in, read_json, read_text
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
+from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
@@ -133,6 +134,9 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
+            starts = starts_that_differ(folder, figures, stored)
+            if starts is not None:
+                (problems if starts.refused else remarks).append(starts.line)
             if (folder / SURROGATES).exists():  # older results have none
                 problems += _surrogates_that_differ(folder / SURROGATES, rebuilt(figures, stored).surrogates)
     except UsageError as error:

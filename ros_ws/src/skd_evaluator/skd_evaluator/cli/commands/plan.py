@@ -89,6 +89,8 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         )
         print_table(_table(sizes, cheapest))
         print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.attempts}")
+    for line in (line for one in results for line in one.remarks):
+        print(f"skd plan: warning: {line}", file=sys.stderr)
     if source.phi is not None and source.phi < _FEW:
         print(
             f"skd plan: warning: a variance between {source.phi} φ is itself uncertain: take more than it says, or "
@@ -112,8 +114,6 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
     Raises:
         UsageError: results that do not suffice for what is asked.
     """
-    for line in (line for one in results for line in one.remarks):
-        print(f"skd plan: warning: {line}", file=sys.stderr)
     if len(results) > 2:
         raise UsageError("give one result, or for --difference two of the same φ")
     if not results:

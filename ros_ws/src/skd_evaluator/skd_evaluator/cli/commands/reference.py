@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, progress: Progress) -> Asked:
     """Return where basic cars are compared: in the attempts of an assessment, or on an encounter's own φ."""
     if (Path(name) / ASSESSMENT).is_file():
-        return asked_of_result(read_result(Path(name)))
+        result = read_result(Path(name))
+        for line in result.remarks:
+            print(f"skd encounters: warning: {line}", file=sys.stderr)
+        return asked_of_result(result)
     scenario = load_scenario(name)
     regulatory = scenario.protocol is not None
     plan = Plan(

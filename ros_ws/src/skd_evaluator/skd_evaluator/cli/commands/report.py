@@ -26,12 +26,12 @@ def run(arguments: argparse.Namespace) -> int:
         page = render(subjects)
     _write(out, page)
     size = len(page.encode())
+    for line in (line for one in subjects for line in one.remarks):
+        print(f"skd report: warning: {line}", file=sys.stderr)
     if arguments.json:
         found = {"file": str(out), "bytes": size, "assessments": [one.label for one in subjects]}
         print_json(found)
     else:
-        for line in (line for one in subjects for line in one.remarks):
-            print(f"skd report: warning: {line}", file=sys.stderr)
         print(f"report of {counted(len(subjects), 'assessment')} in {out} ({size / 1e6:.1f} MB)")
     return 0
 

@@ -72,11 +72,11 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
         write_json(folder / "show.json", content)
 
     out.write(write)
+    for line in subject.remarks:
+        print(f"skd show: warning: {line}", file=sys.stderr)
     if arguments.json:
         print_json(content)
         return 0
-    for line in subject.remarks:
-        print(f"skd show: warning: {line}", file=sys.stderr)
     for one in entries:
         print(f"{out.path / str(one['file'])}: {one['title']}")
         print(f"  {_said(one['measures'])}")

@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     folders = [folder for path in arguments.paths for folder in folders_below(path)]
     key = None if arguments.key is None else PublicKey(arguments.key)
-    found = [_with_episodes(verify(folder, key)) for folder in dict.fromkeys(folders)]
+    found = [with_episodes(verify(folder, key)) for folder in dict.fromkeys(folders)]
     if arguments.verified_share:
         sample = Sample.of(arguments.verified_share, arguments.verify_seed)
         with InProcessRunner(available_workers()) as runner:
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if fine else 1
 
 
-def _with_episodes(found: Verified) -> Verified:
+def with_episodes(found: Verified) -> Verified:
     """Return what was found, and whether each episode can have happened: see `skd_evaluator.bags.validation`."""
     if found.problems or not (found.folder / ASSESSMENT).exists():
         return found

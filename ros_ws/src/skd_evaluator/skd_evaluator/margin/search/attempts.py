@@ -60,6 +60,11 @@ class SearchedMargins:
     budget: int
     means: tuple[tuple[int, float], ...]
 
+    @property
+    def unfound(self) -> int:
+        """Attempts in which no hit was found, and not everything was tried: there may be one."""
+        return sum(one.way is None and not one.exhausted for one in self.results)
+
 
 def search_attempt(job: SearchJob) -> SearchResult:
     """Do a job, in whatever process."""

@@ -58,6 +58,11 @@ class WalkedMargins:
     aborted: int
 
     @property
+    def unfound(self) -> int:
+        """Attempts in which no hit was found: there may be one, for episodes are few."""
+        return sum(way is None for way in self.ways)
+
+    @property
     def text(self) -> str:
         """How they were found, in a few words."""
         again = f"{self.repeated} of {self.hits} ways hit again when walked once more" if self.hits else "none hit"
