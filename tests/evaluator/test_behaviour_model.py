@@ -142,8 +142,8 @@ def test_every_parameter_has_a_source_and_a_meaning(walkers):
         ({"pace": {"value": 0.1, "source": "x", "interval_95": [0.2, 0.05]}}, "two numbers, the lower one first"),
         ({"pace": {"value": 0.1, "source": "x", "interval_95": [False, True]}}, "interval_95 must be two numbers"),
         ({"pace": {"value": 0.1, "source": "x", "interval_95": [0.2, 0.3]}}, "interval_95 must hold the value 0.1"),
-        ({"pace": {"value": 0.1, "source": "x", "interval_95": [0, 10**400]}}, "interval_95 must be two numbers"),
-        ({"pace": {"value": 10**400, "source": "x"}}, "pace.value must be a number from 0 to 1, got 1000"),
+        ({"pace": {"value": 0.1, "source": "x", "interval_95": [0, 10**400]}}, "has more than 64 bits"),
+        ({"pace": {"value": 10**400, "source": "x"}}, "has more than 64 bits"),
         ({"turn_time": {"value": 0.0, "source": "x"}}, "turn_time.value must be a number from 0.05 to 20 s"),
     ],
 )

@@ -122,6 +122,7 @@ def test_an_outcome_that_cannot_be(copy: Path, refused: Refused, outcome: int) -
 def test_a_text_of_characters_that_there_are_not(assessed: Path, tmp_path: Path, refused: Refused, number: int) -> None:
     """Python has no such text: what takes it for one fails anywhere."""
     copy = Path(shutil.copytree(assessed, tmp_path / "copy"))
+    (copy / MANIFEST).unlink()
 
     def put_character(arrays: Arrays) -> None:
         codes = arrays["objective"].copy().view(np.uint32)

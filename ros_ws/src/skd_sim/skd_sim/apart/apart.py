@@ -24,7 +24,6 @@ from typing import Any, Final
 import numpy as np
 
 from skd_sim.apart.beginning import Beginning, SentModule, SentModules
-from skd_sim.apart.nearby import Nearby
 from skd_sim.apart.wire import (
     COMMAND,
     COMMANDS,
@@ -98,7 +97,6 @@ class ApartCar:
             os.close(theirs)
             os.close(their_answers)
         self.pid = self._process.pid
-        self._nearby = Nearby(self.pid)
         self._ending: select.poll | None = None
         self._pid_file = -1
         if hasattr(os, "pidfd_open"):  # Linux
@@ -141,7 +139,6 @@ class ApartCar:
         """
         later = self._later
         Call.since = time.monotonic() if timed else None
-        self._nearby.begin_waiting()
         try:
             if later:
                 operation = bytes(later) + operation
@@ -153,7 +150,6 @@ class ApartCar:
             when_lost(self._ended(), self.name)
             raise
         finally:
-            self._nearby.end_waiting()
             Call.since = None
 
     def _wait_for_answer(self) -> None:
