@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import sys
 
 import pytest
@@ -52,6 +53,19 @@ class FailsAlone(Brakes):
     begins, ends, deceleration = 1.5, 100.0, 6.0
     def command(self, car, adversary):
         return super().command(car, adversary) if adversary.y - car.y < 500.0 else 1 / 0
+class Keeps(Brakes):
+    deceleration, ends, begun = 6.0, 100.0, 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        Keeps.begun += 1  # brakes later from test to test
+        self.begins = 1.0 + 0.5 * Keeps.begun
+class Twice(Brakes):
+    begins, ends, deceleration, resets = 1.5, 100.0, 6.0, 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        self.resets += 1  # twice only where it is asked alone
+    def command(self, car, adversary):
+        return super().command(car, adversary) if self.resets == 1 else -1.0
 class Raises:
     def reset(self, scenario, rng): pass
     def command(self, car, adversary): return 1 / 0
@@ -237,6 +251,33 @@ def test_a_car_that_fails_ends_the_command(cars):
     done = skd("ncap", "--controller", "ncap_cars:Raises", "--encounters", "cpna-50", *NONE, "--out", "o", cwd=cars)
     one_line(done, 1, "ncap_cars:Raises", "ZeroDivisionError")
     assert not (cars / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("car", "said", "code"),
+    [
+        (
+            "Keeps",
+            r"[34] of 4 episodes went otherwise when they were run again, in a new process and in another order",
+            0,
+        ),
+        ("Twice", "do not believe these figures: in 3 of 4 episodes ncap_cars:Twice answered otherwise", 1),
+        ("Early", "", 0),
+    ],
+)
+def test_tests_are_run_again_and_the_car_is_asked_alone(cars, car, said, code):
+    """As of assessments: it may be another car in another order, or where it is not tested."""
+    words = ("--encounters", "cpna-50,cpfa-50", "--speeds", "40:60:20", *NONE, "--out", f"again_{car}")
+    done = skd("ncap", "--controller", f"ncap_cars:{car}", *words, cwd=cars)
+    assert done.returncode == code, done.stderr
+    found = read_ncap(cars / f"again_{car}")
+    if not said:
+        assert (found.warnings, done.stderr) == ((), "")
+        return
+    (warning,) = found.warnings
+    assert re.match(said, warning)
+    assert f"skd ncap: warning: {warning}\n" in done.stderr
+    assert warning.partition("(")[0].strip() in (cars / f"again_{car}" / "ncap.html").read_text()
 
 
 def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):

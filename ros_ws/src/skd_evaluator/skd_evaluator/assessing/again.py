@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from skd_sim.apart.apart import apart
+from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
@@ -21,7 +22,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import ALIKE, led_otherwise
+from skd_evaluator.campaign.run.led import ALIKE, LedWay, led_otherwise
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 
@@ -65,22 +66,37 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
         rating: the rating, whose episodes have been run in process.
         fresh: makes a new process in which episodes are run again; see `Fresh`.
     """
-    logs = _some(rating)
-    if not logs:
+    return doubts_of_episodes(rating.plan.car, (*rating.kamikaze_logs, *rating.replays), rating.led, fresh)
+
+
+def doubts_of_episodes(
+    car: CarUnderTest, logs: Sequence[EpisodeLog], led: Sequence[LedWay], fresh: Fresh
+) -> tuple[str, ...]:
+    """Return the same of any episodes of a user's car, of which a few are run again.
+
+    Args:
+        car: the car.
+        logs: its episodes, which have been run in process.
+        led: ways on which a search has led it.
+        fresh: makes a new process in which episodes are run again; see `Fresh`.
+    """
+    some = _some(logs)
+    if not some:
         return ()
-    with Alone(rating.plan.car) as alone:  # begins while another process runs the episodes again
-        return _doubts(rating, logs, fresh, alone)
+    with Alone(car) as alone:  # begins while another process runs the episodes again
+        return _doubts(car, some, _spread(led, WAYS), fresh, alone)
 
 
-def _doubts(rating: Rating, logs: Sequence[EpisodeLog], fresh: Fresh, alone: Alone) -> tuple[str, ...]:
-    name = rating.plan.controller
+def _doubts(
+    car: CarUnderTest, logs: Sequence[EpisodeLog], led: Sequence[LedWay], fresh: Fresh, alone: Alone
+) -> tuple[str, ...]:
+    name = car.controller
     try:
         with fresh() as runner:
             runner.start()
             begin = time.perf_counter()
             heard = list(runner.map(_heard, [log.episode for log in logs]))
             seconds = time.perf_counter() - begin
-            led = _spread(rating.led, WAYS)
             otherwise = sum(far > ALIKE for far in runner.map(led_otherwise, led))
     except (AssessmentError, UsageError) as error:
         return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
@@ -92,7 +108,7 @@ def _doubts(rating: Rating, logs: Sequence[EpisodeLog], fresh: Fresh, alone: Alo
             "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
             "of the episodes and on --workers",
         )
-    doubts = _doubts_alone(rating, alone, heard, _SLOWER * seconds)
+    doubts = _doubts_alone(name, alone, heard, _SLOWER * seconds)
     if otherwise:
         doubts += (
             f"{DISBELIEF}on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered "
@@ -101,12 +117,11 @@ def _doubts(rating: Rating, logs: Sequence[EpisodeLog], fresh: Fresh, alone: Alo
     return doubts
 
 
-def _doubts_alone(rating: Rating, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
-    car = rating.plan.car
+def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
     found = alone.answers([one.questions for one in heard], limit)
     if isinstance(found, str):
         return (
-            f"{car.controller} could not be asked again what it was asked in {len(heard)} episodes, alone in a "
+            f"{name} could not be asked again what it was asked in {len(heard)} episodes, alone in a "
             f"process: {found}; nobody has seen whether it answers by what a car sees",
         )
     far = [
@@ -117,22 +132,22 @@ def _doubts_alone(rating: Rating, alone: Alone, heard: Sequence[Heard], limit: f
     if not wrong:
         return ()
     return (
-        f"{DISBELIEF}in {len(wrong)} of {len(heard)} episodes {car.controller} answered otherwise "
+        f"{DISBELIEF}in {len(wrong)} of {len(heard)} episodes {name} answered otherwise "
         "when it was asked the same alone, in a process that knows nothing of the test (the first is "
         f"{_named(heard[wrong[0]].log)}; by up to {max(far):.3g} m/s²). It answers by something that no car sees",
     )
 
 
-def _some(rating: Rating) -> list[EpisodeLog]:
-    """Return a few episodes, spread over kamikazes and runs along φ, the last first."""
-    logs = [
+def _some(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
+    """Return a few episodes, spread over all, the last first."""
+    fit = [
         log
-        for log in (*rating.kamikaze_logs, *rating.replays)
+        for log in logs
         if log.outcome != Outcome.ABORTED
         # Its adversary plans with copies of the controller, and would hear what they are asked, too.
         and not (log.episode.mode == Mode.KAMIKAZE and log.episode.knowledge == Knowledge.ITSELF)
     ]
-    return _spread(logs, EPISODES)[::-1]
+    return _spread(fit, EPISODES)[::-1]
 
 
 def _spread(items: Sequence[_Item], most: int) -> list[_Item]:

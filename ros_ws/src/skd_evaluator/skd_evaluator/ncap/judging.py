@@ -54,7 +54,7 @@ class Asked:
     equivalent: bool = False
 
 
-def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress) -> Grid:
+def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, tests: list[EpisodeLog]) -> Grid:
     """Return the cells of an encounter.
 
     Args:
@@ -62,6 +62,7 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
         asked: what is asked of each cell.
         runner: runs episodes and computes margins; it has been started.
         progress: called with how far the work is.
+        tests: what happened in the static tests is put at its end.
 
     Raises:
         UsageError: there is no such encounter.
@@ -69,11 +70,13 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
     """
     matrix, wanted = wanted_cells(source, asked.speeds)
     begun = [_begun(source, one, matrix, asked) for one in wanted]
-    refused = ""
+    refused, done_tests = "", list[EpisodeLog]()
     try:
-        logs = iter(list(runner.run([episode for _, _, episode in begun if episode is not None])))
+        done_tests = list(runner.run([episode for _, _, episode in begun if episode is not None]))
     except UsageError as error:  # what a car cannot drive it says when its first episode begins
         refused = str(error)
+    tests += done_tests
+    logs = iter(done_tests)
     cells: list[Cell] = []
     for done, ((cell, plan, _), one) in enumerate(zip(begun, wanted, strict=True), start=1):
         if plan is not None and refused:

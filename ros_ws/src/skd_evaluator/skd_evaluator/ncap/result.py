@@ -133,6 +133,7 @@ class Ncap:
         grids: one for each encounter.
         points: one for each matrix; empty where nobody computed any.
         points_why: why nobody did.
+        warnings: why the car is not one that a rating is of, a line each.
     """
 
     ncap: Annotated[int, Range(VERSION, VERSION, "version of the file")] = VERSION
@@ -145,6 +146,7 @@ class Ncap:
     grids: tuple[Grid, ...]
     points: tuple[Points, ...] = ()
     points_why: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def rounded_kmh(speed: float) -> float:

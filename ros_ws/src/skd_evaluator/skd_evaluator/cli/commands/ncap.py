@@ -6,16 +6,22 @@ import argparse
 import csv
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.options import options_of, values_of
+from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.judge.rating import disbelief
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
@@ -39,6 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = asked_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
+    tests: list[EpisodeLog] = []
     try:
         with runner_of(arguments, isolated=not asked.plan.car.is_own) as runner:
             if asked.margin_limit:
@@ -46,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
             runner.start()
             with progress_bar(quiet=arguments.quiet) as progress:
                 for source in sources:
-                    grids.append(judged_grid(source, asked, runner, progress))
+                    grids.append(judged_grid(source, asked, runner, progress, tests))
     except KeyboardInterrupt:
         if not grids:
             raise
@@ -58,6 +65,10 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return _INTERRUPTED
     found = _found(arguments, asked, grids)
+    if not (asked.plan.car.is_own or arguments.scheduler):
+        found = replace(
+            found, warnings=doubts_of_episodes(asked.plan.car, tests, (), partial(InProcessRunner, 1, isolated=True))
+        )
     content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
 
     def write(folder: Path) -> None:
@@ -77,9 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
         if not problem:
             print(f"results in {out.path}")
     failures = [problem, None if any(_is_judged(grid) for grid in grids) else "no test could be judged"]
-    for why in filter(None, failures):
+    for why in (*(f"warning: {line}" for line in found.warnings), *filter(None, failures)):
         print(f"skd ncap: {why}", file=sys.stderr)
-    return 1 if any(failures) else 0
+    return 1 if any(failures) or disbelief(found.warnings) else 0
 
 
 def names_in(text: str) -> list[str]:
