@@ -102,12 +102,25 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "nothing": lambda figures: figures.update(margin=None),
     "gone": lambda figures: figures.pop("skd_ci95"),
     "gone inside": lambda figures: figures["vulnerability_curve"]["margins"]["points"][3].pop("ci95_attempts"),
+    "gone of what older versions lack": lambda figures: figures["surrogate_measures"]["kamikazes"]["deformation"][
+        "fatality_risk"
+    ].pop("defined"),
     "equivalent": lambda figures: figures.update(equivalent_multiplier=1.5),
     "text": lambda figures: figures.update(equivalent_multiplier_text="1.500"),
 }
 UNSAID = {"gone"}
 """Of these, those that older versions need not have had."""
-SAID = {"gone inside", "margin_beyond", "inside", "curve", "row", "name", "equivalent", "text"}
+SAID = {
+    "gone inside",
+    "gone of what older versions lack",
+    "margin_beyond",
+    "inside",
+    "curve",
+    "row",
+    "name",
+    "equivalent",
+    "text",
+}
 """Of these, those that are said and not refused where there is no manifest."""
 INTERVALS: dict[str, Callable[[dict[str, Any]], object]] = {
     "margin_ci95": lambda figures: widen(figures, "margin_ci95"),

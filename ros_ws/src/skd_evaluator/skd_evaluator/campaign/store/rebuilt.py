@@ -263,7 +263,7 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
     for name, value in found.items():
         if name in said or _is_asked(name) or _is_of_an_unknown_measure(name, branches):
             continue
-        if NEWER.isdisjoint(name.split(".")):
+        if not _is_of_a_newer_version(name, said, branches):
             contradict.append(Contradiction(name, None, value, missing=True))
     for name, (has, is_said) in settings.items():
         if not _alike(is_said, has):
@@ -312,6 +312,12 @@ def _is_of_an_unknown_measure(name: str, branches: set[str]) -> bool:
     """Return whether an entry that is missing is of a measure that was not installed where the result was made."""
     nearest = next((one for one in _above(name) if one in branches), "")
     return nearest.rpartition(".")[2] == "measures"
+
+
+def _is_of_a_newer_version(name: str, said: Mapping[str, Any], branches: set[str]) -> bool:
+    """Return whether an entry that is missing is one, or inside of one, that an older version did not have at all."""
+    newer = [one for one in (name, *_above(name)) if one.rpartition(".")[2] in NEWER]
+    return any(one not in said and one not in branches for one in newer)
 
 
 def entries_of(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
