@@ -3,7 +3,8 @@
 `TARGET` gets bytes. `TARGET-structure` gets inputs that are put together as right ones are and then changed
 (`fuzz_structures.py`), from choices that are led in the same way. Inputs that reach something new are kept below
 `.fuzz/`, where the next run begins; what ends a run is written there as `TARGET-crash-…`, `…-timeout-…` or `…-oom-…`.
-Give it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`.
+Give it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`. `scripts/fuzz all` is
+all targets in turn (`fuzz_all.py`).
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ _KERNELS = [
 """Modules among them that numba compiles, which it cannot where they have been instrumented."""
 
 with atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_loader_override=False):
+    from fuzz_all import RUNS
+    from fuzz_all import main as fuzz_all
     from fuzz_structures import STRUCTURES
     from fuzz_targets import HERE, TARGETS, Target
 
@@ -96,11 +99,11 @@ class _Reading:
             f"something new, the last of them after {latest:.1f} minutes"
         )
         sys.stdout.flush()
-        runs = self._kept.parent / "runs.csv"
+        runs = self._kept.parent / RUNS
         if not runs.exists():
             runs.write_text("target,processor_minutes,inputs,new,last_new_minute\n")
         with runs.open("a") as file:
-            file.write(f"{self._name},{minutes:.1f},{self._count},{new},{latest:.1f}\n")
+            file.write(f"{self._name},{minutes:.3f},{self._count},{new},{latest:.1f}\n")
 
     def close(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -111,9 +114,11 @@ def _files(folder: Path) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="scripts/fuzz", description=(__doc__ or "").partition("\n")[0])
     names = [*TARGETS, *(f"{name}-structure" for name in STRUCTURES)]
-    parser.add_argument("target", choices=names, metavar="TARGET", help=", ".join(names))
+    if sys.argv[1:2] == ["all"]:
+        sys.exit(fuzz_all(names))
+    parser = argparse.ArgumentParser(prog="scripts/fuzz", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("target", choices=names, metavar="TARGET", help=f"{', '.join(names)}; or all, in turn")
     parser.add_argument("inputs", nargs="*", type=Path, metavar="FILE", help="only read these inputs")
     parser.add_argument("--hours", type=float, default=2.0, help="of processor time (default: %(default)s)")
     given = parser.parse_args()

@@ -9,6 +9,7 @@ import random
 from pathlib import Path
 
 import pytest
+from fuzz_all import minutes_of, next_of
 from fuzz_structures import INPUTS
 from fuzz_targets import TARGETS
 from hypothesis import given, settings
@@ -56,3 +57,17 @@ def test_what_is_nearly_right_is_taken_or_refused_in_one_line(name: str, folder:
         target.run(data, folder)
 
     read()
+
+
+def test_who_has_had_least_is_fuzzed_next(folder: Path) -> None:
+    runs = folder / "runs.csv"
+    assert not minutes_of(runs)
+    runs.write_text(
+        "target,processor_minutes,inputs,new,last_new_minute\na,10.0,5,1,2.0\na,4.5,5,1,2.0\nb,12.0,9,0,0.0\n"
+    )
+    had = minutes_of(runs)
+    assert had == {"a": 14.5, "b": 12.0}
+    targets = ["a", "b", "c"]
+    assert next_of(targets, had, set(), 20.0) == ("c", 10.0)
+    assert next_of(targets, had, {"c"}, 20.0) == ("b", 8.0)
+    assert next_of(targets, had, {"c", "b"}, 14.5) is None
