@@ -21,6 +21,7 @@ from skd_adversary.safe_trajectories import table
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.campaign.plan.plan import Stage
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.errors import AssessmentError
@@ -188,6 +189,19 @@ def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, comm
 def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
     change_arrays(result, impact_speed=lambda values: values * math.nan)
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
+
+
+def test_a_belief_that_signals_is_one_that_nobody_had(result, recwarn):
+    """There are two kinds of nan; numpy warns where the signalling one is converted."""
+
+    def edit(values: np.ndarray) -> np.ndarray:
+        changed = values.copy()
+        changed.view(np.uint32)[-1, 0] = 0x7F800001
+        return changed
+
+    change_arrays(result, belief=edit)
+    read_episodes(result)
+    assert not recwarn.list
 
 
 def test_an_attempt_of_a_number_without_end_takes_no_memory(result, skd_here):

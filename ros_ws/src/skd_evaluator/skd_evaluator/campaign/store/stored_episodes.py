@@ -221,7 +221,8 @@ def read_episodes(folder: Path) -> StoredEpisodes:
     rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
     ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
     if "belief" in arrays:
-        ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
+        with np.errstate(invalid="ignore"):  # nan of a kind that signals is nan
+            ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
     margins = _margins(arrays, phis, path)
