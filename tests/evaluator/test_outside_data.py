@@ -191,6 +191,12 @@ def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
 
 
+@pytest.mark.parametrize("step", [0.0, 1e-310, -0.3, math.nan, math.inf])
+def test_a_time_step_that_cannot_be_is_said_in_one_line(result, skd_here, step):
+    change_arrays(result, time_step=lambda _values: np.float64(step))
+    one_line(skd_here("show", str(result), "--out", "shown"), 2, "time_step must be from 1e-06 to 1e+06 s")
+
+
 def test_a_belief_that_signals_is_one_that_nobody_had(result, recwarn):
     """There are two kinds of nan; numpy warns where the signalling one is converted."""
 

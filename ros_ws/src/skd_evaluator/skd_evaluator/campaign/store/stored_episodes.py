@@ -370,8 +370,8 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
         return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
     if fault := _strange_id(arrays):
         return fault
-    if not 0.0 < arrays["time_step"] <= FARTHEST:
-        return "time_step must be above 0, and finite"
+    if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:
+        return f"time_step must be from {1.0 / FARTHEST:g} to {FARTHEST:g} s"
     belief = arrays.get("belief", np.empty((0, 4)))
     if not within_reach(belief[~np.isnan(belief)]) or (belief[:, 1::2] < 0.0).any():
         return f"a belief is beyond ±{FARTHEST:g}, or has a negative deviation"
