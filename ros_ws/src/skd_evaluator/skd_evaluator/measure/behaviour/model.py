@@ -6,7 +6,6 @@ scale s multiplies all of them.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -204,10 +203,8 @@ def _parameter(data: Any, name: str, where: str) -> Parameter:
 
 def _number(value: Any) -> float:
     """Return a finite number; nan where it is none."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        with contextlib.suppress(OverflowError):  # whole numbers have no end
-            return float(value) if math.isfinite(value) else math.nan
-    return math.nan
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if number else math.nan
 
 
 def write_behaviour(path: Path, behaviour: Behaviour) -> None:
