@@ -98,6 +98,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "name": lambda figures: figures["per_safe_trajectory"][1].update(name="another"),
     "seed": lambda figures: grow(figures, "seed"),
     "eta_max": lambda figures: figures["scenario"].update(eta_max=figures["scenario"]["eta_max"] - 1),
+    "eta_max of the figures": lambda figures: figures.update(eta_max=2 * figures["eta_max"]),
     "hit_speed": lambda figures: figures["scenario"]["collision"].update(hit_speed=3.0),
     "nothing": lambda figures: figures.update(margin=None),
     "gone": lambda figures: figures.pop("skd_ci95"),

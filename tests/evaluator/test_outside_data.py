@@ -150,6 +150,7 @@ def nested(figures: dict[str, Any]) -> None:
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
     "multiplier": lambda figures: figures.update(multiplier="abc"),
     "nan": lambda figures: figures.update(eta_max=math.nan),
+    "eta_max": lambda figures: figures.update(eta_max=0.0),
     "nested": nested,
     "measures": lambda figures: next(iter(figures["objectives"].values())).update(measures=None),
     "seconds": lambda figures: figures.update(seconds=None),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import os
 import random
 import shutil
@@ -39,7 +40,10 @@ _KERNELS = [
 ]
 """Modules among them that numba compiles, which it cannot where they have been instrumented."""
 
-with atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_loader_override=False):
+with (
+    contextlib.redirect_stderr(io.StringIO()),  # a line for each module
+    atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_loader_override=False),
+):
     from fuzz_all import RUNS
     from fuzz_all import main as fuzz_all
     from fuzz_structures import STRUCTURES

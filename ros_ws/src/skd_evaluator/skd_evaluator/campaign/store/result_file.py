@@ -101,6 +101,8 @@ def _fault_of_value(value: Any, node: Mapping[str, Any], where: str) -> str:
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         if "minimum" in node and value < node["minimum"]:
             return f"{where} must be at least {node['minimum']}, got {short(value)}"
+        if "exclusiveMinimum" in node and value <= node["exclusiveMinimum"]:
+            return f"{where} must be greater than {node['exclusiveMinimum']}, got {short(value)}"
         if "maximum" in node and value > node["maximum"]:
             return f"{where} must be at most {node['maximum']}, got {short(value)}"
     if isinstance(value, list) and not node.get("minItems", 0) <= len(value) <= node.get("maxItems", len(value)):
