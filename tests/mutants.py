@@ -14,6 +14,7 @@ comparisons, which raise an error on floats, those of annotations, and decorator
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import importlib
 import importlib.machinery
@@ -31,13 +32,11 @@ from pathlib import Path
 from types import CodeType
 
 import pytest
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.plugins import get_operator, operator_names
 from hypothesis import HealthCheck, Phase, settings
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "ros_ws" / "src"
+_NOT_LOADED = 98  # an exit code
 MEMORY = 6 * 2**30  # bytes that a mutant may take
 _ARITHMETIC = "Add|Sub|Mul|Div|FloorDiv"
 _ORDER = "Eq|NotEq|Lt|LtE|Gt|GtE"
@@ -63,6 +62,10 @@ class Target:
         return SOURCE / package / (self.module.replace(".", "/") + ".py")
 
 
+def _evaluator(name: str) -> str:
+    return f"tests/evaluator/test_{name}.py"
+
+
 _FRECHET = ("tests/evaluator/test_frechet.py", "tests/evaluator/test_skd.py")
 _SMALL_CURVES = ("-k", "not leaving_cells_out or 5-90 or 64-31")  # of 100 points and more: half a minute
 _SLOW_PLANNING = "root_value or after_each_count or near_tie or expected_return or gathers or opens_once or useless"
@@ -86,6 +89,25 @@ TARGETS = (
         "skd_evaluator.measure.statistics.statistics",
         ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py"),
     ),
+    Target("skd_evaluator.measure.statistics.clustered", (_evaluator("clustered"), _evaluator("prior"))),
+    Target(
+        "skd_evaluator.measure.statistics.clustered_rate",
+        (_evaluator("clustered"), _evaluator("statistics")),
+    ),
+    Target("skd_evaluator.measure.statistics.prior", (_evaluator("prior"), _evaluator("clustered"))),
+    Target("skd_evaluator.measure.statistics.difference", (_evaluator("difference"),)),
+    Target(
+        "skd_evaluator.measure.statistics.sequential",
+        (_evaluator("sequential"), _evaluator("fusion_statistics")),
+    ),
+    Target("skd_evaluator.measure.statistics.sample_size", (_evaluator("sample_size"),)),
+    Target("skd_evaluator.measure.equivalent_multiplier", (_evaluator("equivalent_multiplier"),)),
+    Target("skd_evaluator.measure.margin_figures", (_evaluator("margin_figures"),)),
+    Target("skd_evaluator.measure.vulnerability_curve", (_evaluator("vulnerability_curve"),)),
+    Target("skd_evaluator.risk.touching", (_evaluator("touching"),)),
+    Target("skd_evaluator.ncap.points", (_evaluator("ncap_calculator"),)),
+    Target("skd_evaluator.ncap.colours", (_evaluator("ncap_calculator"),)),
+    Target("skd_evaluator.ncap.matrices", (_evaluator("ncap_calculator"),)),
     Target("skd_sim.geometry.contact", ("tests/sim/test_geometry.py", "tests/sim/test_world_roads.py")),
     Target("skd_sim.geometry.heading", ("tests/sim/test_heading.py",)),
     Target("skd_sim.encounter.road", _ROADS),
@@ -135,6 +157,10 @@ class Mutant:
 
 def mutants_of(source: str) -> list[Mutant]:
     """Return every mutant of a module, each source once."""
+    from cosmic_ray.ast import ast_nodes, get_ast  # an extra of its own, which the test of this tool has not
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator, operator_names
+
     found: dict[str, Mutant] = {}
     # Cosmic Ray parses anew for each mutant: a function on its own takes less time than its module.
     statements = get_ast(source).children
@@ -201,6 +227,8 @@ def outcome_of(target: Target, source: str, limit: float, order: QuickestFirst) 
             os._exit(99)
     _, status, used = os.wait4(child, 0)
     code = os.waitstatus_to_exitcode(status)
+    if code == _NOT_LOADED:
+        raise RuntimeError(f"{target.module}: its mutant was not loaded, so no test could notice it")
     if code in (-signal.SIGXCPU, -signal.SIGALRM):
         return "timeout", limit
     return ("survived" if code == 0 else "killed"), used.ru_utime + used.ru_stime
@@ -217,13 +245,20 @@ def _judge(target: Target, source: str, limit: float, order: QuickestFirst) -> i
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     loader = importlib.machinery.SourceFileLoader
     get_code = loader.get_code
+    loaded = []
 
     def instead(self: importlib.machinery.SourceFileLoader, fullname: str) -> CodeType | None:
         if fullname == target.module:
+            loaded.append(fullname)
             return compile(source, str(target.path), "exec")
         return get_code(self, fullname)
 
     loader.get_code = instead  # type: ignore[method-assign]
+    # Before pytest is there: SKD has a plug-in of its, and of packages with plug-ins pytest loads all modules itself.
+    with contextlib.suppress(Exception):
+        importlib.import_module(target.module)
+    if not loaded:
+        return _NOT_LOADED
     return int(pytest.main([*_PYTEST, *target.options, *target.tests], plugins=[order]))
 
 
