@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.measure.statistics.difference import difference
+from skd_evaluator.measure.statistics.difference import Difference, difference
 
 SEEDS = st.integers(0, 2**32)
 
@@ -59,6 +59,14 @@ def test_effect_size_is_in_deviations_within_a_phi():
     assert found.effect_size == pytest.approx(1.0 / np.sqrt(2.0))  # variance 2 within each φ
     assert found.interval == pytest.approx((1.0, 1.0))  # the same for every φ, which is said
     assert "no width" in found.notes[1]
+    assert found.p_value == 0.0
+
+
+@pytest.mark.parametrize(("value", "leaning"), [(0.6, 1), (0.5, 0), (0.0, 0), (-0.5, 0), (-0.6, -1)])
+def test_it_points_one_way_beyond_half_a_standard_error(value, leaning):
+    found = Difference(value, (value - 2.0, value + 2.0), 0.95, 0.5, 1.0, 5.0, None, paired=True)
+    assert found.leaning == leaning
+    assert found.direction == 0
 
 
 def test_too_few_or_none():

@@ -126,6 +126,13 @@ def test_closed_forms_of_following():
         assert headways(scene)[0] == pytest.approx(gap / speed, abs=1e-6)
 
 
+def test_a_car_that_nearly_stands_has_all_the_time_and_no_warning(recwarn):
+    assert math.isinf(headways(following(5.0, 1e-310, 0.0))[0])
+    assert required_decelerations(following(5.0, 1e-310, 0.0))[0] == 0.0
+    assert math.isinf(required_decelerations(following(0.0, 10.0, 0.0))[0])
+    assert not recwarn.list
+
+
 def test_braking_with_the_required_deceleration_just_reaches_the_other():
     rng = np.random.default_rng(5)
     for _ in range(SCENES):

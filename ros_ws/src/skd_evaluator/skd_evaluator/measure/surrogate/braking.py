@@ -30,7 +30,7 @@ def required_decelerations(scene: Scene) -> FloatArray:
     It is 0 where the other is beside the car or behind its front: braking no longer decides whether they touch.
     """
     on_course = np.isfinite(collision_times(scene)) & (scene.closing > 0.0) & (scene.gap >= -_TOUCHING)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of speeds and gaps next to 0
         needed = scene.closing**2 / (2.0 * np.maximum(scene.gap, 0.0))
     return np.where(on_course, needed, 0.0)
 
@@ -59,5 +59,5 @@ def headways(scene: Scene) -> FloatArray:
     """Return the time headway at each moment, n, s; infinite where nobody is ahead in the car's strip, or it stands."""
     aside = np.abs(scene.seen[:, 1]) - scene.extent[:, 1]
     ahead = (scene.gap >= -_TOUCHING) & (aside < scene.footprint[2]) & (scene.car[:, 3] > 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of speeds and gaps next to 0
         return np.where(ahead, np.maximum(scene.gap, 0.0) / scene.car[:, 3], np.inf)
