@@ -63,6 +63,17 @@ def test_the_squared_error_is_unbiased_and_has_satterthwaites_degrees_of_freedom
     assert freedom == pytest.approx(eigenvalues.sum() ** 2 / (eigenvalues**2).sum(), rel=1e-6)
 
 
+@given(COUNTS)
+def test_where_one_variance_is_nothing_the_other_one_says_how_free_it_is(counts):
+    sizes, means = np.array(counts, float), np.arange(len(counts), dtype=float)
+
+    def freedom(between, within):
+        return cluster_error(means, sizes, VarianceComponents(between, within))[1]
+
+    assert freedom(1.0, 0.0) == pytest.approx(freedom(1.0, 1e-13), rel=1e-6)
+    assert freedom(0.0, 0.0) == pytest.approx(freedom(0.0, 1.0), rel=1e-9)  # as if values were independent
+
+
 @given(st.lists(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=6), min_size=2, max_size=6))
 def test_variance_components_are_those_of_the_analysis_of_variance(groups):
     everything = np.concatenate([np.asarray(group) for group in groups])

@@ -62,11 +62,19 @@ def test_effect_size_is_in_deviations_within_a_phi():
     assert found.p_value == 0.0
 
 
-@pytest.mark.parametrize(("value", "leaning"), [(0.6, 1), (0.5, 0), (0.0, 0), (-0.5, 0), (-0.6, -1)])
-def test_it_points_one_way_beyond_half_a_standard_error(value, leaning):
-    found = Difference(value, (value - 2.0, value + 2.0), 0.95, 0.5, 1.0, 5.0, None, paired=True)
+@pytest.mark.parametrize(
+    ("value", "error", "leaning"),
+    [(1.1, 2.0, 1), (1.0, 2.0, 0), (-1.0, 2.0, 0), (-1.1, 2.0, -1), (0.1, None, 1), (0.0, None, 0)],
+)
+def test_it_points_one_way_beyond_half_a_standard_error(value, error, leaning):
+    found = Difference(value, (value - 4.0, value + 4.0), 0.95, 0.5, error, 5.0, None, paired=True)
     assert found.leaning == leaning
     assert found.direction == 0
+
+
+def test_cars_that_never_vary_differ_surely_apart_as_well():
+    found = difference([[1.0], [1.0], [1.0]], [[2.0], [2.0]], paired=False)
+    assert (found.interval, found.p_value, found.direction, found.degrees_of_freedom) == ((1.0, 1.0), 0.0, 1, 3.0)
 
 
 def test_too_few_or_none():

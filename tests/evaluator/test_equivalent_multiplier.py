@@ -107,6 +107,22 @@ def test_attempts_that_say_nothing_do_not_count():
     assert difference([[math.nan]], [[1.0]]) is None
 
 
+def test_a_phi_with_a_single_attempt_varies_as_the_others_do():
+    found = difference([[0.5, 1.0], [0.75]], [[0.5, 0.5], [0.5]])
+    assert found is not None
+    assert found.ci95_attempts is not None
+    # Differences 0, 0.5 and 0.25: a variance of 1/8 in the first φ, taken for the second; 3/8 for the sum of all.
+    half = stats.t.ppf(0.975, 1) * math.sqrt(3.0 / 8.0) / 3.0
+    assert found.ci95_attempts == pytest.approx((0.25 - half, 0.25 + half))
+
+
+def test_an_interval_wider_than_what_was_compared_ends_at_its_first_and_last_multiplier():
+    found = equivalent_multiplier([[0.2], [1.8]], {one: [[one], [one]] for one in GRID})
+    assert found.value == pytest.approx(1.0)
+    assert found.ci95 is not None
+    assert found.interval_text(found.ci95) == "[below 0.5, above 1.5]"
+
+
 @pytest.mark.parametrize(
     ("car", "basic"),
     [

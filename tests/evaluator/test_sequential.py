@@ -42,9 +42,11 @@ def test_an_interval_without_width_or_none_is_not_narrow():
     assert not narrow_enough(flat, 1.0)
     assert not narrow_enough(one, 1.0)
     assert narrow_enough(wide, width)
+    assert narrow_enough(wide, 2.0 * width)
     assert not narrow_enough(wide, 0.999 * width)
-    stopped = UntilWidth(1.0, 10, 0.99, ((1, one), (3, wide)))
+    stopped = UntilWidth(1.0, 10, 0.99, ((1, one), (2, flat), (3, wide)))
     assert (stopped.reached, stopped.width) == (False, width)
+    assert stopped.text.startswith("after 3 φ")
     assert "not 1 m as wanted" in stopped.text
     with pytest.raises(ValueError, match="at least one look"):
         nominal_confidence(0)
