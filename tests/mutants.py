@@ -14,7 +14,6 @@ comparisons, which raise an error on floats, those of annotations, and decorator
 from __future__ import annotations
 
 import argparse
-import contextlib
 import difflib
 import importlib
 import importlib.machinery
@@ -255,8 +254,11 @@ def _judge(target: Target, source: str, limit: float, order: QuickestFirst) -> i
 
     loader.get_code = instead  # type: ignore[method-assign]
     # Before pytest is there: SKD has a plug-in of its, and of packages with plug-ins pytest loads all modules itself.
-    with contextlib.suppress(Exception):
+    try:
         importlib.import_module(target.module)
+    except Exception:
+        if loaded:
+            return 1  # and pytest would load the module as it is
     if not loaded:
         return _NOT_LOADED
     return int(pytest.main([*_PYTEST, *target.options, *target.tests], plugins=[order]))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.risk.touching import CREEPING, missed_by
+from skd_evaluator.risk.touching import CREEPING, missed_by, side_touched
 
 FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
 
@@ -52,3 +52,65 @@ def test_whoever_stands_beside_the_way_is_further_from_a_hit_than_whoever_walks_
     assert missed(car, comes) < 0.5 < missed(car, stands)
     assert missed(car, goes) > 0.5
     assert missed(np.column_stack([places, np.full(40, 0.5)]), stands) == math.inf  # too slow for a hit
+
+
+def driving(speed: float) -> np.ndarray:
+    """A tick on the way North, from the origin."""
+    return np.array([[0.0, at * speed * STEP, 0.5 * math.pi, speed] for at in (0.0, 1.0)])
+
+
+FRONT, ELSEWHERE, NO_HIT = 1, 2, 3
+
+
+@pytest.mark.parametrize(
+    ("footprint", "place", "counts"),
+    [
+        ((2.25, 2.25, 0.9), (0.3, 2.5), FRONT),
+        ((2.25, 2.25, 0.9), (1.1, 2.4), FRONT),  # 0.25 from a corner
+        ((2.25, 2.25, 0.9), (-1.1, 2.4), FRONT),
+        ((2.25, 2.25, 0.9), (1.15, 2.2), ELSEWHERE),
+        ((2.25, 2.25, 0.9), (-1.15, 1.0), ELSEWHERE),
+        ((2.25, 2.25, 0.9), (0.3, -2.5), ELSEWHERE),
+        ((3.5, 1.0, 0.9), (1.1, 3.65), FRONT),
+        ((3.5, 1.0, 0.9), (1.1, -1.15), ELSEWHERE),
+        ((1.0, 3.5, 0.9), (0.0, 1.25), FRONT),
+        ((1.0, 3.5, 0.9), (0.0, -3.75), ELSEWHERE),
+    ],
+)
+@pytest.mark.parametrize(("impact", "hits"), [(5.0, True), (HIT_SPEED, True), (0.999 * HIT_SPEED, False)])
+def test_a_touch_counts_by_its_side_and_by_the_speed(footprint, place, counts, impact, hits):
+    path = driving(5.0)
+    path[:, 1] = 0.0
+    found = side_touched(path, place, place, 0.5, footprint, RADIUS, impact, HIT_SPEED)
+    assert found == (counts if hits else NO_HIT)
+
+
+def test_the_side_is_that_of_the_moment_of_contact():
+    path, here, there = driving(20.0), (0.5, 2.75), (1.15, 1.0)  # before the front, then beside the car
+    assert side_touched(path, here, there, 0.25, FOOTPRINT, RADIUS, 5.0, HIT_SPEED) == FRONT
+    assert side_touched(path, here, there, 1.0, FOOTPRINT, RADIUS, 5.0, HIT_SPEED) == ELSEWHERE
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize(("walks", "counts_as"), [(1.5, 1.5), (0.1, 0.2), (0.0, 0.2), (-1.5, 0.2)])
+@pytest.mark.parametrize("beside", [0.4, 2.0])
+def test_beside_the_way_it_is_the_distance_over_how_fast_somebody_comes(side, walks, counts_as, beside):
+    here = (side * (FOOTPRINT[2] + beside), FOOTPRINT[0])
+    there = (here[0] - side * walks * STEP, here[1])
+    found = missed_by(driving(5.0), here, there, 0.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
+    assert found == pytest.approx((beside - RADIUS) / counts_as)
+
+
+@pytest.mark.parametrize("until", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("speed", [1.0, 5.0])
+def test_ahead_it_is_the_distance_over_how_much_faster_than_a_hit_the_car_is(until, speed):
+    place = (0.3, FOOTPRINT[0] + 2.0)
+    found = missed_by(driving(speed), place, place, until, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
+    left = 2.0 - until * speed * STEP - RADIUS
+    assert found == pytest.approx(left / max(speed - HIT_SPEED, CREEPING))
+    assert missed_by(driving(HIT_SPEED), place, place, until, FOOTPRINT, RADIUS, HIT_SPEED, STEP) == math.inf
+
+
+def test_who_is_touched_is_missed_by_nothing():
+    place = (0.3, FOOTPRINT[0] + RADIUS)
+    assert missed_by(driving(5.0), place, place, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP) == 0.0
