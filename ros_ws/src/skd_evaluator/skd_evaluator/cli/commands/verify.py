@@ -14,11 +14,12 @@ from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, stored_verification
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.signature import PublicKey
-from skd_evaluator.campaign.store.stored_episodes import EPISODES
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.margin.again import Again, margins_again
 from skd_evaluator.report.terminal import counted
 
 _SHOWN = 20
@@ -45,19 +46,27 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def with_episodes(found: Verified) -> Verified:
-    """Return what was found, and whether each episode can have happened: see `skd_evaluator.bags.validation`."""
+    """Return what was found, whether each episode can have happened, and whether the margins are those of SKD's cars.
+
+    See `skd_evaluator.bags.validation` and `skd_evaluator.margin.again`.
+    """
     if found.problems or not (found.folder / ASSESSMENT).exists():
         return found
     damage = Damage(skip=True)
     try:
         with understood(found.folder / ASSESSMENT):
             count = look_through(found.folder / EPISODES, damage)
+            figures, former = read_figures(found.folder)
+            margins = Again() if former else margins_again(found.folder, figures, read_episodes(found.folder))
     except UsageError as error:
         return replace(found, problems=(*found.problems, str(error)))
-    remarks = (*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so")
-    return replace(
-        found, problems=(*found.problems, *damage.left_out), remarks=(*remarks, *damage.warnings) if count else remarks
-    )
+    remarks = [*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so"]
+    if count:
+        remarks += damage.warnings
+    if margins.remark and not margins.problems:
+        remarks.append(margins.remark)
+    problems = (*found.problems, *damage.left_out, *margins.problems)
+    return replace(found, problems=problems, remarks=tuple(remarks))
 
 
 def _with_decisions(found: Verified, sample: Sample, runner: ExecutorRunner) -> Verified:
