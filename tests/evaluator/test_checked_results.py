@@ -384,6 +384,19 @@ def test_verify_reads_sweeps_older_results_and_says_what_is_none(sweep, result, 
     assert "wrong: " in skd_here("verify", str(result)).stdout
 
 
+def test_verify_holds_a_sweep_against_its_cars(sweep, tmp_path):
+    shutil.copytree(sweep, tmp_path / "sweep")
+    path, table = tmp_path / "sweep" / "sweep.json", tmp_path / "sweep" / "sweep.csv"
+    assert verify(tmp_path / "sweep").fine
+    content = json.loads(path.read_text())
+    content["rows"][0]["margin"] = 4.9
+    path.write_text(json.dumps(content))
+    write_manifests(tmp_path / "sweep")
+    problems = verify(tmp_path / "sweep").problems
+    assert [line.partition(": ")[2].partition(" is 4.9")[0] for line in problems[:1]] == ["synthetic, C_0.5: margin"]
+    assert f"{table}, line 2: margin is" in problems[1]
+
+
 @pytest.mark.parametrize("line", ["x", f"{'0' * 64}  ../a", f"{'0' * 64}  /a", f"{'0' * 64}  a\n{'0' * 64}  a"])
 def test_a_manifest_that_is_none_is_refused(result, line):
     (result / MANIFEST).write_text(line)

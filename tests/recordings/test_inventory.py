@@ -262,3 +262,12 @@ def test_metadata_that_counts_other_messages_is_named(
     assert replay(bag / "bag.mcap").result["warnings"]  # of the only file of the bag
     write_mcap(bag / "second.mcap", sent[-1])
     assert not replay(bag / "second.mcap", bag / "bag.mcap").result["warnings"]
+
+
+def test_an_episode_that_calls_its_safe_trajectory_otherwise_is_named(
+    sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
+) -> None:
+    other = forged(sent[0], 0, "safe_trajectory_name", "another")
+    done = replay(recorded([other, *sent[1:]]))
+    assert done.code == 0
+    assert "safe trajectory 0 is called 'another' by an episode and 'brisk' by another" in done.result["warnings"]

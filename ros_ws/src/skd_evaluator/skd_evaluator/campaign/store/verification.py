@@ -24,7 +24,7 @@ from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey
 
-_CAMPAIGN, _CELLS, _TABLE = "campaign.json", "cells.json", "campaign.csv"
+_CAMPAIGN, _CELLS, _TABLE, _SWEEP = "campaign.json", "cells.json", "campaign.csv", "sweep.json"
 _AGREE = 1e-7
 """Relative to a value in a CSV, or to 1: rounding of another machine, and of nine digits."""
 
@@ -123,6 +123,8 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         problems += _rows_that_differ(folder)
     elif files is None and not problems:
         remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
+    if _SWEEP in there and ASSESSMENT not in there:
+        problems += _sweep_that_differs(folder)
     named = files is not None and ASSESSMENT in (*files.same, *files.changed, *files.missing)
     if not named and ASSESSMENT not in there:
         return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
@@ -196,6 +198,26 @@ def _rows_that_differ(folder: Path) -> list[str]:
     return found
 
 
+def _sweep_that_differs(folder: Path) -> list[str]:
+    """Return which rows of a sweep say something else than the results of its cars, a line each."""
+    path = folder / _SWEEP
+    found = []
+    try:
+        rows = read_json(path)["rows"]
+        for row in rows:
+            kind, car = str(row["kind"]), f"C_{float(row['multiplier']):.12g}"
+            if Path(kind).name != kind:
+                found.append(f"{path}: {kind!r:.60} is no name of a folder")
+            else:
+                found += [f"{path}: {kind}, {car}: {line}" for line in _differences(row, folder / kind / car)]
+        table = path.with_suffix(".csv")
+        return [*found, *(_table_that_differs(table, rows) if table.exists() else ())]
+    except UsageError as error:
+        return [*found, str(error)]
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        return [*found, f"{path}: is not of a sweep ({type(error).__name__}: {error})"]
+
+
 def _differences(row: Mapping[str, Any], cell: Path) -> list[str]:
     """Return what a row says that its cell's folder does not, and which of its warnings it does not say."""
     figures = read_json(cell / ASSESSMENT)
@@ -211,18 +233,20 @@ def _differences(row: Mapping[str, Any], cell: Path) -> list[str]:
         for name in (ASSESSMENT, EPISODES)
         if name in digests and digests[name] != sha256_of(cell / name)
     ]
-    said = {*row.get("warnings", ()), *row.get("problems", ())}
+    if "warnings" not in row:  # of a sweep
+        return found
+    said = {*row["warnings"], *row.get("problems", ())}
     return [*found, *(f"does not say {line!r:.90}" for line in figures.get("warnings", ()) if line not in said)]
 
 
 def _table_that_differs(path: Path, rows: list[Mapping[str, Any]]) -> list[str]:
-    """Return where a campaign's CSV says something else than its rows, in a line; none: nowhere."""
+    """Return where the CSV of a campaign or a sweep says something else than its rows, in a line; none: nowhere."""
     try:
         table = list(csv.DictReader(io.StringIO(read_text(path))))
     except csv.Error as error:
         return [f"{path}: is no CSV ({error})"]
     if len(table) != len(rows):
-        return [f"{path}: has {len(table)} rows, {_CAMPAIGN} {len(rows)}"]
+        return [f"{path}: has {len(table)} rows, and {len(rows)} are in the JSON beside it"]
     for line, (said, row) in enumerate(zip(table, rows, strict=True), 2):
         for key, cell in said.items():
             value = row.get(key)
