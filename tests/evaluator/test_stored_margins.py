@@ -29,7 +29,7 @@ from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Outcome
+from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
@@ -106,6 +106,7 @@ def forge(folder: Path, to: Path, change: Callable[[dict[str, np.ndarray]], obje
     wrong = {one.name.partition(".")[0] for one in recompute(figures, stored).contradict}
     figures |= {key: given[key] for key in wrong if key in given}
     path.write_text(json.dumps(figures), encoding="utf-8")
+    (to / "surrogate_measures.csv").unlink()  # older results have none
     write_manifests(to)
     return to
 
@@ -135,6 +136,23 @@ def test_margins_that_are_not_the_car_s_are_found_by_verify(folders, tmp_path, c
     found = with_episodes(verify(forged))
     assert not found.contradict
     assert any("margin of attempt" in line and says in line for line in found.problems), found.problems
+
+
+def test_verify_says_which_runs_are_not_there_although_later_ones_are(folders, tmp_path):
+    def without_one(arrays: dict[str, np.ndarray]) -> None:
+        drop = int(np.flatnonzero(arrays["mode"] == Mode.REPLAY)[0])
+        low, high = arrays["offsets"][drop : drop + 2]
+        count = len(arrays["mode"])
+        for name in ("positions", "car", "belief"):
+            arrays[name] = np.delete(arrays[name], np.s_[low:high], axis=0)
+        for name in [name for name, one in arrays.items() if one.ndim and len(one) == count]:
+            arrays[name] = np.delete(arrays[name], drop, axis=0)
+        arrays["offsets"] = np.delete(arrays["offsets"], drop) - (np.arange(count) >= drop) * (high - low)
+
+    remarks = with_episodes(verify(folders[0.5])).remarks
+    assert not any("it has no" in line or "not recorded" in line for line in remarks)
+    found = with_episodes(verify(forge(folders[0.5], tmp_path / "forged", without_one)))
+    assert any("along safe trajectory 0" in line or "it has no runs" in line for line in found.remarks), found
 
 
 def test_attempts_without_a_margin_are_noticed(folders, tmp_path):
