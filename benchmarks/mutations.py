@@ -24,6 +24,7 @@ from bag_forge import Sent, campaign_messages, write_mcap
 from forgeries import FORGING, FOUND_OTHERWISE, OF_SEVERAL
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
+from recorders import METADATA, RECORDERS
 from skd_evaluator.bags.logs import read_recordings, write_logs
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
@@ -194,7 +195,8 @@ def mutated(source: Source, rng: np.random.Generator, name: str, folder: Path) -
     file = folder / original.name
     what = source.mutators[name](original, file, source.sent[chosen] if source.sent else [], source.options, rng)
     others = [one for one in source.files if one != original]
-    return [*others[:chosen], file, *others[chosen:]], f"{original.name}: {what}"
+    given = folder if (folder / METADATA).exists() else file  # which is looked at in a folder alone
+    return [*others[:chosen], given, *others[chosen:]], f"{original.name}: {what}"
 
 
 def main() -> int:
@@ -212,8 +214,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         made = sources(Path(scratch), seed=2)
         if arguments.forged:
-            made = [replace(one, mutators=FORGING) for one in made if one.command == "replay"]
-            few = {name: one for name, one in FORGING.items() if name not in OF_SEVERAL}
+            made = [replace(one, mutators=FORGING | RECORDERS) for one in made if one.command == "replay"]
+            few = {name: one for name, one in (FORGING | RECORDERS).items() if name not in OF_SEVERAL}
             made = [one if len(one.files) == 1 else replace(one, mutators=few) for one in made]
         turns = [(source, name) for source in made for name in source.mutators]
         for number in range(arguments.count):

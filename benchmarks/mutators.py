@@ -162,7 +162,7 @@ def _flipped(value: Any, rng: np.random.Generator) -> Any:
     return members
 
 
-def _written(file: Path, sent: Sequence[Sent], options: dict[str, Any]) -> None:
+def written(file: Path, sent: Sequence[Sent], options: dict[str, Any]) -> None:
     write_mcap(file, sent, **options)
 
 
@@ -182,7 +182,7 @@ def forge(_original: Path, file: Path, sent: Sequence[Sent], options: dict[str, 
             new %= 256
         other = dataclasses.replace(sent[place], content=changed(sent[place].content, where, new))
         try:
-            _written(file, [*sent[:place], other, *sent[place + 1 :]], options)
+            written(file, [*sent[:place], other, *sent[place + 1 :]], options)
         except Exception:  # what no message can hold, nobody can forge
             continue
         return f"{where} of message {place} on {topic}: {str(value)[:40]} → {str(new)[:40]}"
@@ -211,7 +211,7 @@ def extreme(
     high = 255 if where in ("mode", "outcome") else 2**31
     new = int(rng.integers(high)) if whole else _pick(rng, EXTREME)
     other = dataclasses.replace(sent[place], content=changed(sent[place].content, where, new))
-    _written(file, [*sent[:place], other, *sent[place + 1 :]], options)
+    written(file, [*sent[:place], other, *sent[place + 1 :]], options)
     return f"{where} of message {place} on {topic}: {value} → {new}"
 
 
@@ -236,7 +236,7 @@ def messages(
         place = _pick(rng, [number for number, one in enumerate(sent) if one.topic == RESULT])
         said = changed(sent[place].content, "impact_speed", 3.25)
         new.insert(_pick(rng, [place, place + 1]), dataclasses.replace(sent[place], content=said))
-    _written(file, new, options)
+    written(file, new, options)
     return f"message {place} on {sent[place].topic} {how}"
 
 
@@ -282,6 +282,8 @@ def npz_value(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, A
     kind = array.dtype.kind
     if kind in "US":
         value: Any = _pick(rng, WORDS)
+    elif kind == "b":
+        value = not array.reshape(-1)[place]
     else:
         value = _pick(rng, EXTREME) if kind == "f" else int(rng.integers(np.iinfo(array.dtype).max))
     array.reshape(-1)[place : place + 1] = value

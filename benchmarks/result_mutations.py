@@ -3,8 +3,9 @@
     .venv/bin/python benchmarks/result_mutations.py --count 300
 
 A value of assessment.json, an array of episodes.npz, bytes of either or a line of the manifest are changed at random;
-the manifest is kept, written anew or removed. `--forged` forges whole episodes, and figures wherever they stand. Then
- the result is read as `compare`, `plan`, `report`, `show` and
+the manifest is kept, written anew or removed. `--forged` forges whole episodes, and figures wherever they stand;
+`--consistent` so that all files of the result agree (`result_forgeries.py`), and says what `skd verify` finds. Then
+the result is read as `compare`, `plan`, `report`, `show` and
 `verify` read it. A mutant fails where one ends in anything but a refusal in one line, takes too long, or lets a figure
 pass that is another one than before without a word.
 """
@@ -27,12 +28,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from result_forgeries import mutate_consistently, mutate_sayings
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.rebuilt import entries_of, recompute
 from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.campaign.store.verification import verify
+from skd_evaluator.cli.commands.verify import with_episodes
 from skd_evaluator.cli.main import main as skd
 from skd_sim.errors import UsageError
 
@@ -191,6 +194,7 @@ def mutate_figures_alike(folder: Path, draw: random.Random) -> str:
 
 MUTATORS = (mutate_json, mutate_json, mutate_arrays, mutate_arrays, mutate_bytes)
 FORGERIES = (mutate_episodes, mutate_episodes, mutate_figures_alike)
+CONSISTENT = (mutate_consistently, mutate_consistently, mutate_sayings)
 
 
 def said(folder: Path) -> dict[str, Any]:
@@ -248,7 +252,7 @@ def child(
     target = folder / "result"
     shutil.copytree(base, target)
     what = draw.choice(mutators)(target, draw)
-    manifest = draw.choice(["kept", "anew", "anew", "removed"])
+    manifest = "anew" if mutators is CONSISTENT else draw.choice(["kept", "anew", "anew", "removed"])
     if what != f"bytes: {MANIFEST}":
         if manifest == "removed":
             (target / MANIFEST).unlink()
@@ -256,6 +260,8 @@ def child(
             write_manifests(target)
     try:
         found = read_all(target, base, folder, true)
+        if mutators is CONSISTENT and not found.startswith("refused"):
+            found = f"{'consistent' if with_episodes(verify(target)).fine else 'found by verify'}: {found}"
     except BaseException as error:
         found = f"TRACEBACK: {type(error).__name__}: {error!s:.300}\n{traceback.format_exc()[-1500:]}"
     pipe.send((f"{what.partition(':')[0]}, manifest {manifest}", what, found))
@@ -266,8 +272,9 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--forged", action="store_true", help="forge whole episodes, and figures wherever they stand")
+    parser.add_argument("--consistent", action="store_true", help="forge so that all files agree")
     given = parser.parse_args()
-    mutators = FORGERIES if given.forged else MUTATORS
+    mutators = CONSISTENT if given.consistent else FORGERIES if given.forged else MUTATORS
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         bases = [scratch / "known", scratch / "two"]

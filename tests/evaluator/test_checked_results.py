@@ -21,7 +21,7 @@ from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, write_manifests
-from skd_evaluator.campaign.store.rebuilt import recompute
+from skd_evaluator.campaign.store.rebuilt import rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
@@ -250,6 +250,37 @@ def test_an_array_that_does_not_go_with_the_figures_is_refused(result, name):
         read_result(result)
 
 
+def beyond_any_hit(values: np.ndarray) -> np.ndarray:
+    return np.full_like(values, np.inf)
+
+
+@pytest.mark.parametrize("manifest", ["rewritten", "removed"])
+def test_margins_greater_than_what_a_kamikaze_needed_are_found(result, manifest):
+    """Whoever writes all files anew can lower no kamikaze's deformation below the margin of its attempt."""
+    change_array(result, "margin", beyond_any_hit)
+    figures, _ = read_figures(result)
+    given = rebuilt(figures, read_episodes(result)).as_dict()
+    keys = [key for key in given if not key.startswith("equivalent")]  # which are told of this car
+    edit(result, lambda one: one.update({key: given[key] for key in keys if key in one}), manifest)
+    found = verify(result).contradict
+    assert found
+    assert all(line.startswith("margin of attempt ") for line in found), found
+    if manifest == "rewritten":
+        with pytest.raises(UsageError, match="margin of attempt"):
+            read_result(result)
+    else:
+        assert any("not what this version computes" in line for line in read_result(result).remarks)
+
+
+def test_the_margin_of_a_basic_car_is_computed_and_so_converged(result):
+    edit(result, lambda figures: figures.update(margin_converged=False), "rewritten")
+    assert verify(result).contradict == ("margin_converged is False, its episodes give True",)
+
+
+def test_whose_behaviour_a_risk_is_of_is_not_said_to_be_recomputed(result):
+    assert not any(name.startswith("risk.behaviour") for name in verify(result).agree)
+
+
 def test_every_figure_but_what_was_asked_for_is_recomputed(result):
     figures, former = read_figures(result)
     found = recompute(figures, read_episodes(result))
@@ -354,6 +385,19 @@ def test_verify_reads_sweeps_older_results_and_says_what_is_none(sweep, result, 
     assert "wrong: " in skd_here("verify", str(result)).stdout
 
 
+def test_verify_holds_a_sweep_against_its_cars(sweep, tmp_path):
+    shutil.copytree(sweep, tmp_path / "sweep")
+    path, table = tmp_path / "sweep" / "sweep.json", tmp_path / "sweep" / "sweep.csv"
+    assert verify(tmp_path / "sweep").fine
+    content = json.loads(path.read_text())
+    content["rows"][0]["margin"] = 4.9
+    path.write_text(json.dumps(content))
+    write_manifests(tmp_path / "sweep")
+    problems = verify(tmp_path / "sweep").problems
+    assert [line.partition(": ")[2].partition(" is 4.9")[0] for line in problems[:1]] == ["synthetic, C_0.5: margin"]
+    assert f"{table}, line 2: margin is" in problems[1]
+
+
 @pytest.mark.parametrize("line", ["x", f"{'0' * 64}  ../a", f"{'0' * 64}  /a", f"{'0' * 64}  a\n{'0' * 64}  a"])
 def test_a_manifest_that_is_none_is_refused(result, line):
     (result / MANIFEST).write_text(line)
@@ -388,6 +432,45 @@ def test_rows_of_a_campaign_are_made_from_its_cells(campaign, skd_here):
     assert again["episodes_run"] == 0
     assert (campaign / "campaign.csv").read_text() == table
     assert skd_here("verify", "out").returncode == 0
+
+
+def _without_a_row(content: dict[str, Any]) -> None:
+    del content["cells"][0]
+
+
+CAMPAIGNS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a row is gone": (lambda out: _rows(out, _without_a_row), "has no row of cell"),
+    "a row is left open": (lambda out: _rows(out, lambda content: content["cells"][0].update(state="open")), "done"),
+    "a table": (
+        lambda out: (out / "campaign.csv").write_text((out / "campaign.csv").read_text().replace("done", "fine")),
+        "campaign.csv, line 2: state is 'fine'",
+    ),
+    "a cell whose manifest is written anew": (
+        lambda out: edit(next(out.glob("*/assessment.json")).parent, lambda one: one.update(seconds=1), "rewritten"),
+        "is not the file that the row is of",
+    ),
+    "a warning of a cell that its row does not say": (
+        lambda out: edit(next(out.glob("*/assessment.json")).parent, lambda one: one["warnings"].append("x"), "kept"),
+        "does not say 'x'",
+    ),
+}
+
+
+def _rows(campaign: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    path = campaign / "campaign.json"
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def test_verify_holds_a_campaign_against_its_cells(campaign):
+    assert verify(campaign).fine
+    for name, (change, says) in CAMPAIGNS.items():
+        out = campaign.parent / name
+        shutil.copytree(campaign, out)
+        change(out)
+        found = verify(out)
+        assert any(says in line for line in found.problems), (name, found.problems)
 
 
 def test_cells_that_are_not_what_was_written_are_refused(campaign, skd_here):

@@ -239,3 +239,35 @@ def test_a_definition_as_long_as_a_recording_is_refused(
     file = write_mcap(tmp_path / "x.mcap", sent[0])
     monkeypatch.setattr("skd_evaluator.bags.reader._LONGEST_DEFINITION", 100)
     assert "more than any of a message" in refused(file)
+
+
+@pytest.mark.parametrize("indent", ["  ", ""])
+def test_metadata_that_counts_other_messages_is_named(
+    sent: list[list[Sent]], tmp_path: Path, replay: Replay, indent: str
+) -> None:
+    every = [one for each in sent for one in each]
+    bag = tmp_path / "bag"
+    (bag).mkdir()
+    about = (
+        f"message_count: {len(every)}\ntopics_with_message_count:\n  - topic_metadata: {{name: /x}}\n"
+        "    message_count: 3\nrelative_file_paths:\n  - bag.mcap\n"
+    )
+    head = "rosbag2_bagfile_information:\n" if indent else ""
+    (bag / "metadata.yaml").write_text(head + "".join(f"{indent}{line}\n" for line in about.splitlines()))
+    write_mcap(bag / "bag.mcap", every)
+    assert replay(bag).err == ""
+    rest = [one for each in sent[:-1] for one in each]
+    write_mcap(bag / "bag.mcap", rest)
+    assert f"counts {len(every)} messages, its files hold {len(rest)}" in replay(bag).result["warnings"][0]
+    assert replay(bag / "bag.mcap").result["warnings"]  # of the only file of the bag
+    write_mcap(bag / "second.mcap", sent[-1])
+    assert not replay(bag / "second.mcap", bag / "bag.mcap").result["warnings"]
+
+
+def test_an_episode_that_calls_its_safe_trajectory_otherwise_is_named(
+    sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
+) -> None:
+    other = forged(sent[0], 0, "safe_trajectory_name", "another")
+    done = replay(recorded([other, *sent[1:]]))
+    assert done.code == 0
+    assert "safe trajectory 0 is called 'another' by an episode and 'brisk' by another" in done.result["warnings"]

@@ -154,6 +154,15 @@ def test_commands_that_come_late_count_and_are_said(logs: list[EpisodeLog], reco
     assert any("obeyed a command later than lockstep would" in line for line in done.result["warnings"])
 
 
+@pytest.mark.parametrize("multiplier", [2.0, 5.0])
+def test_a_car_that_brakes_before_any_command_to_is_another_car(
+    logs: list[EpisodeLog], recorded: Write, refused: Refused, multiplier: float
+) -> None:
+    """A command may come late, and be that of an earlier tick; it cannot come before it is due."""
+    earlier = [run_episode(logs[0].episode, controller=make_controller("basic", multiplier)), *logs[1:]]
+    assert "the car's speed at tick" in refused(recorded(campaign_messages(earlier)))
+
+
 def test_states_of_another_topic_are_not_mixed_in(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
     """carla_ros_bridge publishes /carla/ego/odometry for a car with the role name `ego`."""
     right = replay(recorded(sent))

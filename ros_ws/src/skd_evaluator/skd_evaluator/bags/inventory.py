@@ -25,6 +25,7 @@ _PACKED = (".mcap.zstd", ".mcap.zst", ".mcap.lz4", ".mcap.gz", ".mcap.bz2", ".mc
 _OTHER_STORAGE = (".db3", ".db3.zstd", ".bag", ".mcap.active", ".mcap.part")
 _READ_BESIDE = (METADATA, MANIFEST, "assessment.json")
 _PATHS = re.compile(r"^ *relative_file_paths:[ ]*\n((?: *- [^\n]*\S[^\n]*(?:\n|\Z))+)", re.MULTILINE)
+_COUNT = re.compile(r"^( *)message_count:[ ]*([0-9]{1,18})[ ]*$", re.MULTILINE)
 _MOST = 1_000_000  # entries of all folders together
 
 
@@ -179,6 +180,23 @@ def _named_in(text: str, file: Path) -> list[str]:
         return [line.strip()[1:].strip().strip("'\"") for line in block[1].splitlines()]
     content = parse_yaml(text, str(file))
     return [str(name) for name in content.get("rosbag2_bagfile_information", content)["relative_file_paths"]]
+
+
+def messages_said(files: Sequence[Path]) -> int | None:
+    """Return how many messages a bag's metadata counts in its files; None where it does not say, or is not there.
+
+    Args:
+        files: those of the bag that are read; where the metadata names others, nothing is known of these alone.
+    """
+    path = files[0].parent / METADATA
+    try:
+        text = read_text(path)
+        if {Path(name).name for name in _named_in(text, path)} != {file.name for file in files}:
+            return None
+    except (OSError, UsageError, LookupError, TypeError, AttributeError):
+        return None  # which is said where the folder is looked into
+    found = [(len(one[1]), int(one[2])) for one in _COUNT.finditer(text)]  # topics and files have counts further in
+    return min(found)[1] if found and [one[0] for one in found].count(min(found)[0]) == 1 else None
 
 
 def _hold_against_manifest(folder: Path, path: Path, damage: Damage) -> None:

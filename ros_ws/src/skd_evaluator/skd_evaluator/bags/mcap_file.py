@@ -64,12 +64,14 @@ class Condition:
         unchecked: whether messages came from a part without a checksum.
         refuted: whether a checksum contradicts messages that have no other: nothing that came may be used.
         chunks: how many there were, damaged ones included.
+        messages: how many there were on all topics, as far as they could be read.
     """
 
     damage: list[str] = field(default_factory=list)
     unchecked: bool = False
     refuted: bool = False
     chunks: int = 0
+    messages: int = 0
 
 
 class _Source:
@@ -127,7 +129,6 @@ class _File:
         self._channels: dict[int, Channel] = {}
         self._definitions: set[tuple[int, bytes]] = set()
         self._kinds: dict[int, tuple[Schema, Channel] | None] = {}
-        self._count = 0
         self._unpacked = 0
 
     def messages(self) -> Iterator[Received]:
@@ -221,7 +222,7 @@ class _File:
             end: where in it the content ends.
         """
         if opcode == Opcode.MESSAGE:
-            self._count += 1
+            self._condition.messages += 1
             if end - start < _MESSAGE_HEAD.size:
                 raise DamagedError("a message is shorter than its head")
             number = _CHANNEL_ID.unpack_from(raw, start)[0]
@@ -284,7 +285,7 @@ class _File:
             self._condition.damage.append(f"{source.size - source.place} bytes follow its end")
 
     def _compare(self, said: Statistics) -> None:
-        found = (self._condition.chunks, self._count)
+        found = (self._condition.chunks, self._condition.messages)
         if (said.chunk_count, said.message_count) != found and not self._condition.damage:
             self._condition.damage.append(
                 f"it says that it holds {said.message_count} messages in {said.chunk_count} chunks, and has {found[1]} "

@@ -18,7 +18,7 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.former_names import TOPICS as FORMER_TOPICS
 
-from skd_evaluator.bags.inventory import find_recordings
+from skd_evaluator.bags.inventory import METADATA, find_recordings, messages_said
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
 from skd_evaluator.bags.recording import (
     ADVERSARY,
@@ -95,11 +95,12 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     recordings = find_recordings(paths, damage)
     for files in recordings:
         graphs: dict[str, Recording] = {}
-        for file in files:
-            condition = Condition()
+        conditions = [Condition() for _ in files]
+        for file, condition in zip(files, conditions, strict=True):
             _read_file(file, graphs, condition, damage)
             if condition.unchecked:
                 damage.unchecked.append(file)
+        _hold_against_count(files, conditions, damage)
         for recording in graphs.values():
             announced.update(recording.announced())
             for episode in recording.logs(str(files[0]), damage):
@@ -110,6 +111,16 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     return Recorded(
         episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
     )
+
+
+def _hold_against_count(files: Sequence[Path], conditions: Sequence[Condition], damage: Damage) -> None:
+    """See that a bag holds as many messages as its metadata says: else an episode may be missing, whole."""
+    said, found = messages_said(files), sum(one.messages for one in conditions)
+    if said not in (None, found) and not any(one.damage or one.refuted for one in conditions):
+        damage.warn(
+            f"{files[0].parent / METADATA}: counts {said} messages, its files hold {found}: some are missing, or were "
+            "added"
+        )
 
 
 def _one_of(places: Sequence[_Place], damage: Damage) -> _Place | None:

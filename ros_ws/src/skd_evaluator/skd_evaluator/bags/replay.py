@@ -107,6 +107,9 @@ def rating_from(
             raise UsageError(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
+        one, other = group.safe_trajectory.name, spec.safe_trajectory.name
+        if one != other and damage is not None:
+            damage.warn(f"safe trajectory {index} is called {one!r:.60} by an episode and {other!r:.60} by another")
         if stage == Stage.KAMIKAZE:
             group.kamikaze.setdefault(spec.objective, []).append(episode.log)
         else:

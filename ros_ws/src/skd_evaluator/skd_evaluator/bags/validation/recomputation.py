@@ -245,15 +245,21 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     free, braked = np.maximum(0.0, rolling), np.maximum(0.0, rolling + step * braking)
     # As `BasicController.command` has it.
     if scenario.road.straight:
+        walked, drove = (_COS * places[:-1, 0] + _SIN * places[:-1, 1] for places in (log.adversary, states))
         ahead = _COS * (log.adversary[:-1, 0] - states[:-1, 0]) + _SIN * (log.adversary[:-1, 1] - states[:-1, 1])
     else:
-        ahead = (right_and_along(line, log.adversary[:-1]) - right_and_along(line, states[:-1, :2]))[:, 1]
+        walked, drove = (right_and_along(line, places[:-1, :2])[:, 1] for places in (log.adversary, states))
+        ahead = walked - drove
     trigger = episode.multiplier * car.safe_distance
     gaps = (ahead - car.front).tolist()
     brakes = np.array([basic_acceleration(gap, trigger, car.deceleration) != 0.0 for gap in gaps], dtype=np.bool_)
     in_time = np.abs(np.where(brakes, braked, free) - after)
     other = np.abs(np.where(brakes, free, braked) - after)
     late = (other <= ROUNDING) & (in_time > ROUNDING)
+    if late.any():  # a command to brake can be late only where one was due before, by places of any ticks until then
+        apart = walked[:, None] - drove - car.front
+        due = (apart >= -ROUNDING) & (apart <= trigger + ROUNDING)
+        late &= brakes | [due[: tick + 1, : tick + 1].any() for tick in range(ticks)]
     found.late += int(late.sum())
     found.note(np.where(late, other, in_time), "the car's speed", 1)
 

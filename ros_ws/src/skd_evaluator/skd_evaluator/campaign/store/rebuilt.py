@@ -18,10 +18,11 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.arrays import FARTHEST
 from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, NEWER, Told
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set
+from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.campaign.store.stored_failures import with_failures
@@ -32,7 +33,7 @@ from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch
 
 NEEDED = ("clipped", "reason", "safe_name", "objectives", "plans_deformation", "eta_max", "maximum_distance", "seed")
 """Arrays without which a file of an older version does not say enough."""
-BUDGETS = "vulnerability_curve.budgets"
+BUDGETS, BEHAVIOUR = "vulnerability_curve.budgets", "risk.behaviour"
 _AGREE = 1e-7
 """Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
 
@@ -270,7 +271,49 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
             contradict.append(Contradiction(name, is_said, has))
         elif name not in agree:
             agree.append(name)
+    contradict += [*_margins_that_cannot_be(rating, stored), *_floors_that_cannot_be(stored)]
     return Recomputed(tuple(agree), tuple(contradict), tuple(unknown))
+
+
+def _margins_that_cannot_be(rating: Rating, stored: StoredEpisodes) -> Iterator[Contradiction]:
+    """Yield which margins are greater than what a kamikaze needed in the same attempt, are of no hit, or not there.
+
+    What was searched begins with the ways of kamikazes that hit, and what is exact is no further above the least than
+    it says. A car that was walked in another way need not do in the search what it did in an episode.
+    """
+    margins = rating.margins
+    if margins is None:
+        return
+    if margins.exact and not margins.converged:
+        yield Contradiction("margin_converged", False, True)  # those of basic cars are computed, not searched for
+    for index, ways in enumerate(margins.ways):
+        for attempt, way in enumerate(ways):
+            if way is not None and not stored.hit_speed - _AGREE <= way.impact_speed <= FARTHEST:
+                name = f"impact speed of the margin of attempt {attempt} of safe trajectory {index}"
+                yield Contradiction(name, way.impact_speed, f"hits from {stored.hit_speed:g} m/s on")
+    if margins.how:
+        return
+    for index, ways in enumerate(margins.ways):  # of each attempt that was wanted, of which no more can have succeeded
+        reached = max(one.successes_by_phi[index] for one in rating.assessments)
+        if len(ways) < reached:
+            yield Contradiction(f"number of margins of safe trajectory {index}", len(ways), f"at least {reached}")
+    for number in np.flatnonzero(stored.hit & (stored.mode == Mode.KAMIKAZE)).tolist():
+        _, index, attempt = split_episode_id(int(stored.episode_id[number]))
+        if attempt >= len(margins.ways[index]):
+            continue
+        way, needed = margins.ways[index][attempt], float(min(stored.deformation[number], margins.eta_max))
+        least = margins.eta_max if way is None else way.distance
+        if least - (way.gap if way is not None and margins.exact else 0.0) > needed + _AGREE:
+            yield Contradiction(f"margin of attempt {attempt} of safe trajectory {index}", least, needed)
+
+
+def _floors_that_cannot_be(stored: StoredEpisodes) -> Iterator[Contradiction]:
+    """Yield which floors are below 0, or above the distance that the kamikaze of the pair reached."""
+    floors = stored.further.get("floor", np.empty(0))
+    for number in np.flatnonzero(~np.isnan(floors)).tolist():
+        reached = float(stored.frechet[number])
+        if not 0.0 <= floors[number] <= reached + _AGREE:
+            yield Contradiction(f"floor of episode {stored.episode_id[number]}", float(floors[number]), reached)
 
 
 def _equivalent(figures: Mapping[str, Any], margins: Margins | None) -> dict[str, Any]:
@@ -294,7 +337,7 @@ def _equivalent(figures: Mapping[str, Any], margins: Margins | None) -> dict[str
 def _is_asked(name: str) -> bool:
     """Return whether an entry says something that no episode tells."""
     row = AT_THE_TOP.get(name.partition(".")[0])
-    return (row is not None and row.told is not Told.EPISODES) or name == BUDGETS or name.startswith(f"{BUDGETS}.")
+    return (row is not None and row.told is not Told.EPISODES) or name.startswith((BUDGETS, f"{BEHAVIOUR}."))
 
 
 def _above(name: str) -> list[str]:

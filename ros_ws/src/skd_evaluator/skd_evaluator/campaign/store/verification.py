@@ -11,20 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import folders_in, read_json, read_text
+from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import BUDGETS, can_be_rebuilt, rebuilt, recompute
+from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey
 
-_CAMPAIGN = "campaign.json"
+_CAMPAIGN, _CELLS, _TABLE, _SWEEP = "campaign.json", "cells.json", "campaign.csv", "sweep.json"
 _AGREE = 1e-7
 """Relative to a value in a CSV, or to 1: rounding of another machine, and of nine digits."""
 
@@ -123,6 +123,8 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         problems += _rows_that_differ(folder)
     elif files is None and not problems:
         remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
+    if _SWEEP in there and ASSESSMENT not in there:
+        problems += _sweep_that_differs(folder)
     named = files is not None and ASSESSMENT in (*files.same, *files.changed, *files.missing)
     if not named and ASSESSMENT not in there:
         return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
@@ -152,12 +154,15 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
 
 def _figure(name: str) -> str:
     """Return an entry's name without what is inside of it."""
-    return BUDGETS if name.startswith(BUDGETS) else name.partition(".")[0]
+    inside = next((one for one in (BUDGETS, BEHAVIOUR) if name.startswith(one)), None)
+    return inside or name.partition(".")[0]
 
 
 def _why_unknown(name: str) -> str:
     if name == BUDGETS:
         return "of kamikazes whose episodes are not kept"
+    if name == BEHAVIOUR:
+        return "by whom crossings were walked that are not kept, but for the failures"
     return str((name in AT_THE_TOP and AT_THE_TOP[name].told) or Told.ASKED)
 
 
@@ -166,24 +171,91 @@ def _rows_that_differ(folder: Path) -> list[str]:
     path = folder / _CAMPAIGN
     found = []
     try:
-        rows = read_json(path)["cells"]
+        content = read_json(path)
+        rows = content["cells"]
         done = [row for row in rows if row["state"] == "done"]
+        names = [str(row["name"]) for row in rows]
+        if (folder / _CELLS).exists():
+            asked = [str(cell["name"]) for cell in read_json(folder / _CELLS)["cells"]]
+            found += [f"{path}: has no row of cell {name}, which was asked for" for name in asked if name not in names]
+            found += [
+                f"{path}: has a row of cell {name}, which nobody asked for" for name in names if name not in asked
+            ]
+        if content.get("done", len(done)) != len(done):
+            found.append(f"{path}: says that {content['done']!r:.20} cells are done, and has {len(done)} rows of such")
         for row in done:
             name = str(row["name"])
             if Path(name).name != name:
                 found.append(f"{path}: {name!r} is no name of a cell's folder")
-                continue
-            figures = read_json(folder / name / ASSESSMENT)
-            same = {key for key in row if key in figures and key not in ("warnings", "scenario")}
-            wrong = sorted(key for key in same if row[key] != figures[key])
-            found += [
-                f"{path}: cell {name}: {key} is {row[key]!r:.60}, in its folder {figures[key]!r:.60}" for key in wrong
-            ]
+            else:
+                found += [f"{path}: cell {name}: {line}" for line in _differences(row, folder / name)]
+        if (folder / _TABLE).exists():
+            found += _table_that_differs(folder / _TABLE, rows)
     except UsageError as error:
         found.append(str(error))
     except (LookupError, TypeError, AttributeError) as error:
         found.append(f"{path}: is not of a campaign ({type(error).__name__}: {error})")
     return found
+
+
+def _sweep_that_differs(folder: Path) -> list[str]:
+    """Return which rows of a sweep say something else than the results of its cars, a line each."""
+    path = folder / _SWEEP
+    found = []
+    try:
+        rows = read_json(path)["rows"]
+        for row in rows:
+            kind, car = str(row["kind"]), f"C_{float(row['multiplier']):.12g}"
+            if Path(kind).name != kind:
+                found.append(f"{path}: {kind!r:.60} is no name of a folder")
+            else:
+                found += [f"{path}: {kind}, {car}: {line}" for line in _differences(row, folder / kind / car)]
+        table = path.with_suffix(".csv")
+        return [*found, *(_table_that_differs(table, rows) if table.exists() else ())]
+    except UsageError as error:
+        return [*found, str(error)]
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        return [*found, f"{path}: is not of a sweep ({type(error).__name__}: {error})"]
+
+
+def _differences(row: Mapping[str, Any], cell: Path) -> list[str]:
+    """Return what a row says that its cell's folder does not, and which of its warnings it does not say."""
+    figures = read_json(cell / ASSESSMENT)
+    same = {key for key in row if key in figures and key not in ("warnings", "scenario")}
+    found = [
+        f"{key} is {row[key]!r:.60}, in its folder {figures[key]!r:.60}"
+        for key in sorted(same)
+        if row[key] != figures[key]
+    ]
+    digests = row.get("sha256") or {}  # rows of older versions have none
+    found += [
+        f"{name} is not the file that the row is of: its SHA-256 is another"
+        for name in (ASSESSMENT, EPISODES)
+        if name in digests and digests[name] != sha256_of(cell / name)
+    ]
+    if "warnings" not in row:  # of a sweep
+        return found
+    said = {*row["warnings"], *row.get("problems", ())}
+    return [*found, *(f"does not say {line!r:.90}" for line in figures.get("warnings", ()) if line not in said)]
+
+
+def _table_that_differs(path: Path, rows: list[Mapping[str, Any]]) -> list[str]:
+    """Return where the CSV of a campaign or a sweep says something else than its rows, in a line; none: nowhere."""
+    try:
+        table = list(csv.DictReader(io.StringIO(read_text(path))))
+    except csv.Error as error:
+        return [f"{path}: is no CSV ({error})"]
+    if len(table) != len(rows):
+        return [f"{path}: has {len(table)} rows, and {len(rows)} are in the JSON beside it"]
+    for line, (said, row) in enumerate(zip(table, rows, strict=True), 2):
+        for key, cell in said.items():
+            value = row.get(key)
+            text = " ".join(map(str, value)) if isinstance(value, list) else "" if value is None else str(value)
+            if cell != text:
+                return [
+                    f"{path}, line {line}: {key} is {cell or 'blank'!r:.60}, in {_CAMPAIGN} {text or 'blank'!r:.60}"
+                ]
+    return []
 
 
 def _surrogates_that_differ(path: Path, found: Surrogates) -> list[str]:

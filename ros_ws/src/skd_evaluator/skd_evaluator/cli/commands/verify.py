@@ -5,20 +5,24 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 
+import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
 
+from skd_evaluator.bags.completeness import missing_episodes
 from skd_evaluator.bags.logs import look_through
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, stored_verification
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.signature import PublicKey
-from skd_evaluator.campaign.store.stored_episodes import EPISODES
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.margin.again import Again, margins_again
 from skd_evaluator.report.terminal import counted
 
 _SHOWN = 20
@@ -45,19 +49,42 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def with_episodes(found: Verified) -> Verified:
-    """Return what was found, and whether each episode can have happened: see `skd_evaluator.bags.validation`."""
+    """Return what was found, whether each episode can have happened, and whether the margins are those of SKD's cars.
+
+    See `skd_evaluator.bags.validation` and `skd_evaluator.margin.again`.
+    """
     if found.problems or not (found.folder / ASSESSMENT).exists():
         return found
     damage = Damage(skip=True)
     try:
         with understood(found.folder / ASSESSMENT):
             count = look_through(found.folder / EPISODES, damage)
+            figures, former = read_figures(found.folder)
+            stored = read_episodes(found.folder)
+            margins = Again() if former else margins_again(found.folder, figures, stored)
+            missing = _missing(stored)
     except UsageError as error:
         return replace(found, problems=(*found.problems, str(error)))
-    remarks = (*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so")
-    return replace(
-        found, problems=(*found.problems, *damage.left_out), remarks=(*remarks, *damage.warnings) if count else remarks
-    )
+    remarks = [*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so"]
+    if count:
+        remarks += damage.warnings
+    remarks += missing
+    if margins.remark and not margins.problems:
+        remarks.append(margins.remark)
+    problems = (*found.problems, *damage.left_out, *margins.problems)
+    return replace(found, problems=problems, remarks=tuple(remarks))
+
+
+def _missing(stored: StoredEpisodes) -> list[str]:
+    """Return which attempts are not there although later ones are, a line each; a replay may have left them out."""
+    kamikaze = stored.mode == Mode.KAMIKAZE
+    runs = stored.episode_id[stored.mode == Mode.REPLAY].tolist()
+    lines: list[str] = []
+    for objective in np.unique(stored.objective[kamikaze]).tolist():
+        own = stored.episode_id[kamikaze & (stored.objective == objective)].tolist()
+        which = f" of objective {objective}"
+        lines += missing_episodes([*own, *runs], {}, wanted=0, left_out=True, which=which)
+    return [line.replace("no recording has", "it has no") for line in dict.fromkeys(lines)]
 
 
 def _with_decisions(found: Verified, sample: Sample, runner: ExecutorRunner) -> Verified:
