@@ -62,7 +62,7 @@ def read_trials(path: Path, measured: Callable[[Path, Trial], Trial] | None = No
             row = {name: value.strip() for name, value in row.items()}
             found.append(_trial(path, where, row, measured))
             if row.get(_FILE):
-                _check_once(known, (path.parent / row[_FILE]).resolve(), found[-1])
+                _check_once(known, path.parent / row[_FILE], found[-1])
     except csv.Error as error:
         raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
     if not found:
