@@ -19,16 +19,17 @@ FRAME_RATE = 29.97
 
 @dataclass(frozen=True)
 class Walk:
-    """A straight walk (start_x + v·t, v_north·(t − t_cross)) with a sideways sway of its own frequency."""
+    """A straight walk (start_x + v·t, north + drift·x) with a sideways sway of its own frequency."""
 
     start_x: float = -4.0
     speed: float = 1.4
     drift: float = 0.1
     sway: float = 0.2
+    north: float = 0.0
 
     def at(self, seconds: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         x = self.start_x + self.speed * seconds
-        y = self.drift * x + self.sway * np.sin(x)
+        y = self.north + self.drift * x + self.sway * np.sin(x)
         return np.column_stack([x, y])
 
 

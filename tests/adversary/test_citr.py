@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,9 +63,8 @@ def test_missing_frames_are_interpolated(tmp_path: Path) -> None:
 
 
 def test_order_is_by_clip_and_id(tmp_path: Path) -> None:
-    walks = [Walk(drift=0.1 * i) for i in range(3)]
-    for name in ("unidirection_yeild_02", "unidirection_normal_driving_01"):
-        LookAlike(name=name, walks=walks).write(tmp_path)
+    for name, sway in (("unidirection_yeild_02", 0.2), ("unidirection_normal_driving_01", 0.3)):
+        LookAlike(name=name, walks=[Walk(sway=sway + 0.01 * i, north=-i) for i in range(3)]).write(tmp_path)
     names = [trajectory.name for trajectory in read_citr(tmp_path, SCENARIO)]
     assert names == [f"{clip}/{i}" for clip in ("normal_driving_01", "yeild_02") for i in (1, 2, 3)]
 
@@ -75,9 +75,9 @@ def test_only_walks_across_the_whole_path_are_kept(tmp_path: Path) -> None:
     last = math.floor(duration / SCENARIO.time_step) * SCENARIO.time_step
     walks = [
         Walk(start_x=-edge - 0.01),
-        Walk(start_x=-edge + 0.01),
+        Walk(start_x=-edge + 0.01, north=-1.0),
         Walk(start_x=edge + 0.01 - 1.4 * last),
-        Walk(start_x=edge - 0.01 - 1.4 * last),
+        Walk(start_x=edge - 0.01 - 1.4 * last, north=-1.0),
     ]
     # Drives away from the pedestrians, so that nothing else drops any; nor does their early entry, in this scenario.
     LookAlike(walks=walks, cart_y=10.0).write(tmp_path)
@@ -108,8 +108,8 @@ def test_longer_than_the_horizon_is_dropped(tmp_path: Path) -> None:
 
 
 def test_choice_is_spread_and_repeatable(tmp_path: Path) -> None:
-    walks = [Walk(drift=0.01 * i) for i in range(5)]
     for number in (1, 2):
+        walks = [Walk(drift=0.01 * number, sway=0.2 + 0.01 * i, north=-i) for i in range(5)]
         LookAlike(name=f"unidirection_yeild_{number:02d}", walks=walks).write(tmp_path)
     names = [[t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 4)] for _ in range(2)]
     assert names[0] == names[1] == ["yeild_01/1", "yeild_01/4", "yeild_02/2", "yeild_02/5"]
@@ -117,7 +117,7 @@ def test_choice_is_spread_and_repeatable(tmp_path: Path) -> None:
 
 
 def test_too_few_says_how_many_and_why(tmp_path: Path) -> None:
-    LookAlike(walks=[Walk(), Walk(start_x=-0.1), Walk(start_x=-0.2)], cart_y=10.0).write(tmp_path)
+    LookAlike(walks=[Walk(), Walk(start_x=-0.1), Walk(start_x=-0.2, north=-1.0)], cart_y=10.0).write(tmp_path)
     with pytest.raises(UsageError, match=r"1 usable .* 2 were asked for; 2 dropped \(2 × starts in"):
         load_safe_trajectories(str(tmp_path), SCENARIO, 2)
 
@@ -160,6 +160,88 @@ def test_malformed_file(tmp_path: Path, name: str, line: int, old: str, new: str
     assert str(tmp_path / name) in str(caught.value)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def _rows(file: Path, change: Callable[[list[str]], list[str]]) -> None:
+    head, *rows = file.read_text(encoding="utf-8").splitlines()
+    rows = [",".join(change(row.split(","))) for row in rows]
+    file.write_text("\n".join([head, *rows]), encoding="utf-8")
+
+
+def _late(cells: list[str]) -> bool:
+    return int(cells[1]) > 200
+
+
+def _exchange(cells: list[str], first: int, second: int) -> list[str]:
+    cells[first], cells[second] = cells[second], cells[first]
+    return cells
+
+
+def _changed(cells: list[str], where: dict[int, Callable[[float], float]]) -> list[str]:
+    return [str(where[place](float(one))) if place in where else one for place, one in enumerate(cells)]
+
+
+FORGED: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
+    "leaps for a row": (PED, lambda r: _changed(r, {3: lambda x: x + 3.0}) if r[1] == "200" else r, "line 97: moves"),
+    "leaps from then on": (PED, lambda r: _changed(r, {3: lambda x: x + 1.0}) if _late(r) else r, "line 98: moves"),
+    "mm from then on": (PED, lambda r: _changed(r, {3: lambda x: 1e3 * x, 4: lambda x: 1e3 * x}) if _late(r) else r,
+                        "line 98: moves"),
+    "feet": (PED, lambda r: _changed(r, {3: lambda x: x / 0.3048, 4: lambda x: x / 0.3048}), "3.3 times as far"),
+    "a hole": (PED, lambda r: [r[0], str(int(r[1]) + 30 * _late(r)), *r[2:]], "line 98: 1.03 s after the row before"),
+    "half the frame rate": (PED, lambda r: [r[0], str(2 * int(r[1])), *r[2:]], "0.5 times as far"),
+    "x and y": (PED, lambda r: _exchange(r, 3, 4), "° aside"),
+    "x and its velocity": (PED, lambda r: _exchange(r, 3, 5), "m by its velocities"),
+    "the cart's x and y": (VEH, lambda r: _exchange(r, 3, 4), "94° aside"),
+    "the cart's degrees": (VEH, lambda r: _changed(r, {5: math.degrees}), "° aside"),
+    "the cart's heading and speed": (VEH, lambda r: _exchange(r, 5, 6), "° aside"),
+    "the cart leaps": (VEH, lambda r: _changed(r, {4: lambda x: x + 5.0}) if r[1] == "200" else r, "line 97: moves"),
+    "the cart in reverse": (VEH, lambda r: [r[0], r[1], r[2], *_changed(r[3:], {3: lambda v: -v})], "180° aside"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "change", "said"), FORGED.values(), ids=FORGED)
+def test_what_nobody_can_have_done(
+    tmp_path: Path, name: str, change: Callable[[list[str]], list[str]], said: str
+) -> None:
+    LookAlike().write(tmp_path)
+    _rows(tmp_path / name, change)
+    with pytest.raises(UsageError) as caught:
+        read_clips(tmp_path)
+    assert str(tmp_path / name) in str(caught.value)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_somebody_who_walks_backwards_in_time(tmp_path: Path) -> None:
+    LookAlike().write(tmp_path)
+    head, *rows = (tmp_path / PED).read_text(encoding="utf-8").splitlines()
+    frames = [row.split(",")[1] for row in rows]
+    turned = [",".join([cells[0], frame, *cells[2:]])
+              for frame, cells in zip(frames, (row.split(",") for row in rows[::-1]), strict=True)]  # fmt: skip
+    (tmp_path / PED).write_text("\n".join([head, *turned]), encoding="utf-8")
+    with pytest.raises(UsageError, match="180° aside"):
+        read_clips(tmp_path)
+
+
+def test_one_person_under_two_ids(tmp_path: Path) -> None:
+    LookAlike(walks=[Walk(), Walk(north=0.2)]).write(tmp_path)
+    with pytest.raises(UsageError, match=r"ids 1 and 2 are never 0\.3 m apart"):
+        read_clips(tmp_path)
+
+
+def test_a_recording_under_two_names(tmp_path: Path) -> None:
+    for name in ("unidirection_yeild_01", "unidirection_yeild_02"):
+        LookAlike(name=name).write(tmp_path)
+    with pytest.raises(UsageError, match=r"yeild_02/1: is the way of .*yeild_01/1 once more"):
+        read_clips(tmp_path)
+
+
+def test_nobody_knows_whether_who_is_seen_without_the_cart_touches_it(tmp_path: Path) -> None:
+    LookAlike(cart_y=10.0).write(tmp_path)
+    rows = (tmp_path / VEH).read_text(encoding="utf-8").splitlines()
+    (tmp_path / VEH).write_text("\n".join(rows[:100]), encoding="utf-8")
+    _, dropped = select(read_clips(tmp_path), ANY_ENTRY)
+    assert dropped == [("yeild_01/1", "seen while the cart is not, which it may have touched")]
 
 
 def test_folder_without_the_dataset(tmp_path: Path) -> None:

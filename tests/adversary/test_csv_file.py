@@ -104,8 +104,8 @@ def test_start_in_the_path_of_a_car_that_meets_it(tmp_path: Path) -> None:
 
 
 def test_sources_file_and_folder(tmp_path: Path) -> None:
-    for name in ("b.csv", "a.csv", "c.CSV"):
-        _write(tmp_path, GOOD, name)
+    for number, name in enumerate(("b.csv", "a.csv", "c.CSV")):
+        _write(tmp_path, GOOD.replace("2.0", f"2.{number}"), name)
     (tmp_path / "notes.txt").write_text("not a trajectory", encoding="utf-8")
     assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 3)] == ["a", "b", "c"]
     assert [t.name for t in load_safe_trajectories(str(tmp_path), SCENARIO, 2)] == ["a", "c"]
@@ -159,8 +159,8 @@ def test_a_runner_and_a_jittery_sensor_are_no_jump(tmp_path):
 
 
 def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
-    for name in "abcdefg":
-        (tmp_path / f"{name}.csv").write_text("t,x,y\n0,-3,0\n3,3,0\n")
+    for number, name in enumerate("abcdefg"):
+        (tmp_path / f"{name}.csv").write_text(f"t,x,y\n0,-3,0\n3,3,0.{number}\n")
     (tmp_path / "notes.txt").touch()
     taken = load_safe_trajectories(tmp_path, load_scenario("crossing"), 5)
     (line,) = caplog.messages
@@ -170,3 +170,10 @@ def test_what_of_a_folder_is_not_used_is_said(tmp_path, caplog):
     (tmp_path / "notes.txt").unlink()
     load_safe_trajectories(tmp_path, load_scenario("crossing"), 7)
     assert caplog.messages == []
+
+
+def test_one_way_in_two_files_of_a_folder_is_no_two_ways(tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.csv").write_text("t,x,y\n0,-3,0\n3,3,0\n")
+    with pytest.raises(UsageError, match=r"b\.csv: is the way of .*a\.csv once more"):
+        load_safe_trajectories(tmp_path, load_scenario("crossing"), 2)

@@ -120,6 +120,16 @@ def test_tracks_that_nobody_went_are_refused(tmp_path, row, said):
         read_tracks([tmp_path], Damage())
 
 
+def test_a_track_counts_once(tmp_path):
+    ways = people(2, [20, 25])
+    write_csv(tmp_path / "one", ways)
+    write_csv(tmp_path / "moved", [ways[1] + 2.0])
+    assert len(read_tracks([tmp_path / "one"], Damage())) == 2
+    for again in (tmp_path / "one", tmp_path / "moved"):
+        with pytest.raises(UsageError, match=r"00[01]: is the way of .*/one: 00[01] once more"):
+            read_tracks([tmp_path / "one", again], Damage())
+
+
 def test_a_track_lasts_minutes_at_most(tmp_path):
     rows = "".join(f"{0.5 * tick},{0.6 * tick},0\n" for tick in range(700))
     (tmp_path / "a.csv").write_text("t,x,y\n" + rows)

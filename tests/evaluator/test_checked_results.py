@@ -544,3 +544,13 @@ def test_a_result_that_goes_while_it_is_verified_is_not_fine(result, monkeypatch
     found = verify(result)
     assert not found.fine
     assert "assessment.json: cannot be read" in found.problems[0]
+
+
+def test_what_says_nothing_may_be_missing_inside(result: Path):
+    """Results of before lack what their version did not look for, as the likely failures of a risk."""
+    figures, _ = read_figures(result)
+    stored = read_episodes(result)
+    floor = figures["objectives"]["paper"].pop("floor")
+    assert (floor, recompute(figures, stored).contradict) == (None, ())
+    figures["objectives"]["paper"].pop("skd")
+    assert [one.name for one in recompute(figures, stored).contradict] == ["objectives.paper.skd"]

@@ -114,6 +114,59 @@ def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, changes, says):
         recorder().measured(tracked(tmp_path / "a.csv", **changes), Trial("walk"))
 
 
+def rows_of(path: Path) -> list[list[str]]:
+    return [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+FORGED = {
+    "another clock from then on": (0, lambda t, value: value + 0.4 * (t > 9.0), "from where it was going to"),
+    "a jump aside": (2, lambda t, value: value + 0.6 * (t > 9.0), "from where it was going to"),
+    "a jump ahead": (3, lambda t, value: value + 0.9 * (t > 9.0), "off the line between the positions"),
+    "one place aside": (3, lambda t, value: value + 1.0 * (abs(t - 9.0) < 0.02), "off the line between the positions"),
+    "beyond the earth": (3, lambda t, value: 1e300, "beyond 1e.08 m"),
+    "degrees": (4, lambda t, value: math.degrees(value), "27° aside of where it points"),
+    "degrees from then on": (4, lambda t, value: math.degrees(value) if t > 9.5 else value, "27° aside of where"),
+    "a heading that is off": (4, lambda t, value: value + math.radians(20.0), "20° aside of where it points"),
+    "turned round from then on": (4, lambda t, value: value + math.pi * (t > 9.0), "points 180° off its lane"),
+    "km/h in the end": (5, lambda t, value: value * (3.6 if t > 12.2 else 1.0), "its speed is 22 m/s at 12"),
+    "no speed in the end": (5, lambda t, value: value * (t < 11.8), "its speed is 0 m/s"),
+}
+
+
+@pytest.mark.parametrize(("column", "change", "says"), FORGED.values(), ids=FORGED)
+def test_tracks_that_change_on_the_way_are_refused(tmp_path: Path, column: int, change, says: str):
+    path = tracked(tmp_path / "a.csv", rate=50.0)
+    head, *rows = rows_of(path)
+    for row in rows:
+        if row[1] == "car":
+            row[column] = repr(change(float(row[0]), float(row[column])))
+    path.write_text("\n".join(map(",".join, [head, *rows])), encoding="utf-8")
+    with pytest.raises(UsageError, match=says):
+        recorder().measured(path, Trial("walk"))
+
+
+def test_a_recording_that_ends_while_the_two_come_nearer_is_refused(tmp_path: Path):
+    path = tracked(tmp_path / "a.csv")
+    head, *rows = rows_of(path)
+    path.write_text(
+        "\n".join(map(",".join, [head, *(row for row in rows if row[1] == "car" or float(row[0]) < 9.8)])),
+        encoding="utf-8",
+    )
+    with pytest.raises(UsageError, match=r"ends 1\.\d s before its φ does, and the two still come nearer"):
+        recorder().measured(path, Trial("walk"))
+    assert recorder().laid(path, Trial("walk")).times[-1] < 3.0  # enough to calibrate by
+
+
+def test_a_trial_counts_once(tmp_path: Path):
+    for name, clock in (("a", 7.3), ("b", 8.3), ("c", 7.3)):
+        tracked(tmp_path / f"{name}.csv", clock=clock, gap=GAP + (name == "b"))
+    table = tmp_path / "trials.csv"
+    for files in (["a", "b", "./a"], ["a", "b", "c"]):
+        table.write_text("phi,file\n" + "".join(f"walk,{name}.csv\n" for name in files), encoding="utf-8")
+        with pytest.raises(UsageError, match=r"line 4: is the recording of .*line 2 once more"):
+            read_trials(table, recorder().measured)
+
+
 def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
     path = tracked(tmp_path / "a.csv", gap=25.0)
     with pytest.raises(UsageError, match=r"line 3: says that the car hit, and in the recording it stays 1\.\d+ m away"):
@@ -128,6 +181,7 @@ def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
     ("rows", "says"),
     [
         ("t,id,x\n", "no column 'y'"),
+        ("t,id,x,y,x\n0,car,0,0,1\n", "two columns 'x'"),
         ("t,id,x,y\n0,car,0\n", "another number of values"),
         ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
         ("t,id,x,y\n0,car,nan,0\n", "line 2: x must be finite"),

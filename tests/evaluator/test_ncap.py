@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 import re
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from cli_support import names, one_line, skd
@@ -17,11 +20,12 @@ from skd_evaluator.cli.commands import ncap
 from skd_evaluator.ncap import points
 from skd_evaluator.ncap.colours import colour_of
 from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
-from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
+from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, Points, as_data, checked, ncap_of, read_ncap
 from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.report.ncap.of_results import views_of
+from skd_evaluator.report.ncap.page import details
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.known_scenarios import SCENARIOS, lineage
 from skd_sim.encounter.scenario import load_scenario
@@ -176,6 +180,7 @@ def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):
     stored = json.loads((here / "same" / RESULT).read_text(encoding="utf-8"))
     stored["grids"][0]["cells"][0]["equivalent"] = 1.4
     (here / "same" / RESULT).write_text(json.dumps(stored), encoding="utf-8")
+    (here / "same" / "manifest.sha256").unlink()
     with pytest.raises(UsageError, match=r"equivalent multiplier is 1\.400, and not 1\.250"):
         read_ncap(here / "same")
 
@@ -326,6 +331,17 @@ def small(**changes: object) -> Ncap:
         ({"speed": 35.0}, "there are no colours at 35 km/h"),
         ({"margin": 0.9}, "no mean of those of its attempts"),
         ({"margins": ()}, "no mean of those of its attempts"),
+        ({"margin": None}, "has no margin, which is no mean"),
+        ({"margin": 0.4}, "has a margin of 0.4 m, which is no mean"),  # between the least and the greatest
+        ({"margins": (0.5,)}, "has margins of 1 attempts, and there were 2"),
+        ({"beyond": 2}, "says that 2 attempts have no hit"),
+        ({"beyond": 3}, "says that 3 attempts have no hit"),
+        ({"touched": False}, "does not go with whether the car touched"),
+        ({"impact_speed": None}, "does not go with whether the car touched"),
+        ({"touched": False, "impact_speed": 0.0}, "and by its impact speed 0"),
+        ({"criterion": "impact speed", "value": 0.0, "colour": "green"}, "is 0 km/h, and by its impact speed 9.5"),
+        ({"criterion": "speed reduction", "value": 25.0, "colour": "green"}, "and by its impact speed 20.5"),
+        ({"why": "it is too fast"}, "says why it has no colour"),
         ({"colour": "blue"}, "must be one of"),
         ({"margin": -1.0}, "must be a number from 0"),
     ],
@@ -338,6 +354,50 @@ def test_a_file_that_contradicts_itself_is_refused(tmp_path, changes, said):
             read_ncap(tmp_path)
     else:
         assert read_ncap(tmp_path) == found
+
+
+def test_a_file_with_something_twice_or_points_of_nothing_is_refused():
+    one = small()
+    (grid,) = one.grids
+    more = Points("CPNA day", standard=2.0, standard_most=1.0)
+    for changes, said in (
+        ({"grids": (grid, grid)}, "an encounter twice"),
+        ({"grids": (replace(grid, cells=grid.cells * 2),)}, "cpna at 30 km/h: is there twice"),
+        ({"points": (more,)}, "points of 'CPNA day', of which it has no grid"),
+        ({"grids": (replace(grid, test="CPNA day"),), "points": (more,)}, "more points of CPNA day than there are"),
+    ):
+        with pytest.raises(UsageError, match=said):
+            checked(replace(one, **changes), Path("ncap.json"))
+
+
+def _sign_again(folder: Path) -> None:
+    """Write the manifest anew, as a forger would."""
+    names = sorted(path.name for path in folder.iterdir() if path.name != "manifest.sha256")
+    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
+    (folder / "manifest.sha256").write_text("".join(lines), encoding="utf-8")
+
+
+def test_an_edited_file_is_refused_and_not_fine(skd_here, here):
+    folder = here / "out"
+    skd_here("ncap", "--encounters", "cpna-50", "--speeds", "30:50:20", "--multiplier", "0.9", *NONE, "--out", folder)
+    done = skd_here("verify", folder)
+    assert (done.returncode, "colours follow from impact speeds" in done.stdout) == (0, True)
+    kept = (folder / RESULT).read_text(encoding="utf-8")
+    data = json.loads(kept)
+    cell = next(cell for grid in data["grids"] for cell in grid["cells"] if cell.get("colour") == "red")
+    cell["colour"] = "green"
+    (folder / RESULT).write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(UsageError, match="was changed since it was written"):
+        read_ncap(folder)
+    _sign_again(folder)
+    done = skd_here("verify", folder)
+    assert (done.returncode, "is red, not green" in done.stdout) == (1, True)
+    (folder / RESULT).write_text(kept, encoding="utf-8")
+    rows = (folder / "ncap.csv").read_text(encoding="utf-8")
+    (folder / "ncap.csv").write_text(rows.replace(",red,", ",green,"), encoding="utf-8")
+    _sign_again(folder)
+    done = skd_here("verify", folder)
+    assert (done.returncode, "ncap.csv: has other cells than ncap.json" in done.stdout) == (1, True)
 
 
 def test_a_file_of_another_version_or_kind_is_refused(tmp_path):
@@ -358,6 +418,20 @@ def test_a_green_test_with_as_much_room_as_wanted_is_not_narrow():
         (cell,) = small(**changes).grids[0].cells
         assert not cell.is_narrow(9.0)
     assert margin_text(Cell(speed=1.0, margin=5.0, margins=(5.0, 5.0), beyond=2)) == "≥5.00"
+
+
+def test_a_green_test_whose_margin_nobody_measured_says_so():
+    """Where no attempt has a hit, η_max stands for the margin, and the cell is not framed for that reason alone."""
+    safe = {"colour": "green", "value": 0.0, "impact_speed": 0.0, "touched": False}
+    (grid,) = small(**safe, margin=5.0, margins=(5.0, 5.0), beyond=2).grids
+    assert headline(grid, 0.5).endswith("none with less than 0.5 m of room; of 1 because no hit was found.")
+    line = "the search found no hit in any attempt: the margin stands at η_max, and was not measured"
+    assert reasons(grid) == [f"30 km/h, 50 %: {line}"]
+    assert "no hit was found in 2 of 2 attempts, which count as η_max" in details(grid.cells[0])
+    (grid,) = small(**safe, margin=3.0, margins=(1.0, 5.0), beyond=1).grids
+    assert headline(grid, 0.5).endswith("none with less than 0.5 m of room.")
+    assert line not in " ".join(reasons(grid))
+    assert "no hit was found in 1 of 2 attempts" in details(grid.cells[0])
 
 
 def test_an_attempt_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():

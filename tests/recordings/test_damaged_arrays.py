@@ -129,7 +129,9 @@ def test_a_text_of_characters_that_there_are_not(assessed: Path, tmp_path: Path,
         codes[0] = number
         arrays["objective"] = codes.view(arrays["objective"].dtype)
 
-    assert "objective has a text of which no character has the number" in refused(edited(copy, put_character))
+    assert "objective has a text with a number that is of no character of Unicode" in refused(
+        edited(copy, put_character)
+    )
 
 
 def retype(name: str, kind: type) -> Callable[[Arrays], object]:

@@ -84,7 +84,7 @@ def _array(content: bytes, name: str, column: Column) -> Array:
         raise UsageError(f"{name} says that it has the shape {shape}, and has {len(content) - stream.tell()} bytes")
     values = np.frombuffer(content, dtype, offset=stream.tell())
     if dtype.kind == "U" and not _are_texts(np.frombuffer(content, np.uint32, offset=stream.tell())):
-        raise UsageError(f"{name} has a text of which no character has the number")
+        raise UsageError(f"{name} has a text with a number that is of no character of Unicode")
     return values.reshape(shape, order="F" if fortran else "C")
 
 

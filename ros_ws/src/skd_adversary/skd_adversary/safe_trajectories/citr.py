@@ -27,6 +27,7 @@ from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.model.road_user import pedestrian
+from skd_adversary.safe_trajectories.believable import LONGEST_HOLE, check_apart, check_motion, check_once
 from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
 
@@ -49,6 +50,9 @@ _PEDESTRIAN_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "vx_est": 1e3
 _VEHICLE_COLUMNS: Final = {**_KEYS, "x_est": 1e6, "y_est": 1e6, "psi_est": 1e6, "vel_est": 1e3}
 _LEAST_DRIVE: Final = 0.5
 """A cart that moved less, m, has no driving direction."""
+_OFF_STATED: Final = 0.35, 0.5
+"""Share by which a pedestrian's and the cart's way may differ from the stated velocities; the dataset's are 0.1 and
+0.36 off, the cart's filter being slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +118,8 @@ def read_clips(path: str | Path) -> list[Clip]:
 
     Raises:
         UsageError: no such folder, no files of the dataset in it, one of a clip's two files is missing, or a
-            file is malformed: one line that names the file and, where there is one, the line number.
+            file is malformed, or has somebody who cannot have moved so or who is there twice: one line that names the
+            file and, where there is one, the line number.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -126,7 +131,9 @@ def read_clips(path: str | Path) -> list[Clip]:
     for clip in sorted(pedestrians.keys() ^ vehicles.keys()):
         here, absent = (PEDESTRIAN_SUFFIX, VEHICLE_SUFFIX)[:: 1 if clip in pedestrians else -1]
         raise UsageError(f"{folder / (clip + here)}: its partner {clip}{absent} is missing")
-    return [_read_clip(clip, pedestrians[clip], vehicles[clip]) for clip in sorted(pedestrians)]
+    clips = [_read_clip(clip, pedestrians[clip], vehicles[clip]) for clip in sorted(pedestrians)]
+    check_once((f"{folder}: {clip.name}/{one.id}", one.positions) for clip in clips for one in clip.tracks)
+    return clips
 
 
 def _by_clip(folder: Path, suffix: str) -> dict[str, Path]:
@@ -141,20 +148,21 @@ def _read_clip(clip: str, pedestrian_file: Path, vehicle_file: Path) -> Clip:
     cart = next(iter(vehicles.values()))
     if np.ptp(cart.values[:, 2:4], axis=0).max() < _LEAST_DRIVE:
         raise UsageError(f"{vehicle_file}: the vehicle does not drive, so there is no driving direction")
+    headings, speeds = cart.values[:, 4], cart.values[:, 5]
+    velocities = np.column_stack([np.cos(headings), np.sin(headings)]) * speeds[:, None]
+    times, share = cart.values[:, 1] / FRAME_RATE, _OFF_STATED[1]
+    check_motion(times, cart.values[:, 2:4], velocities, cart.lines, vehicle_file, share)
     tracks = _tracks(read_table(pedestrian_file, _PEDESTRIAN_COLUMNS), pedestrian_file)
     if not tracks:
         raise UsageError(f"{pedestrian_file}: no pedestrian in it")
-    return Clip(
-        clip.removeprefix(_CLIP_PREFIX),
-        cart.values[:, 1].astype(np.int64),
-        cart.values[:, 2:4],
-        cart.values[:, 4],
-        cart.values[:, 5],
-        tuple(
-            Track(id_, rows.values[:, 1].astype(np.int64), rows.values[:, 2:4], rows.values[:, 4:6])
-            for id_, rows in sorted(tracks.items())
-        ),
-    )
+    people = []
+    for id_, (values, lines) in sorted(tracks.items()):
+        one = Track(id_, values[:, 1].astype(np.int64), values[:, 2:4], values[:, 4:6])
+        check_motion(one.frames / FRAME_RATE, one.positions, one.velocities, lines, pedestrian_file, _OFF_STATED[0])
+        people.append(one)
+    check_apart(pedestrian_file, [(one.id, one.frames, one.positions) for one in people], FRAME_RATE)
+    frames, name = cart.values[:, 1].astype(np.int64), clip.removeprefix(_CLIP_PREFIX)
+    return Clip(name, frames, cart.values[:, 2:4], headings, speeds, tuple(people))
 
 
 def _tracks(table: Table, path: Path) -> dict[int, Table]:
@@ -246,6 +254,8 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "longer than the scenario's horizon"
     if len(np.intersect1d(track.frames, clip.frames)) == 0:
         return "no frame in common with the cart"
+    if max(clip.frames[0] - track.frames[0], track.frames[-1] - clip.frames[-1]) > LONGEST_HOLE * FRAME_RATE:
+        return "seen while the cart is not, which it may have touched"
     if touches_cart(clip, track, scenario.adversary.reach):
         return "touches the recorded cart"
     try:

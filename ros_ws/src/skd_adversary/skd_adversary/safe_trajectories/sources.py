@@ -17,6 +17,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_adversary.safe_trajectories.believable import check_once
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 
@@ -109,7 +110,9 @@ def _select(path: Path, scenario: Scenario) -> Selection:
     if not files:
         raise UsageError(f"{path}: no csv file in this folder")
     others = [(entry.name, "no csv file") for entry in entries if entry not in files]
-    return Selection([read_csv_trajectory(file, scenario) for file in files], others)
+    found = [read_csv_trajectory(file, scenario) for file in files]
+    check_once([(str(file), one.positions) for file, one in zip(files, found, strict=True)], moved=False)
+    return Selection(found, others)
 
 
 def _spread(available: int, count: int) -> list[int]:

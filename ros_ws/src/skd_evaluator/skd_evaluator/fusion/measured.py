@@ -31,7 +31,10 @@ _SHIFTS = 0.02  # s between beginnings of φ that are tried; then finer
 _OVER = 0.3  # s over which velocities are taken: a sensor's noise of 2 cm is 0.1 m/s then
 _LEAST_SHARE = 0.5  # of φ that must be tracked, or nobody can say where it began
 _TURNED = math.radians(30.0)  # off the lane's heading, from which frames do not fit
+_POINTED = math.radians(12.0)  # between where a car points and where it goes: tyres slip by less
+_WENT, _SHOWN = 1.0, 1.5  # s over which is looked where a car goes, and m that show it
 _MARGIN = 0.3  # m: noise of two tracked places
+_END = 0.5  # s that a recording may end before φ does, and over which is looked whether the two still come nearer
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,8 @@ class Recorder:
         """
         scene = self.laid(path, trial)
         touched = bool(clearances(scene)[-1] <= 0.0)
+        if not touched and trial.values.get("hit") != 1.0:
+            self._check_whole(scene, self.safe[trial.phi], path)
         hit = touched and self.scenario.collision.is_hit(float(scene.car[-1, 3]))
         values = figures_of(scene, hit=hit)
         _check_agrees(trial, values)
@@ -135,6 +140,17 @@ class Recorder:
                 f"{self.tolerance:g} m: is it the φ of this trial, and does --frame say where map lies?"
             )
 
+    def _check_whole(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+        """Refuse a recording that ends while the two still come nearer: nobody knows how near they came."""
+        missing = self.scenario.time_step * (len(phi) - 1) - float(scene.times[-1])
+        distances = clearances(scene)
+        before = distances[scene.times < scene.times[-1] - _END]
+        if missing > _END and (not before.size or distances[-1] < before.min()):
+            raise UsageError(
+                f"{path}: ends {missing:.1f} s before its φ does, and the two still come nearer then: record car and "
+                "road user until the car has passed or stands, or to the contact (hit = 1 in the table)"
+            )
+
     def _check_road(self, scene: Scene, path: Path) -> None:
         line = self.scenario.road.line
         places = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))
@@ -143,10 +159,26 @@ class Recorder:
             raise UsageError(
                 f"{path}: the car is {aside:.1f} m beside its lane's centre: does --frame say where map lies?"
             )
-        lane = road_pose(line, float(places[0, 1]))[2]
-        turned = abs(math.remainder(float(scene.car[0, 2]) - lane, 2.0 * math.pi))
+        lanes = np.array([road_pose(line, along)[2] for along in places[:, 1].tolist()])
+        off = np.abs(np.angle(np.exp(1j * (scene.car[:, 2] - lanes))))
+        turned = off[0] if off[0] > _TURNED else off.max()
         if turned > _TURNED:
             raise UsageError(f"{path}: the car points {math.degrees(turned):.0f}° off its lane: does --frame turn it?")
+        self._check_points(scene, path)
+
+    @staticmethod
+    def _check_points(scene: Scene, path: Path) -> None:
+        """Refuse a car that goes elsewhere than it points: a heading in another unit may be near its lane's."""
+        over = max(1, min(round(_WENT / _STEP), len(scene.times) - 1))
+        went = (scene.car[over:, :2] - scene.car[:-over, :2]) @ np.array([1.0, 1j])
+        pointed = np.cumsum(np.exp(1j * scene.car[:, 2]))
+        aside = np.abs(np.angle(went * (pointed[over:] - pointed[:-over]).conj()))
+        aside = aside[np.abs(went) >= _SHOWN]
+        if aside.size and aside.max() > _POINTED:
+            raise UsageError(
+                f"{path}: the car goes {math.degrees(aside.max()):.0f}° aside of where it points: is its heading in "
+                "rad, counter-clockwise from the x axis of the recording's frame?"
+            )
 
 
 def _until(scene: Scene, count: int) -> Scene:

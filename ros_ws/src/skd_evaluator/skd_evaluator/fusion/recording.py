@@ -93,6 +93,9 @@ def _lines(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
     for name in _COLUMNS:
         if name not in table.fieldnames:
             raise UsageError(f"{path}, line 1: no column {name!r}; a table of tracks has t, id, x, y[, heading, speed]")
+    for name in (*_COLUMNS, *_FURTHER):
+        if table.fieldnames.count(name) > 1:
+            raise UsageError(f"{path}, line 1: two columns {name!r}")
     for row in table:
         if None in row or None in row.values():
             raise UsageError(f"{path}, line {table.line_num}: has another number of values than the header")

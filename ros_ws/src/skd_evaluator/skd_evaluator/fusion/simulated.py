@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -29,6 +30,7 @@ class Simulated:
         scenario: road, shapes and speeds; None of a table, which does not say.
         safe: positions of each φ at ticks, m; empty of a table.
         remarks: what is to be said of them, a line each.
+        figures: of the assessment, as they were read with the trials; empty of a table.
     """
 
     source: str
@@ -36,6 +38,7 @@ class Simulated:
     scenario: Scenario | None = None
     safe: Mapping[str, FloatArray] | None = None
     remarks: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
 
 
 def by_phi(trials: Sequence[Trial]) -> dict[str, list[Trial]]:
@@ -53,6 +56,8 @@ def read_simulated(folder: Path) -> Simulated:
         UsageError: it is none, is damaged, has no run along φ, or two φ of one name.
     """
     result, stored = read_result(folder), read_episodes(folder)
+    if not result.same_safe(stored.safe):
+        raise UsageError(f"{folder}: was changed while it was read; read it again")
     scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {folder / ASSESSMENT}")
     if "safe_name" not in stored.further:
         raise UsageError(f"{folder}: its φ have no names, so physical trials cannot be paired with them; assess anew")
@@ -66,7 +71,8 @@ def read_simulated(folder: Path) -> Simulated:
         trials += [Trial(name, {"margin": float(margin)}, None, str(folder)) for margin in margins]
     found = by_phi(trials)
     ordered = {name: found[name] for name in names if name in found}
-    return Simulated(str(folder), ordered, scenario, dict(zip(names, stored.safe, strict=True)), result.remarks)
+    safe = dict(zip(names, stored.safe, strict=True))
+    return Simulated(str(folder), ordered, scenario, safe, result.remarks, result.figures)
 
 
 def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[Trial]:

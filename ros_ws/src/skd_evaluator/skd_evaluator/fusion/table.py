@@ -45,19 +45,24 @@ def read_trials(path: Path, measured: Callable[[Path, Trial], Trial] | None = No
         measured: returns a trial with the figures that its recording shows; None: recordings cannot be measured.
 
     Raises:
-        UsageError: the table cannot be read, a column is missing or unknown, or a value is none that can be.
+        UsageError: the table cannot be read, a column is missing or unknown, a value is none that can be, or one
+            recording is there twice.
     """
     rows = csv.DictReader(StringIO(read_text(path), newline=""), strict=True)
     try:
         header = [name.strip() for name in rows.fieldnames or []]
         _check_header(path, header, recordings=measured is not None)
         rows.fieldnames = header
-        found = []
+        found: list[Trial] = []
+        known: dict[object, str] = {}
         for row in rows:
             where = f"{path}, line {rows.line_num}"
             if None in row or None in row.values():
                 raise UsageError(f"{where}: has another number of values than the header")
-            found.append(_trial(path, where, {name: value.strip() for name, value in row.items()}, measured))
+            row = {name: value.strip() for name, value in row.items()}
+            found.append(_trial(path, where, row, measured))
+            if row.get(_FILE):
+                _check_once(known, path.parent / row[_FILE], found[-1])
     except csv.Error as error:
         raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
     if not found:
@@ -83,6 +88,17 @@ def _check_header(path: Path, header: list[str], *, recordings: bool) -> None:
             f"{path}, line 1: recordings cannot be measured without road and shapes: SIMULATED must be the folder of "
             "an assessment, or the table must hold figures"
         )
+
+
+def _check_once(known: dict[object, str], file: Path, trial: Trial) -> None:
+    """Refuse a recording that was there before, by its file or, of a copy, by its figures: it would count twice."""
+    keys: list[object] = [file]
+    if trial.values.get("clearance", 0.0) > 0.0:  # of two hits it is 0, and of no two others the same to the last bit
+        keys.append(tuple(sorted(trial.values.items())))
+    for key in keys:
+        if key in known:
+            raise UsageError(f"{trial.where}: is the recording of {known[key]} once more; give each trial its own")
+        known[key] = trial.where
 
 
 def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path, Trial], Trial] | None) -> Trial:

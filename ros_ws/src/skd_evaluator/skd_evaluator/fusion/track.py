@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from skd_sim.arrays import FloatArray
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 
 LONGEST_HOLE = 0.5
@@ -18,6 +18,11 @@ FASTEST = 70.0
 _JITTER = 0.3  # m
 _MOVES = 1.0  # m/s, from which directions and speeds of positions say something
 _SAME_SPEED = 1.3  # ratio of a stated speed to that of the positions from which on they are in different units
+_SLACK = 1.0  # m/s by which a stated speed may be off besides: braking within half of _OVER, and noise
+_OVER = 0.5  # s over which a speed of positions is taken to check a stated one
+_FIT, _FEWEST = 0.3, 3  # s before and after a moment through which lines are laid, and positions that this takes
+_BRAKES = 12.0  # m/s², more than tyres give
+_FARTHEST = 1e8  # m; UTM's coordinates stay below a tenth of it
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,8 @@ class Track:
         rows = [self.times, *self.places.T, *(one for one in (self.headings, self.speeds) if one is not None)]
         if not all(np.isfinite(one).all() for one in rows):
             raise UsageError(f"{self.where}: has a time, position, heading or speed that is no finite number")
+        if np.abs(self.places).max() > _FARTHEST:
+            raise UsageError(f"{self.where}: has a position beyond {_FARTHEST:g} m: are positions in m?")
         steps = np.diff(self.times)
         if (steps <= 0.0).any():
             raise UsageError(f"{self.where}: times must increase strictly, in s")
@@ -79,9 +86,46 @@ class Track:
             raise UsageError(
                 f"{self.where}: moves {moved[worst]:.3g} m in {steps[worst]:.3g} s: are positions in m and times in s?"
             )
+        self._check_leaps()
         if self.speeds is not None:
             self._check_speeds(float(moved.sum()), self.speeds)
         return self
+
+    def _check_leaps(self) -> None:
+        """Refuse a position aside of all others, and such as lie elsewhere after a moment than they led to before it.
+
+        Lines through some tenths of a second before and after it are continued to the moment: noise of single
+        positions matters little, and a clock that stood still is a leap, too.
+        """
+        times, places = self.times, self.places
+        share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
+        aside = np.hypot(*(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).T)
+        off = aside - _JITTER - 0.125 * _BRAKES * (times[2:] - times[:-2]) ** 2
+        if off.max() > 0.0:
+            row = int(np.argmax(off)) + 1
+            raise UsageError(
+                f"{self.where}: is {aside[row - 1]:.2g} m off the line between the positions before and after at "
+                f"{times[row]:.2f} s: positions without jumps are needed"
+            )
+        first = np.searchsorted(times, times - _FIT - 1e-9)
+        last = np.searchsorted(times, times + _FIT + 1e-9)
+        rows = np.arange(len(times) - 1)
+        rows = rows[(rows + 1 - first[:-1] >= _FEWEST) & (last[1:] - 1 - rows >= _FEWEST)]
+        if not rows.size:
+            return
+        hole = times[rows + 1] - times[rows]
+        at = times[rows] + 0.5 * hole
+        before = _continued(times, places, first[rows], rows + 1, at)
+        after = _continued(times, places, rows + 1, last[rows + 1], at)
+        leap = np.hypot(*(after - before).T)
+        # Of a line through w seconds, continued by h/2 where braking begins or ends.
+        could = _JITTER + _BRAKES * (_FIT**2 / 12.0 + 0.25 * _FIT * hole + 0.125 * hole**2)
+        worst = int(np.argmax(leap - could))
+        if leap[worst] > could[worst]:
+            raise UsageError(
+                f"{self.where}: is {leap[worst]:.2g} m from where it was going to at {at[worst]:.2f} s: is it one "
+                "object, by one clock?"
+            )
 
     def _check_speeds(self, way: float, speeds: FloatArray) -> None:
         """Refuse speeds over which the object would have gone another way than it did."""
@@ -92,6 +136,19 @@ class Track:
         if not 1.0 / _SAME_SPEED <= ratio <= _SAME_SPEED:
             hint = ": is it in km/h?" if abs(ratio - 3.6) < 0.5 else ""
             raise UsageError(f"{self.where}: its speed is {ratio:.2g} times that of its positions{hint}")
+        low, high = (
+            np.maximum(self.times - 0.5 * _OVER, self.times[0]),
+            np.minimum(self.times + 0.5 * _OVER, self.times[-1]),
+        )
+        (x0, y0), (x1, y1) = ([np.interp(at, self.times, one) for one in self.places.T] for at in (low, high))
+        seen, stated = np.hypot(x1 - x0, y1 - y0) / (high - low), np.abs(speeds)
+        off = np.abs(seen - stated) - _SLACK - (_SAME_SPEED - 1.0) * np.maximum(seen, stated)
+        worst = int(np.argmax(off))
+        if off[worst] > 0.0:
+            raise UsageError(
+                f"{self.where}: its speed is {stated[worst]:.2g} m/s at {self.times[worst]:.2f} s, and that of its "
+                f"positions {seen[worst]:.2g} m/s"
+            )
 
     def placed(self, frame: Frame) -> Track:
         """Return it in the frame `map`."""
@@ -146,3 +203,19 @@ class Track:
         if self.speeds is not None:
             return np.interp(times, self.times, np.abs(self.speeds))
         return np.asarray(np.hypot(*self.velocity_at(times, over).T))
+
+
+def _continued(times: FloatArray, places: FloatArray, first: IntArray, last: IntArray, at: FloatArray) -> FloatArray:
+    """Return where lines by least squares through rows `first` to `last` (exclusive) lead at some times, n × 2, m."""
+    centre = times - times[0]
+    count = (last - first).astype(np.float64)
+
+    def over(values: FloatArray) -> FloatArray:
+        total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+        return np.asarray(total[last] - total[first])
+
+    t, tt = over(centre) / count, over(centre**2)
+    near = places - places[0]
+    x, tx = over(near) / count[:, None], over(near * centre[:, None])
+    slope = (tx - (count * t)[:, None] * x) / (tt - count * t**2)[:, None]
+    return np.asarray(places[0] + x + slope * (at - times[0] - t)[:, None])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Annotated, Any, Final
 
 from skd_sim.encounter.reader import build
@@ -14,6 +16,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.keys import Choice, Range
 from skd_sim.inputs.outside import read_json
 
+from skd_evaluator.campaign.store.manifest import hold, read_manifest
 from skd_evaluator.ncap.colours import COLOURS, GREEN, colour_of
 from skd_evaluator.ncap.matrices import CRITERIA, Criterion
 
@@ -22,6 +25,7 @@ VERSION: Final = 1
 ROOM: Final = 0.5
 """m, the margin below which a green test stands out, unless something else is asked for."""
 STANDARD, EXTENDED = RANGES = ("standard", "extended")
+_SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
 _ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
 
 KmH = Annotated[float, Range(-400.0, 400.0, "km/h")]
@@ -170,14 +174,39 @@ def read_ncap(folder: Path) -> Ncap:
     """Read a result back from its folder.
 
     Raises:
-        UsageError: there is none, it is of another version, or its colours do not follow from its speeds.
+        UsageError: there is none, it is of another version, was changed since it was written, its colours do not follow
+            from its speeds, or it contradicts itself otherwise.
     """
     path = folder / RESULT
-    data = read_json(path)
-    found = ncap_of(data, str(path))
+    manifest = read_manifest(folder)
+    if manifest is not None and RESULT in (held := hold(folder, manifest)).changed:
+        raise UsageError(f"{path}: was changed since it was written; {len(held.same)} other files were not")
+    return checked(ncap_of(read_json(path), str(path)), path)
+
+
+def checked(found: Ncap, path: Path) -> Ncap:
+    """Return a result of which no entry contradicts another.
+
+    Raises:
+        UsageError: one does.
+    """
+    names = [grid.encounter for grid in found.grids]
+    if len(set(names)) < len(names):
+        raise UsageError(f"{path}: has an encounter twice")
     for grid in found.grids:
+        known = set()
         for cell in grid.cells:
-            _check(cell, f"{path}: {grid.encounter} at {cell.speed:g} km/h")
+            where = f"{path}: {grid.encounter} at {cell.speed:g} km/h"
+            if (which := (cell.speed, cell.target, cell.place)) in known:
+                raise UsageError(f"{where}: is there twice")
+            known.add(which)
+            _check(cell, found.attempts, where)
+    tests = [grid.test for grid in found.grids if grid.test]
+    for one in found.points:
+        if one.test not in tests:
+            raise UsageError(f"{path}: has points of {one.test!r}, of which it has no grid")
+        if one.standard > one.standard_most or one.extended > one.extended_most:
+            raise UsageError(f"{path}: has more points of {one.test} than there are")
     return found
 
 
@@ -188,35 +217,67 @@ def ncap_of(data: Any, where: str) -> Ncap:
     return build(Ncap, data, where, "")
 
 
-def _check(cell: Cell, where: str) -> None:
+def _check(cell: Cell, attempts: int, where: str) -> None:
     """Refuse a cell of which one entry contradicts another."""
+    if (cell.touched is None) != (cell.impact_speed is None) or (cell.impact_speed and not cell.touched):
+        raise UsageError(f"{where}: its impact speed does not go with whether the car touched the target")
+    if cell.value is not None and cell.impact_speed is not None:
+        fixed = {Criterion.IMPACT: cell.impact_speed, Criterion.REDUCTION: cell.speed - cell.impact_speed}
+        by_speed = fixed.get(Criterion(cell.criterion)) if cell.criterion else None
+        by_speed = 0.0 if by_speed is None and not cell.touched else by_speed
+        if by_speed is not None and abs(cell.value - by_speed) > _SAME:
+            raise UsageError(
+                f"{where}: its {cell.criterion or 'value'} is {cell.value:g} km/h, and by its impact speed {by_speed:g}"
+            )
     if cell.colour:
-        if cell.value is None or not cell.criterion:
-            raise UsageError(f"{where}: is {cell.colour}, and does not say of what")
-        try:
-            colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
-        except ValueError as error:
-            raise UsageError(f"{where}: {error}") from error
-        if colour != cell.colour:
-            raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
-    if cell.margin is not None and (
-        not cell.margins or not min(cell.margins) - 1e-9 <= cell.margin <= max(cell.margins) + 1e-9
-    ):
-        raise UsageError(f"{where}: its margin of {cell.margin:g} m is no mean of those of its attempts")
+        _check_colour(cell, where)
+    if cell.margin is not None or cell.margins:
+        _check_margin(cell, attempts, where)
     if cell.equivalent is not None and cell.equivalent_text != f"{cell.equivalent:.3f}":
         raise UsageError(f"{where}: its equivalent multiplier is {cell.equivalent:.3f}, and not {cell.equivalent_text}")
 
 
+def _check_colour(cell: Cell, where: str) -> None:
+    if cell.value is None or cell.impact_speed is None or not cell.criterion:
+        raise UsageError(f"{where}: is {cell.colour}, and does not say of what")
+    if cell.why:
+        raise UsageError(f"{where}: is {cell.colour}, and says why it has no colour")
+    try:
+        colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
+    except ValueError as error:
+        raise UsageError(f"{where}: {error}") from error
+    if colour != cell.colour:
+        raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
+
+
+def _check_margin(cell: Cell, attempts: int, where: str) -> None:
+    if cell.margin is None or not cell.margins or abs(cell.margin - fmean(cell.margins)) > _SAME:
+        said = "no margin" if cell.margin is None else f"a margin of {cell.margin:g} m"
+        raise UsageError(f"{where}: has {said}, which is no mean of those of its attempts")
+    if len(cell.margins) != attempts:
+        raise UsageError(f"{where}: has margins of {len(cell.margins)} attempts, and there were {attempts}")
+    # Attempts without a hit count as η_max, and none counts more.
+    if cell.beyond > attempts or sorted(cell.margins)[attempts - cell.beyond :] != [max(cell.margins)] * cell.beyond:
+        raise UsageError(f"{where}: says that {cell.beyond} attempts have no hit, which its margins do not")
+
+
 def write_table(path: Path, found: Ncap) -> None:
     """Write ncap.csv: a row for each cell."""
-    names = [one.name for one in dataclasses.fields(Cell)]
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["encounter", "test", *names])
-        for grid in found.grids:
-            for cell in grid.cells:
-                values = (getattr(cell, name) for name in names)
-                writer.writerow([grid.encounter, grid.test, *(_text(value) for value in values)])
+        file.write(table_of(found))
+
+
+def table_of(found: Ncap) -> str:
+    """Return ncap.csv: a row for each cell."""
+    names = [one.name for one in dataclasses.fields(Cell)]
+    file = io.StringIO(newline="")
+    writer = csv.writer(file)
+    writer.writerow(["encounter", "test", *names])
+    for grid in found.grids:
+        for cell in grid.cells:
+            values = (getattr(cell, name) for name in names)
+            writer.writerow([grid.encounter, grid.test, *(_text(value) for value in values)])
+    return file.getvalue()
 
 
 def _text(value: Any) -> str:

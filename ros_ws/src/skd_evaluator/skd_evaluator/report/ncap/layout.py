@@ -104,11 +104,18 @@ def reasons(grid: Grid) -> list[str]:
         )
     if part := [cell for cell in grid.cells if 0 < cell.beyond < len(cell.margins)]:
         found["in some attempts nobody could be hit within η_max, with which they count in the margin"] = part
+    if none := unfound(grid):
+        found["the search found no hit in any attempt: the margin stands at η_max, and was not measured"] = none
     for cell in grid.cells:
         for why in dict.fromkeys(filter(None, (cell.why, cell.margin_why and f"no margin: {cell.margin_why}"))):
             if why != f"no margin: {cell.why}":
                 found.setdefault(why, []).append(cell)
     return [f"{_cells(cells, grid)}: {why}" for why, cells in found.items()]
+
+
+def unfound(grid: Grid) -> list[Cell]:
+    """Return the cells whose margin is η_max because no attempt has a hit."""
+    return [cell for cell in grid.cells if cell.margins and cell.beyond == len(cell.margins)]
 
 
 def _cells(cells: Sequence[Cell], grid: Grid) -> str:
@@ -134,7 +141,11 @@ def headline(grid: Grid, room: float) -> str:
         where = f"the least is {margin_text(least)} m, at {row_name(least)}"
         return f"{said}, {len(narrow)} with less than {room:g} m of room: {where}."
     known = green and any(cell.margin is not None for cell in coloured)
-    return f"{said}, none with less than {room:g} m of room." if known else f"{said}."
+    if not known:
+        return f"{said}."
+    safe = sum(cell.colour == GREEN for cell in unfound(grid))
+    because = f"; of {safe} because no hit was found" if safe else ""
+    return f"{said}, none with less than {room:g} m of room{because}."
 
 
 def points_lines(found: Ncap) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from skd_evaluator.ncap.result import Cell, Ncap
+from skd_evaluator.report.formats import counted
 from skd_evaluator.report.html.template import filled
 from skd_evaluator.report.ncap.layout import (
     COLOURS,
@@ -50,6 +51,10 @@ def details(cell: Cell) -> str:
         said.append("the target ran into the car, which stood")
     if cell.margins:
         said.append(f"margins of the attempts (m): {', '.join(f'{margin:.2f}' for margin in cell.margins)}")
+    if cell.beyond:
+        said.append(
+            f"no hit was found in {cell.beyond} of {counted(len(cell.margins), 'attempt')}, which count as η_max"
+        )
     if not cell.converged:
         said.append("they are upper bounds")
     if cell.deformation is not None:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 from skd_adversary.model.road_users import road_user_named
+from skd_adversary.safe_trajectories.believable import LONGEST_HOLE, check_once
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
 from skd_adversary.safe_trajectories.table import read_table, resample, too_fast
 from skd_sim.arrays import FloatArray
@@ -26,8 +27,6 @@ SHORTEST: Final = 11
 """Places of a track at the least: the longest horizon of a residual, and the velocity before it."""
 LONGEST: Final = 1000
 """Places of a track at the most: five minutes of somebody's way. Groups of people are simulated of that length."""
-_LONGEST_HOLE: Final = 2.0 * TIME_STEP
-"""s without a place: straight lines over more than that make somebody steadier than they were."""
 _STANDS, _GOES, _ASIDE = 0.5, 2.0, 0.5
 """m up to which a track goes nowhere, and from which on it has a direction; and cosine of the angle to x of one that
 goes along."""
@@ -61,9 +60,11 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
 
     Raises:
         UsageError: there is no such file, one cannot be read, there is no track long enough in it, or one that nobody
-            can have gone, has holes, or does not go along x, as those of most have to.
+            can have gone, has holes, is there twice, or does not go along x, as those of most have to.
     """
-    found = [one for path in paths for one in _tracks_of(path, damage, kind)]
+    phis: dict[bytes, Tracked] = {}
+    named = [(f"{path}: {one.name}", one) for path in paths for one in _tracks_of(path, damage, kind, phis)]
+    found = [one for _, one in named]
     enough = [one for one in found if len(one.positions) >= SHORTEST]
     if not enough:
         raise UsageError(
@@ -75,6 +76,7 @@ def read_tracks(paths: Sequence[Path], damage: Damage, kind: str = "pedestrian")
             f"{paths[0]}: most of its tracks go straight on at one pace to the millimetre, as nobody does who was "
             "tracked: safe trajectories that were made by rule say nothing of people"
         )
+    check_once((name, one.positions) for name, one in named)
     return enough
 
 
@@ -93,7 +95,7 @@ def _check_directions(tracks: Sequence[Tracked]) -> None:
         )
 
 
-def _tracks_of(path: Path, damage: Damage, kind: str) -> list[Tracked]:
+def _tracks_of(path: Path, damage: Damage, kind: str, phis: dict[bytes, Tracked]) -> list[Tracked]:
     if not path.exists():
         raise UsageError(f"{path}: cannot be read: No such file or directory")
     if path.is_dir() and is_citr(path):
@@ -107,7 +109,7 @@ def _tracks_of(path: Path, damage: Damage, kind: str) -> list[Tracked]:
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path] if path.suffix.lower() == ".csv" else []
     if files:
         return [_of_csv(file, kind) for file in files]
-    return _recorded_phi(path, damage)
+    return _recorded_phi(path, damage, phis)
 
 
 def _of_csv(path: Path, kind: str) -> Tracked:
@@ -121,28 +123,28 @@ def _of_csv(path: Path, kind: str) -> Tracked:
     if found:
         raise UsageError(f"{path}, line {lines[found[0]]}: {found[1]}: is t in s, are x and y in m, without jumps?")
     hole = int(np.argmax(np.diff(times)))
-    if times[hole + 1] - times[hole] > _LONGEST_HOLE + 1e-9:
+    if times[hole + 1] - times[hole] > LONGEST_HOLE + 1e-9:
         raise UsageError(
             f"{path}, line {lines[hole + 1]}: {times[hole + 1] - times[hole]:.3g} s after the line before, more than "
-            f"{_LONGEST_HOLE:g} s: is t in s? Cut a track where it has a hole"
+            f"{LONGEST_HOLE:g} s: is t in s? Cut a track where it has a hole"
         )
     if times[-1] - times[0] > LONGEST * TIME_STEP:
         raise UsageError(f"{path}: lasts {times[-1] - times[0]:.4g} s, more than {LONGEST * TIME_STEP:g} s; cut it")
     return Tracked(path.stem, path.stem, resample(values[:, 0], values[:, 1:], TIME_STEP))
 
 
-def _recorded_phi(path: Path, damage: Damage) -> list[Tracked]:
-    """Return the safe trajectories of a result or of bags, each once."""
+def _recorded_phi(path: Path, damage: Damage, known: dict[bytes, Tracked]) -> list[Tracked]:
+    """Return the safe trajectories of a result or of bags, each once, and none that is known: cars share them."""
     if (path / EPISODES).is_file():
         stored = read_episodes(path)
         names = stored.further.get("safe_name", np.array([f"φ {one}" for one in range(len(stored.safe))])).tolist()
-        phis = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
+        ways = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
     else:
         recorded = [one.log.episode.safe_trajectory for one in read_bags([path], damage).episodes]
-        phis = [phi for phi in recorded if phi is not None]
-    found: dict[bytes, Tracked] = {}
-    for phi in phis:
+        ways = [phi for phi in recorded if phi is not None]
+    count = len(known)
+    for phi in ways:
         positions = resample(np.arange(len(phi), dtype=np.float64) * phi.time_step, phi.positions, TIME_STEP)
-        name = phi.name or f"φ {len(found)}"
-        found.setdefault(phi.positions.tobytes(), Tracked(name.split("/", maxsplit=1)[0], name, positions))
-    return list(found.values())
+        name = phi.name or f"φ {len(known)}"
+        known.setdefault(phi.positions.tobytes(), Tracked(name.split("/", maxsplit=1)[0], name, positions))
+    return list(known.values())[count:]

@@ -20,7 +20,6 @@ from skd_sim.errors import UsageError
 from skd_evaluator.assessing.propagated import Propagated, assessed_draws, propagated
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
@@ -48,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
     refuse_to_replace(out.path, arguments.paths)
     simulated = read_simulated(folder)
-    figures = read_result(folder).figures
+    figures = simulated.figures
     car = CarUnderTest(str(figures["controller"]), float(figures["multiplier"]))
     if car.is_external:
         raise UsageError(f"{folder}: its car ran as a node, and cannot drive the trials again in process")
@@ -119,11 +118,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
-    recorder, found = recorder_of(simulated, arguments), []
+    recorder = recorder_of(simulated, arguments)
+    found: list[Recorded] = []
     assert recorder is not None
 
     def keep(path: Path, trial: Trial) -> Trial:
-        found.append(recorded(world, recorder.laid(path, trial), trial.phi, trial.where))
+        one = recorded(world, recorder.laid(path, trial), trial.phi, trial.where)
+        if again := [before for before in found if np.array_equal(before.car, one.car)]:
+            raise UsageError(f"{trial.where}: is the recording of {again[0].where} once more; give each trial its own")
+        found.append(one)
         return trial
 
     trials = read_trials(table, keep)
