@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from skd_sim.apart.beginning import Beginning, SentModule, SentModules
+from skd_sim.apart.seclusion import PUT_OFF
 from skd_sim.apart.wire import (
     COMMAND,
     COMMANDS,
@@ -83,15 +84,18 @@ class ApartCar:
         self.name = car.controller
         theirs, self._out = os.pipe()
         self._in, their_answers = os.pipe()
-        command = [sys.executable, "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
+        command = [sys.executable, "-P", "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
+        # Who goes by the order of a set of names is the same car in each process.
+        variables = {"PYTHONHASHSEED": "0", **os.environ}
+        # Nothing of a controller's folder, as a sitecustomize.py, is to run before the process is secluded.
+        variables[PUT_OFF] = variables.pop("PYTHONPATH", "")
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=_STDERR,  # standard output is for results
                 pass_fds=(theirs, their_answers),
-                # Who goes by the order of a set of names is the same car in each process.
-                env={"PYTHONHASHSEED": "0", **os.environ},
+                env=variables,
             )
         finally:
             os.close(theirs)
