@@ -24,7 +24,6 @@ from typing import Any, Final
 import numpy as np
 
 from skd_sim.apart.beginning import Beginning, SentModule, SentModules
-from skd_sim.apart.seclusion import PUT_OFF
 from skd_sim.apart.wire import (
     COMMAND,
     COMMANDS,
@@ -44,6 +43,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
+from skd_sim.program.places import PUT_OFF, users_first
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, Scene
 
@@ -112,7 +112,7 @@ class ApartCar:
         self._later = bytearray()
         self._can_copy = False
         main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
-        self.add(_loaded(Op.BEGIN, 0, Beginning(tuple(sys.path), car.controller, car.multiplier, modules, main)))
+        self.add(_loaded(Op.BEGIN, 0, Beginning(users_first(), car.controller, car.multiplier, modules, main)))
 
     def make(self) -> ApartController:
         """Make a controller there.

@@ -5,20 +5,18 @@ What it is to load, what it is asked and what it answers goes by two pipes (`skd
 
 from __future__ import annotations
 
-import os
 import sys
 
-from skd_sim.apart.seclusion import PUT_OFF, seclude
+from skd_sim.apart.seclusion import seclude
 from skd_sim.kernels.waiting import put_off
 from skd_sim.program.lasting import import_lasting
+from skd_sim.program.places import places_put_off
 
 
 def main() -> None:
     """Answer until the pipe is closed; its two descriptors are the arguments."""
     seclude()
-    if path := os.environ.pop(PUT_OFF, ""):
-        os.environ["PYTHONPATH"] = path  # of what the controller starts
-        sys.path[1:1] = [place for place in path.split(os.pathsep) if place]
+    places_put_off()
     questions, answers = (int(argument) for argument in sys.argv[1:])
     del sys.argv[1:]
     put_off()

@@ -16,8 +16,6 @@ from pathlib import Path
 
 from skd_sim.program.parent_death import end_with_parent
 
-PUT_OFF = "SKD_PYTHONPATH"
-"""Variable in which PYTHONPATH waits until the process is secluded."""
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _CREATE, _ADD_RULE, _RESTRICT = 444, 445, 446  # system calls of landlock(7), by the same numbers everywhere
 _VERSION = 1  # flag: only say which there is
