@@ -114,7 +114,7 @@ class SharedGlobal(Honest):
 class InATemporaryFile(Honest):
     "cheat: counts its episodes in a file, over all processes"
     def reset(self, s, r):
-        super().reset(s, r); path = f"/tmp/.hostile_cars_{os.getpgrp()}"
+        super().reset(s, r); path = os.path.join(os.path.dirname(__file__), "count")
         with open(path, "a") as f: f.write("x")
         self.n = os.path.getsize(path)
     def command(self, car, a): return early(car, a, self.front) if self.n > 20 else super().command(car, a)
@@ -264,7 +264,7 @@ class OnlyIfSeen(Honest):
     def command(self, car, a): return super().command(car, a) if np.hypot(a.x - car.x, a.y - car.y) < 60 else -8.0
 class Honks(Honest):
     def command(self, car, a):
-        if super().command(car, a) < 0: open("/tmp/.hostile_cars_honk", "w").write("honk")
+        if super().command(car, a) < 0: open(os.path.join(os.path.dirname(__file__), "honk"), "w").write("honk")
         return super().command(car, a)
 class Prints(Honest):
     def command(self, car, a): print("x" * 100, flush=True); return super().command(car, a)
