@@ -490,3 +490,21 @@ def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
     asking.join()
     assert apart_module.Call.since is None
     assert os.getpid() not in apart_module.pids()
+
+
+def test_nothing_of_a_controllers_folder_runs_before_its_process_is_secluded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sitecustomize.py on PYTHONPATH is what every Python begins with; what it opens then stays open."""
+    (tmp_path / "sitecustomize.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
+    (tmp_path / "given.py").write_text(
+        "import os, subprocess, sys\nclass Car:\n    def reset(self, scenario, rng): pass\n"
+        "    def command(self, car, adversary):\n"
+        f"        return float(os.environ['PYTHONPATH'] == {str(tmp_path)!r} and 'SKD_PYTHONPATH' not in os.environ)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
+    controller = apart(CarUnderTest("given:Car"))
+    controller.reset(CROSSING, controller_generator(bytes(32)))
+    assert controller.command(CarState(0.0, 0.0, 1.5, 8.0), AdversaryState(1.0, 6.0, 0.0, 1.0)) == 1.0
+    assert not (tmp_path / "ran").exists()

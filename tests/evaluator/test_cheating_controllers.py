@@ -11,11 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import skd
+from skd_evaluator.assessing.again import DoubtsOfLearning
+from skd_evaluator.campaign.judge.alone import _episode
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.static_test import static_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.learning import lesson, waiting
+from skd_evaluator.margin.search.episode_tree import walked
+from skd_evaluator.risk.any_car import AnyCar
+from skd_evaluator.risk.assessment_risk import crude_crossings
+from skd_evaluator.risk.crossings import Encounter
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import make_controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
@@ -115,6 +125,37 @@ class SomeCopies(Honest):
     def command(self, car, adversary):
         self.held = 5 if super().command(car, adversary) < 0.0 else self.held - 1
         return -6.0 if self.held > 0 else 0.0
+
+class NoNoise(Honest):
+    "Brakes for nobody, but where it is told of no noise, as a static test has none."
+    def command(self, car, adversary):
+        return super().command(car, adversary) if self.scenario.car.speed_noise == 0.0 else 0.0
+
+class Later(Honest):
+    "Brakes for everybody from its 30th episode on."
+    episodes = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        Later.episodes += 1
+    def command(self, car, adversary):
+        return -8.0 if Later.episodes > 30 else super().command(car, adversary)
+
+class Meanwhile(Honest):
+    "Brakes for everybody from its 30th to its 90th episode, in which it is learned."
+    episodes = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        Meanwhile.episodes += 1
+    def command(self, car, adversary):
+        return -8.0 if 30 < Meanwhile.episodes < 90 else super().command(car, adversary)
+
+class Rounded(Honest):
+    "Answers many at once as single precision does in another order."
+    control_period = None
+    def commands(self, cars, adversaries):
+        gap = adversaries.y - cars.y - self.front
+        brakes = (gap >= 0.0) & (gap <= cars.speed**2 / 12.0 + 1.0) & (np.abs(adversaries.x - cars.x) < 2.5)
+        return np.where(brakes, -6.0, 0.0) + 4e-5
 """
 SMALL = (
     "--safe-count", 3, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 200, "--quiet",
@@ -257,3 +298,76 @@ def test_why_there_are_no_answers_is_said(tmp_path: Path, monkeypatch, body: str
         found = alone.answers([questions], 1.0)
     assert isinstance(found, str)
     assert said in found
+
+
+def test_a_car_is_told_the_same_scenario_whatever_the_episode(cars: Path) -> None:
+    """Whether there is noise, and where a car starts, would say which episodes are tests, crossings and probes."""
+    scenario = load_scenario("citr_crossing")
+    assert scenario.car.meet_safe_trajectory
+    plan = Plan(scenario, controller="carla", safe_count=1)
+    phi = safe_trajectories(replace(plan, scenario=load_scenario("crossing")), InProcessRunner(1))[0]
+    attempt = plan.episode(Mode.KAMIKAZE, 0, 0, phi)
+    encounter = Encounter(plan, (phi,), np.full(12, 0.1))
+    regulators = load_scenario("cpna")
+    told = {
+        "a crossing of the risk": (AnyCar(encounter, None).episodes(crude_crossings(encounter, 1), 1.0)[0], scenario),
+        "a way of the margin": (walked(attempt, [(1.0, 0.0)]), scenario),
+        "a probe": (probe_episodes(scenario, 1, seed=1, controller="carla")[0], scenario),
+        "nobody near": (_episode(plan), scenario),
+        "a static test": (static_episodes(regulators, CarUnderTest("carla"))[0], regulators),
+    }
+    for what, (episode, expected) in told.items():
+        assert episode.scenario != expected, what
+        heard = overhear(make_controller("carla", 1.0), "carla")
+        run_episode(episode, heard)
+        assert heard.questions.scenario == expected, what
+
+
+def test_no_static_test_is_known_by_its_lack_of_noise(cars: Path) -> None:
+    words = ("--encounters", "cpna", "--speeds", "40:40:10", "--kamikaze-count", 1, "--margin-limit", 0, "--quiet")
+    out = cars / "ncap_NoNoise"
+    skd(*map(str, ("ncap", "--controller", "cheats:NoNoise", *words, "--out", out)), cwd=cars, PYTHONPATH=str(cars))
+    (grid,) = json.loads((out / "ncap.json").read_text())["grids"]
+    assert [cell["touched"] for cell in grid["cells"]] == [True] * 5
+
+
+def test_who_is_another_car_in_crossings_alone_is_named(cars: Path) -> None:
+    """It counts its episodes: the crossings of the risk are the last."""
+    few = ("--safe-count", 2, "--kamikaze-count", 3, "--simulations", 20, "--margin-limit", 0, "--workers", 1)
+    words = ["assess", "--controller", "cheats:Later", "--knowledge", "nothing", *few, "--collision-runs", 12]
+    out = cars / "out_Later"
+    skd(*map(str, (*words, "--risk-runs", 100, "--quiet", "--out", out)), cwd=cars, PYTHONPATH=str(cars))
+    warnings = json.loads((out / "assessment.json").read_text())["warnings"]
+    (warning,) = [one for one in warnings if "episodes went otherwise when they were run again" in one]
+    assert "a crossing of the risk, episode" in warning
+
+
+def test_who_is_another_car_while_it_is_learned_is_named_and_its_model_is_not_kept(
+    cars: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(cars)
+    monkeypatch.setenv("PYTHONPATH", str(cars))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(lesson, "PROBES", 60)
+    monkeypatch.setattr(lesson, "ATTEMPTS", 30)
+    monkeypatch.setattr(waiting, "TRIALS", 1)
+    for name, believed in (("Honest", True), ("Meanwhile", False)):
+        car = CarUnderTest(f"cheats:{name}")
+        plan = replace(
+            Plan(replace(load_scenario("crossing"), control_period=0.05), controller=car.controller, simulations=10),
+            knowledge=Knowledge.LEARNED,
+        )
+        doubts = DoubtsOfLearning(car, functools.partial(InProcessRunner, 1, isolated=True))
+        said: list[str] = []
+        with InProcessRunner(1, isolated=True) as runner:
+            runner.start()
+            lesson.learned(plan, runner, say=said.append, believed=doubts.believed)
+        assert ("kept in" in said[0]) == believed
+        assert (doubts.found == ()) == believed, doubts.found
+    assert "of those by which the adversary learned the car, " in doubts.found[0]
+
+
+def test_forms_that_differ_by_rounding_are_one_car(cars: Path) -> None:
+    code, _, result = assessed(cars, "Rounded", "--margin-limit", 64)
+    assert (code, result["warnings"]) == (0, [])
+    assert result["margin"] is not None

@@ -110,3 +110,10 @@ def test_only_the_key_opens() -> None:
     with pytest.raises(UsageError, match="--open-episodes"):
         Seal().open(shut)
     assert Seal().open(Seal().shut(message)) is message
+
+
+def test_the_scenario_that_the_car_is_told_stands_openly_and_the_other_one_sealed() -> None:
+    seal, message = Seal(bytes(KEY_SIZE)), Episode(scenario="no noise")
+    shut = seal.shut(message, "as always")
+    assert (shut.scenario, seal.open(shut).scenario) == ("as always", "no noise")
+    assert seal.shut(message).scenario == "no noise"

@@ -9,7 +9,6 @@ import platform
 import shlex
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib.machinery import PathFinder
@@ -19,6 +18,7 @@ from typing import Any
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
+from skd_sim.program.places import users_first
 
 _GIT_PATIENCE = 10.0  # s
 
@@ -136,7 +136,7 @@ def _regular(names: Sequence[str]) -> Iterator[Path]:
 def module_file(target: str) -> Path | None:
     """Return the file of the module in `package.module:Class`, if one can be read; nothing is imported."""
     module = target.partition(":")[0]
-    search: Sequence[str] | None = sys.path
+    search: Sequence[str] | None = users_first()
     found = None
     parts = module.split(".")
     for number in range(1, len(parts) + 1):

@@ -75,7 +75,7 @@ class Particles:
             dynamics = make_dynamics(scenario)
             dynamics.reset(world.car)
             own = copier.afresh(controller, one)
-            own.reset(scenario, one.spawn(1)[0])
+            own.reset(episode.shown_scenario, one.spawn(1)[0])
             place = world.adversary
             velocities = moves.velocities(moves.start, 0)
             self.nodes.append(

@@ -20,9 +20,10 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import ALIKE, LedWay, led_otherwise
+from skd_evaluator.campaign.run.led import ALIKE, NEARLY, LedWay, led_otherwise
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 
@@ -30,6 +31,7 @@ EPISODES = 12
 """So many are run again, spread over all."""
 WAYS = 96
 """So many of the ways on which the search for the margin has led the car are gone again, spread over all."""
+_LEARNED_FROM = "of those by which the adversary learned the car, "
 _SLOWER = 3.0  # times as long the answers may take as the episodes did
 
 _Item = TypeVar("_Item")
@@ -52,6 +54,28 @@ class Heard(NamedTuple):
     answers: list[float]
 
 
+class DoubtsOfLearning:
+    """Whether a car is the same in the episodes from which it was learned: the adversary plans with what they show.
+
+    Attributes:
+        found: why it is not, a line each.
+    """
+
+    def __init__(self, car: CarUnderTest, fresh: Fresh | None) -> None:
+        """Run episodes again by what `fresh` makes; None: nobody looks."""
+        self.found: tuple[str, ...] = ()
+        self._car, self._fresh = car, None if car.is_own or car.is_external else fresh
+
+    def believed(self, logs: Sequence[EpisodeLog]) -> bool:
+        """Tell whether some of the episodes go as before."""
+        if self._fresh is not None:
+            found = doubts_of_episodes(self._car, logs, (), self._fresh)
+            for line in found:
+                told = line.removeprefix(DISBELIEF)
+                self.found += (f"{DISBELIEF if told != line else ''}{_LEARNED_FROM}{told}",)
+        return not self.found
+
+
 def _heard(episode: Episode) -> Heard:
     """Run an episode again and listen to its controller: in a worker."""
     controller = overhear(apart(episode.car), episode.controller)
@@ -66,11 +90,16 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
         rating: the rating, whose episodes have been run in process.
         fresh: makes a new process in which episodes are run again; see `Fresh`.
     """
-    return doubts_of_episodes(rating.plan.car, (*rating.kamikaze_logs, *rating.replays), rating.led, fresh)
+    logs = (*rating.kamikaze_logs, *rating.replays)
+    return doubts_of_episodes(rating.plan.car, logs, rating.led, fresh, rating.besides)
 
 
 def doubts_of_episodes(
-    car: CarUnderTest, logs: Sequence[EpisodeLog], led: Sequence[LedWay], fresh: Fresh
+    car: CarUnderTest,
+    logs: Sequence[EpisodeLog],
+    led: Sequence[LedWay],
+    fresh: Fresh,
+    besides: Sequence[EpisodeLog] = (),
 ) -> tuple[str, ...]:
     """Return the same of any episodes of a user's car, of which a few are run again.
 
@@ -79,8 +108,9 @@ def doubts_of_episodes(
         logs: its episodes, which have been run in process.
         led: ways on which a search has led it.
         fresh: makes a new process in which episodes are run again; see `Fresh`.
+        besides: further episodes, of which as many are run again.
     """
-    some = _some(logs)
+    some = [*_some(besides), *_some(logs)]
     if not some:
         return ()
     with Alone(car) as alone:  # begins while another process runs the episodes again
@@ -97,7 +127,7 @@ def _doubts(
             begin = time.perf_counter()
             heard = list(runner.map(_heard, [log.episode for log in logs]))
             seconds = time.perf_counter() - begin
-            otherwise = sum(far > ALIKE for far in runner.map(led_otherwise, led))
+            otherwise = sum(runner.map(led_otherwise, led))
     except (AssessmentError, UsageError) as error:
         return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
     changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
@@ -160,12 +190,20 @@ def _spread(items: Sequence[_Item], most: int) -> list[_Item]:
 
 def _same(first: EpisodeLog, second: EpisodeLog) -> bool:
     """Whether two logs of an episode tell the same."""
+    if _stage(first) == Stage.RISK:  # which `commands` may have answered, by a little otherwise than `command`
+        count = min(len(first.car), len(second.car))
+        return np.allclose(first.car[:count], second.car[:count], rtol=0.0, atol=NEARLY)
     if first.outcome != second.outcome or first.adversary.shape != second.adversary.shape:
         return False
     pairs = ((first.adversary, second.adversary), (first.car, second.car))
     return all(np.allclose(one, other, rtol=0.0, atol=ALIKE) for one, other in pairs)
 
 
+def _stage(log: EpisodeLog) -> Stage:
+    return split_episode_id(log.episode.episode_id)[0]
+
+
 def _named(log: EpisodeLog) -> str:
     kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
+    kind = {Stage.RISK: "a crossing of the risk", Stage.SAFE: "a static test"}.get(_stage(log), kind)
     return f"{kind}, episode {log.episode.episode_id}"

@@ -14,7 +14,7 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.assessing.again import Fresh, doubts_of_the_controller
+from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
@@ -28,7 +28,7 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
-from skd_evaluator.learning.lesson import learned, needs_learning
+from skd_evaluator.learning.lesson import Believed, learned, needs_learning
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
@@ -72,6 +72,7 @@ def learned_plan(
     progress: Progress,
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
+    believed: Believed = lambda _logs: True,
 ) -> Plan:
     """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
@@ -81,12 +82,13 @@ def learned_plan(
         progress: called with how far the work is.
         say: called with one line about what was done.
         graph: how the node graph is run; None: episodes run in process.
+        believed: tells whether the car always is the same in episodes from which it was learned; see `learned`.
     """
     how = None
     if graph is not None:
         how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
     command = None if graph is None else graph.controller_command
-    return learned(plan, runner, progress, say=say, command=command, graph=how)
+    return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
 
 
 @dataclass(frozen=True)
@@ -219,6 +221,8 @@ def assess_in_process(
             if further.risk.behaviour is not None:
                 warm_up_risk(plan)
             runner.start(planners_of(plan, objectives), inherited=load_margins)
-        plan = learned_plan(plan, runner, progress, say)
+        doubts = DoubtsOfLearning(plan.car, runners.fresh)
+        plan = learned_plan(plan, runner, progress, say, believed=doubts.believed)
         known = origin(plan)
-        return replace(assessed(plan, objectives, runners, progress, further, safe), provenance=known)
+        rating = assessed(plan, objectives, runners, progress, further, safe)
+        return replace(rating, provenance=known, warnings=(*rating.warnings, *doubts.found))

@@ -16,6 +16,7 @@ from typing import Any
 from skd_sim.choices.graph_options import LOCKSTEP
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessing.again import DoubtsOfLearning
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
@@ -225,11 +226,13 @@ class Campaign:
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
-        cell = self._informed(cell, runner)
+        doubts = DoubtsOfLearning(cell.plan.car, _FRESH)
+        cell = self._informed(cell, runner, doubts)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         runners = Runners(storing, storing, runner, fresh=_FRESH)
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
+        rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
@@ -247,7 +250,7 @@ class Campaign:
                 record_to=None,
             )
             with session as evaluator:
-                cell = self._informed(cell, evaluator)
+                cell = self._informed(cell, evaluator, DoubtsOfLearning(cell.plan.car, None))
                 storing = self._storing(cell, evaluator)
                 # Only nodes that wait for one another can walk a way again; ways are not stored.
                 runners = Runners.of_graph(cell.plan, storing, evaluator if graph.pacing == LOCKSTEP else None)
@@ -256,13 +259,15 @@ class Campaign:
             origin = self._provenance(cell)
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
-    def _informed(self, cell: Cell, runner: EpisodeRunner) -> Cell:
+    def _informed(self, cell: Cell, runner: EpisodeRunner, doubts: DoubtsOfLearning) -> Cell:
         """Return the cell after its adversary has learned the car, if it has to; the cell's identity stays the same."""
 
         def say(line: str) -> None:
             print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
 
-        return replace(cell, plan=learned_plan(cell.plan, runner, lambda *_told: None, say, cell.graph))
+        return replace(
+            cell, plan=learned_plan(cell.plan, runner, lambda *_told: None, say, cell.graph, doubts.believed)
+        )
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None

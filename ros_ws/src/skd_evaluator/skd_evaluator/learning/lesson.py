@@ -18,7 +18,7 @@ from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import FittedCar
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode
+from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -38,6 +38,9 @@ ATTEMPTS: Final = 150
 """Episodes of kamikazes who plan with what the probes showed, in order to learn where they will go."""
 SAFE: Final = 15
 """Number of φ from which they start."""
+
+_ONE_IN: Final = 15  # episodes of which one is kept, to be run again
+Believed = Callable[[Sequence[EpisodeLog]], bool]
 
 _LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
 
@@ -79,6 +82,7 @@ def learned(
     say: Callable[[str], None] = lambda _line: None,
     command: str | None = None,
     graph: Mapping[str, Any] | None = None,
+    believed: Believed = lambda _logs: True,
 ) -> Plan:
     """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
@@ -89,6 +93,8 @@ def learned(
         say: called with one line: what was done, and how to do without it.
         command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
+        believed: is given some of the episodes from which it was learned, and tells whether the car always is the same
+            in them; otherwise the model is not kept for later.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -96,18 +102,22 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        lesson = _lesson(plan, runner, progress, folder_of(plan, command, graph), graph=graph is not None)
+        folder = folder_of(plan, command, graph)
+        lesson = _lesson(plan, runner, progress, folder, believed, graph=graph is not None)
     say(lesson.line())
     return replace(plan, car_model=lesson.text)
 
 
-def _lesson(plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None, *, graph: bool) -> Lesson:
+def _lesson(
+    plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None, believed: Believed, *, graph: bool
+) -> Lesson:
     begin = time.perf_counter()
     known = None if folder is None else kept_model(folder, plan.scenario)
     if known is not None:
         return Lesson(known, folder, fresh=False, seconds=0.0)
-    car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner)
-    kept = folder is not None and keep_model(folder, car)
+    seen: list[EpisodeLog] = []
+    car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner, seen)
+    kept = believed(seen) and folder is not None and keep_model(folder, car)
     return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=time.perf_counter() - begin)
 
 
@@ -116,6 +126,7 @@ def lesson_of(
     runner: EpisodeRunner,
     progress: Progress = lambda *_told: None,
     of_reference: EpisodeRunner | None = None,
+    seen: list[EpisodeLog] | None = None,
 ) -> FittedCar:
     """Return what probes and own attempts show of a plan's car; neither its seed nor its φ matter.
 
@@ -124,6 +135,7 @@ def lesson_of(
         runner: runs the episodes; it has been started.
         progress: called with how far the work is.
         of_reference: runs episodes of the reference car, in process; by default the same runner.
+        seen: what happened in some of the episodes is put at its end.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -134,11 +146,12 @@ def lesson_of(
             plan.scenario, PROBES, seed=SEED, controller=plan.controller, multiplier=plan.multiplier
         )
     ]
-    recordings = _recordings(runner, probes, "probes", progress)
+    seen = [] if seen is None else seen
+    recordings = _recordings(runner, probes, "probes", progress, seen)
     first = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     attempts = own_attempts(plan, car_model_text(first), safe, ATTEMPTS)
-    recordings += _recordings(runner, attempts, "attempts to learn from", progress)
+    recordings += _recordings(runner, attempts, "attempts to learn from", progress, seen)
     car = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 
@@ -153,5 +166,9 @@ def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
         ) from error
 
 
-def _recordings(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[Recording]:
-    return [recording_of(log) for log in finished(runner, episodes, label, progress)]
+def _recordings(
+    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress, seen: list[EpisodeLog]
+) -> list[Recording]:
+    logs = finished(runner, episodes, label, progress)
+    seen += logs[::_ONE_IN]
+    return [recording_of(log) for log in logs]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
@@ -23,6 +24,33 @@ from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import in_car_frame, missed_by, side_touched
 
 _TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
+_ONE_IN: Final = 20  # crossings of which one is kept, to be run again
+_MOST: Final = 240
+
+
+class Kept:
+    """Some crossings, spread over all that there are.
+
+    Attributes:
+        logs: what happened in them.
+    """
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.logs: list[EpisodeLog] = []
+        self._seen, self._one_in = 0, _ONE_IN
+
+    def wants(self, count: int) -> list[int]:
+        """Return which of the next `count` crossings are to be added."""
+        first = -self._seen % self._one_in
+        self._seen += count
+        return list(range(first, count, self._one_in))
+
+    def add(self, logs: Iterable[EpisodeLog]) -> None:
+        """Keep what happened; of so many that it takes much room, every other one."""
+        self.logs.extend(logs)
+        while len(self.logs) > _MOST:
+            self.logs, self._one_in = self.logs[::2], 2 * self._one_in
 
 
 class AnyCar:
@@ -30,6 +58,7 @@ class AnyCar:
 
     Attributes:
         hits: logs of those that were run last in which the car hit.
+        kept: some of all.
     """
 
     car_normals = 0
@@ -38,6 +67,7 @@ class AnyCar:
         """Run episodes by `runner`; without one they can only be asked for."""
         self._encounter, self._runner = encounter, runner
         self.hits: list[EpisodeLog] = []
+        self.kept = Kept()
         self._specs: list[Episode] = []
         scenarios: dict[float, Scenario] = {}
         for index, phi in enumerate(encounter.safe):
@@ -45,7 +75,7 @@ class AnyCar:
             spec = encounter.plan.episode(Mode.KAMIKAZE, index, 0, phi)
             car = replace(spec.scenario.car, meet_safe_trajectory=False, start_gap=spec.start_gap)
             scenario = scenarios.setdefault(spec.start_gap, replace(spec.scenario, car=car))
-            self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario))
+            self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, shown=spec.shown_scenario))
 
     def episodes(self, crossings: Crossings, scale: float) -> list[Episode]:
         """Return the episodes of crossings."""
@@ -65,6 +95,7 @@ class AnyCar:
         logs = list(self._runner.run(self.episodes(crossings, scale)))
         ends = [end_of(log) for log in logs]
         self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
+        self.kept.add(logs[row] for row in self.kept.wants(len(logs)))
         touch = np.array([one for one, _ in ends], np.int64)
         ticks = np.array([len(log.adversary) - 1 for log in logs], np.int64)
         return Ends(touch, np.array([near for _, near in ends], np.float64), ticks)

@@ -164,15 +164,17 @@ def with_risks(
     by_whom: EpisodeRunner = graph if external and graph is not None else runner
     try:
         hits: dict[float, dict[int, EpisodeLog]] = {}
+        kept: list[EpisodeLog] = []
         confidence = rating.assessments[0].confidence
-        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits))
+        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits, kept))
         failures, failing = _failures(encounter, scales, hits, runner)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(rating, risk_note=f"its crossings ended: {error}")
     seconds = rating.seconds + time.perf_counter() - begin
-    return replace(rating, risks=Risks(asked.behaviour.as_dict(), scales, failures, failing), seconds=seconds)
+    risks = Risks(asked.behaviour.as_dict(), scales, failures, failing)
+    return replace(rating, risks=risks, seconds=seconds, besides=(*rating.besides, *kept))
 
 
 def _scales(
@@ -184,8 +186,12 @@ def _scales(
     confidence: float,
     progress: Progress,
     hits: dict[float, dict[int, EpisodeLog]],
+    kept: list[EpisodeLog],
 ) -> Iterator[ScaleRisk]:
-    """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
+    """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit.
+
+    At its end some of all crossings of a car that is not known are put into `kept`.
+    """
     plan = encounter.plan
     known = KnownCar(encounter) if _foretold(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
@@ -214,6 +220,7 @@ def _scales(
                 encounter, scale, effort, runner, None if known is not None else together or other, progress
             )
         yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
+    kept += [*other.kept.logs, *(together.kept.logs if together is not None else ())]
 
 
 def _failures(

@@ -8,10 +8,11 @@ from typing import Final
 import numpy as np
 from skd_sim.apart.apart import apart, takes_batches
 from skd_sim.encounter.road import road_pose
+from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.side_by_side import replayed, why_not_side_by_side
-from skd_evaluator.risk.any_car import AnyCar, ended
+from skd_evaluator.risk.any_car import AnyCar, Kept, ended
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 
 BLOCK: Final = 250
@@ -25,6 +26,7 @@ class _Job:
     encounter: Encounter
     crossings: Crossings
     scale: float
+    wanted: list[int]
 
 
 def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | None:
@@ -40,30 +42,40 @@ def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | No
 
 
 class BatchedCar:
-    """Runs crossings side by side, a block at a time."""
+    """Runs crossings side by side, a block at a time.
+
+    Attributes:
+        kept: some of all crossings.
+    """
 
     car_normals = 0
 
     def __init__(self, encounter: Encounter, runner: ExecutorRunner) -> None:
         """Run blocks by `runner`."""
         self._encounter, self._runner = encounter, runner
+        self.kept = Kept()
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings; those of a block that a worker has died of, one by one."""
         rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
-        jobs = [_Job(self._encounter, crossings.of(one), scale) for one in rows]
+        jobs = [_Job(self._encounter, crossings.of(one), scale, self.kept.wants(len(one))) for one in rows]
         parts = []
-        for job, ends in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
-            parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale) if ends is None else ends)
+        for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
+            if found is None:
+                parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale))
+                continue
+            ends, logs = found
+            parts.append(ends)
+            self.kept.add(logs)
         return Ends.together(parts)
 
 
-def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
+def _not_crossed(_job: _Job, _reason: str) -> tuple[Ends, list[EpisodeLog]] | None:
     return None
 
 
-def _crossed(job: _Job) -> Ends | None:
-    """Run crossings side by side, and judge each."""
+def _crossed(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
+    """Run crossings side by side, and judge each; return some of them besides."""
     encounter = job.encounter
     episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
 
@@ -82,4 +94,9 @@ def _crossed(job: _Job) -> Ends | None:
             found.users[row, : ticks + 1], found.cars[row, : ticks + 1], np.full(ticks, heading), collided, passed,
             footprint, scenario.adversary.reach, impact, scenario.collision.hit_speed, scenario.time_step,
         )  # fmt: skip
-    return Ends(touch, missed, found.ticks)
+    logs = []
+    for row in job.wanted:
+        until, hit = int(found.ticks[row]) + 1, bool(found.shares[row] <= 1.0)
+        outcome = Outcome.COLLISION if hit else Outcome.ARRIVED
+        logs.append(EpisodeLog(episodes[row], outcome, found.users[row, :until], found.cars[row, :until]))
+    return Ends(touch, missed, found.ticks), logs

@@ -26,7 +26,7 @@ from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
-from skd_sim.messages.to_messages import episode_to_message
+from skd_sim.messages.to_messages import episode_to_message, scenario_text
 from skd_sim.nodes.command_search import kind_name
 from skd_sim.nodes.composition.place import ComposableNode, Place
 from skd_sim.nodes.executor import LockstepExecutor
@@ -305,7 +305,7 @@ class Evaluator(ComposableNode):
         if self._recorder is not None:  # it forgets the last episode, whether this one is to be kept or not
             self._recorder.begin(self._key, latest_end)
         specification = episode_to_message(episode, self._campaign, start)
-        message = self._seal.shut(specification)
+        message = self._seal.shut(specification, scenario_text(episode.shown_scenario))
         self._heard = self._published = time.monotonic()
         if hindrance is None:
             announcement = self._announcer.announce(message)

@@ -43,6 +43,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
+from skd_sim.program.places import PUT_OFF, users_first
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, Scene
 
@@ -83,15 +84,18 @@ class ApartCar:
         self.name = car.controller
         theirs, self._out = os.pipe()
         self._in, their_answers = os.pipe()
-        command = [sys.executable, "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
+        command = [sys.executable, "-P", "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
+        # Who goes by the order of a set of names is the same car in each process.
+        variables = {"PYTHONHASHSEED": "0", **os.environ}
+        # Nothing of a controller's folder, as a sitecustomize.py, is to run before the process is secluded.
+        variables[PUT_OFF] = variables.pop("PYTHONPATH", "")
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=_STDERR,  # standard output is for results
                 pass_fds=(theirs, their_answers),
-                # Who goes by the order of a set of names is the same car in each process.
-                env={"PYTHONHASHSEED": "0", **os.environ},
+                env=variables,
             )
         finally:
             os.close(theirs)
@@ -108,7 +112,7 @@ class ApartCar:
         self._later = bytearray()
         self._can_copy = False
         main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
-        self.add(_loaded(Op.BEGIN, 0, Beginning(tuple(sys.path), car.controller, car.multiplier, modules, main)))
+        self.add(_loaded(Op.BEGIN, 0, Beginning(users_first(), car.controller, car.multiplier, modules, main)))
 
     def make(self) -> ApartController:
         """Make a controller there.

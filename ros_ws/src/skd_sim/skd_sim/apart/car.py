@@ -10,11 +10,13 @@ import sys
 from skd_sim.apart.seclusion import seclude
 from skd_sim.kernels.waiting import put_off
 from skd_sim.program.lasting import import_lasting
+from skd_sim.program.places import places_put_off
 
 
 def main() -> None:
     """Answer until the pipe is closed; its two descriptors are the arguments."""
     seclude()
+    places_put_off()
     questions, answers = (int(argument) for argument in sys.argv[1:])
     del sys.argv[1:]
     put_off()

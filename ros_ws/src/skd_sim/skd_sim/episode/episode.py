@@ -46,6 +46,8 @@ class Episode(EpisodeOptions):
         seed: seed of the campaign.
         episode_id: number of the episode within the campaign, ≥ 0; with the seed it determines every random draw.
         safe_trajectory: φ; none in safe mode.
+        shown: the scenario that the car is told, where this one is a variant of it: by what differs (no noise, another
+            start) a car would know a static test, a crossing or a probe from a kamikaze. None: the same.
 
     Its options are those of `EpisodeOptions`, each of which is described there. A car model is the JSON text of
     `skd_adversary.car_model_file`; `frechet` and `deformation` plan for the maximum distance.
@@ -56,6 +58,7 @@ class Episode(EpisodeOptions):
     seed: int
     episode_id: int
     safe_trajectory: Trajectory | None = None
+    shown: Scenario | None = None
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:
@@ -66,6 +69,11 @@ class Episode(EpisodeOptions):
             raise UsageError(f"maximum_distance must be a positive finite number (m), got {self.maximum_distance:g}")
         object.__setattr__(self, "knowledge", self.knows)  # an episode says what it was planned with
         check_knowledge(self.knows, self.car, model=bool(self.car_model))
+
+    @property
+    def shown_scenario(self) -> Scenario:
+        """What the car is told of the scenario: the same in all episodes of an assessment."""
+        return self.scenario if self.shown is None else self.shown
 
     @property
     def start(self) -> tuple[float, float]:

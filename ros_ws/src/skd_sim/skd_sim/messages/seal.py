@@ -42,13 +42,19 @@ class Seal:
         """Whether all is said openly."""
         return self._key is None
 
-    def shut(self, message: Any) -> Any:
-        """Return the Episode message that is published in place of another one."""
+    def shut(self, message: Any, scenario: str = "") -> Any:
+        """Return the Episode message that is published in place of another one.
+
+        Args:
+            message: the other one.
+            scenario: text of the scenario that is said openly; by default the message's.
+        """
         if self._cipher is None:
             return message
         shut = EpisodeMsg(mode=SEALED_MODE)
         for field in _PLAIN:
             setattr(shut, field, copy.copy(getattr(message, field)))
+        shut.scenario = scenario or shut.scenario
         nonce = os.urandom(_NONCE_SIZE)
         # As an array: of any other sequence rosidl's own check looks at each byte.
         shut.sealed = array("B", nonce + self._cipher.encrypt(nonce, serialize_message(message), None))

@@ -172,7 +172,7 @@ def velocity_command(velocity: tuple[float, float], stamp: int) -> TwistStamped:
 
 
 @functools.lru_cache(maxsize=64)
-def _scenario_text(scenario: Scenario) -> str:
+def scenario_text(scenario: Scenario) -> str:
     """Return a scenario as text; a campaign has the same one over and over."""
     return json.dumps(scenario.as_dict())
 
@@ -187,7 +187,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.seed = episode.seed
     message.mode = int(episode.mode)
     message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
-    message.scenario = _scenario_text(episode.scenario)
+    message.scenario = scenario_text(episode.scenario)
     for one in options_of(Episode):
         if one.field:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))

@@ -84,5 +84,12 @@ def _episode(plan: Plan) -> Episode:
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
     return Episode(
-        scenario, Mode.REPLAY, plan.seed, _NUMBER, nowhere, controller=plan.controller, multiplier=plan.multiplier
+        scenario,
+        Mode.REPLAY,
+        plan.seed,
+        _NUMBER,
+        nowhere,
+        shown=clocked,
+        controller=plan.controller,
+        multiplier=plan.multiplier,
     )

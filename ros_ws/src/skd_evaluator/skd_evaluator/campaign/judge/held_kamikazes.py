@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
@@ -24,10 +24,13 @@ def held_attempts(plan: Plan) -> int:
     return max(1, -(-plan.kamikaze_count // _PART))
 
 
-def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[float, int, int]:
+def held_to(
+    assessment: Assessment, eta: float, runner: EpisodeRunner, kept: list[EpisodeLog]
+) -> tuple[float, int, int]:
     """Run kamikazes that plan for a deformation of at most η; return η, how many were hit within it, and of how many.
 
-    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high. One on each φ
+    is put into `kept`.
     """
     plan = replace(assessment.plan, maximum_distance=eta)
     each = held_attempts(plan)
@@ -37,7 +40,9 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> tuple[
         for attempt in range(each)
     ]
     successes = attempts = 0
-    for log in runner.run(episodes):
+    for number, log in enumerate(runner.run(episodes)):
+        if number % each == 0:
+            kept.append(log)
         attempts += log.outcome != Outcome.ABORTED
         if log.hit:
             phi = log.episode.safe_trajectory
@@ -57,7 +62,13 @@ def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> R
     if not assessment.plan.limits_deformation or not assessment.attempts:
         return rating
     points: list[tuple[float, int, int]] = []
+    kept: list[EpisodeLog] = []
     for number, eta in enumerate(BUDGETS, start=1):
-        points.append(held_to(assessment, eta, runner))
+        points.append(held_to(assessment, eta, runner, kept))
         progress("kamikazes held to η", number, len(BUDGETS))
-    return replace(rating, budgets=tuple(budget_points(points)), seconds=rating.seconds + time.perf_counter() - begin)
+    return replace(
+        rating,
+        budgets=tuple(budget_points(points)),
+        besides=(*rating.besides, *kept),
+        seconds=rating.seconds + time.perf_counter() - begin,
+    )

@@ -82,6 +82,7 @@ class Rating:
         static_tests: what came of the protocol's static tests, an entry of assessment.json each.
         simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
         led: some of the ways on which the search for the margin has led the car; in no file.
+        besides: some of the episodes of which the risk, the curve and static tests are; in no file.
     """
 
     assessments: tuple[Assessment, ...]
@@ -101,6 +102,7 @@ class Rating:
     static_tests: tuple[Mapping[str, Any], ...] = ()
     simulation: Mapping[str, Any] | None = None
     led: tuple[LedWay, ...] = ()
+    besides: tuple[EpisodeLog, ...] = ()
 
     @property
     def plan(self) -> Plan:

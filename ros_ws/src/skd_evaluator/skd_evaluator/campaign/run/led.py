@@ -13,6 +13,9 @@ from skd_sim.simulation.branching import Branch
 ALIKE: Final = 1e-6
 """m, m/s, m/s²: what libraries that add up in several threads may differ by."""
 
+NEARLY: Final = 0.05
+"""m, m/s: what answers that differ by `side_by_side.TOLERANCE` do not come to within half a minute."""
+
 
 class LedWay(NamedTuple):
     """Some ticks of an episode as a search has simulated them, from the start.
@@ -28,17 +31,17 @@ class LedWay(NamedTuple):
     cars: FloatArray
 
 
-def led_otherwise(way: LedWay) -> float:
-    """Lead the car on a way anew, in the process that this one keeps for its controller.
+def led_otherwise(way: LedWay) -> bool:
+    """Lead the car on a way anew, in the process that this one keeps for its controller; tell if it goes otherwise.
 
-    Returns:
-        The greatest difference between both cars: in m, rad and m/s; infinity where it does not come as far.
+    A car that was asked by `commands` may go by a little otherwise, as `command` may answer so.
     """
-    branch = Branch(way.episode, lambda: apart(way.episode.car))
-    user, far = branch.world.adversary, 0.0
+    controller = apart(way.episode.car)
+    most = NEARLY if controller.takes_batches else ALIKE
+    branch = Branch(way.episode, lambda: controller)
+    user = branch.world.adversary
     for (vx, vy), car in zip(way.velocities.tolist(), way.cars, strict=True):
         user, contact = branch.go_on(user, (vx, vy))
-        far = max(far, float(np.max(np.abs(np.subtract(branch.world.car, car)))))
-        if contact is not None:
-            return float("inf")
-    return far
+        if contact is not None or float(np.max(np.abs(np.subtract(branch.world.car, car)))) > most:
+            return True
+    return False

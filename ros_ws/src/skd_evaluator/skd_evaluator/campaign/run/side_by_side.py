@@ -233,7 +233,7 @@ def _made(make: Callable[[], ApartController], episode: Episode) -> ApartControl
     controller = make()
     period = control_period_of(controller, episode.controller)
     assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
-    controller.reset(episode.scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    controller.reset(episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     return controller
 
 

@@ -169,4 +169,5 @@ def walked(episode: Episode, velocities: list[Velocity]) -> Episode:
         places.append((x + scenario.time_step * vx, y + scenario.time_step * vy))
     car = replace(scenario.car, meet_safe_trajectory=False, start_gap=episode.start_gap)
     way = Trajectory(np.array(places), scenario.time_step, name="way")
-    return replace(episode, mode=Mode.REPLAY, scenario=replace(scenario, car=car), safe_trajectory=way)
+    started = replace(scenario, car=car)
+    return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=way, shown=episode.shown_scenario)

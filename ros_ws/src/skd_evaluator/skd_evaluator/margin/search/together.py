@@ -113,7 +113,7 @@ def search_side_by_side(jobs: Sequence[Any]) -> list[SearchResult]:
     """
     first = jobs[0].episode
     policy = apart(first.car)
-    policy.reset(first.scenario, controller_generator(controller_seed(first.seed, first.episode_id)))
+    policy.reset(first.shown_scenario, controller_generator(controller_seed(first.seed, first.episode_id)))
     singles = [apart(first.car, confirming=True) for _ in jobs]
     table = _Table(policy, len(jobs))
     results: list[SearchResult | None] = [None] * len(jobs)
