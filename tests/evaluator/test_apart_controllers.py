@@ -461,7 +461,7 @@ def test_who_fails_between_two_questions_is_named_in_a_line(cars: Path, capfd: p
     controller._car._process.wait(PATIENCE)
     with pytest.raises(AssessmentError, match="rings:Car: its process ended with exit code 1"):
         controller.command(CarState(0.0, 0.0, 0.0, 0.0), AdversaryState(0.0, 0.0, 0.0, 0.0))
-    said = "controller rings:Car: its own code failed between two questions with ZeroDivisionError: division by zero"
+    said = "rings:Car | its own code failed between two questions with ZeroDivisionError: division by zero"
     assert capfd.readouterr().err.splitlines() == [said]
 
 

@@ -29,7 +29,7 @@ _DEAF = (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT)
 
 _KEEPER = """
 import os, resource, signal, sys, time
-child, owner, patience = int(sys.argv[1]), int(sys.argv[2]), 2.0
+child, owner, patience, grace = int(sys.argv[1]), int(sys.argv[2]), 2.0, 0.5
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # the child's is enough, should both end by the same signal
 heard = {signal.SIGHUP, signal.SIGCHLD, signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT}
 ended = []  # how the child has ended, once it has
@@ -59,11 +59,20 @@ def below():
         found |= more
     return found - {os.getpid()}
 
+def is_pump(pid):
+    try:
+        with open("/proc/" + str(pid) + "/cmdline", "rb") as file:
+            return b"skd_sim.apart.pump" in file.read()
+    except OSError:
+        return False
+
 def end_all():
-    latest = time.monotonic() + patience
-    while bury() and time.monotonic() < latest:
+    begin = time.monotonic()
+    while bury() and time.monotonic() - begin < patience:
+        # What passes on the last words of the others ends by itself when they have.
+        spared = set(filter(is_pump, below())) if time.monotonic() - begin < grace else set()
         for number in (signal.SIGSTOP, signal.SIGKILL):  # what stands still starts nothing
-            for pid in below():
+            for pid in below() - spared:
                 try:
                     os.kill(pid, number)
                 except OSError:

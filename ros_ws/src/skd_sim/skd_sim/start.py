@@ -11,6 +11,7 @@ from functools import partial
 
 from skd_sim.errors import UsageError
 from skd_sim.program.bounded_end import END_LIMIT, end_within
+from skd_sim.program.closed import open_closed
 from skd_sim.program.interruption import Interruption
 from skd_sim.program.lasting import import_lasting
 from skd_sim.program.places import places_put_off
@@ -26,6 +27,7 @@ def start(module: str, interrupted: int = 0) -> int:
         module: name of the module, whose `main` takes its arguments from the command line.
         interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
     """
+    open_closed()
     places_put_off()
     interruption = Interruption()
     interruption.listen()

@@ -22,6 +22,12 @@ from skd_evaluator.verbosity import be_verbose, is_verbose
 EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
 """Errors of names that were given, and not of the machine."""
+_LIMITS = {
+    errno.EMFILE: "; allow more (ulimit -n)",
+    errno.EAGAIN: ": no further process or thread can be started; allow more (ulimit -u)",
+    errno.EFBIG: "; allow larger ones (ulimit -f)",
+}
+"""What to do about a limit of this user's."""
 _SELDOM_WITH_KERNELS = frozenset({"completion", "doctor", "list", "plan"})
 """Commands that mostly call no kernel, and then start without numba, which takes longer than all else."""
 
@@ -79,7 +85,11 @@ def _run(words: list[str]) -> int:
             why = f"{str(error.filename)[:60]}: no file can have that name ({error.strerror})"
             print(f"skd {arguments.command}: error: {one_line(why)}", file=sys.stderr)
             return EXIT_USAGE
-        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
+        advice = _LIMITS.get(error.errno or 0, "")
+        print(f"skd {arguments.command}: error: {one_line(str(error))}{advice}", file=sys.stderr)
+        return EXIT_FAILED
+    except MemoryError:
+        print(f"skd {arguments.command}: error: out of memory (limit: ulimit -v)", file=sys.stderr)
         return EXIT_FAILED
 
 

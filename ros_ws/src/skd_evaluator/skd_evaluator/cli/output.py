@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import IO, Any
 
 from skd_sim.inputs.printable import own, printable_json
@@ -43,6 +43,21 @@ def print_json(content: Mapping[str, Any]) -> None:
     print(text, file=_Kept.output)
     if _Kept.output is not None:
         _Kept.output.flush()
+
+
+def is_read(printing: Callable[[], None]) -> bool:
+    """Print before something is written, which is to be written whether anybody reads what is printed or not.
+
+    Returns:
+        Whether somebody did; where nobody does, further output is dropped.
+    """
+    try:
+        printing()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        give_up()
+        return False
+    return True
 
 
 def give_up() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import io
 import os
@@ -40,6 +41,8 @@ from skd_sim.kernels.waiting import compile_for
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, RoadUserState, Scene
 
+_LIBC = ctypes.CDLL(None)
+_BY_LINES = 1  # _IOLBF of setvbuf(3)
 _COMMAND, _COPY, _FORGET, _NUMBER = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value, Kind.NUMBER  # the usual, quickly
 
 
@@ -48,6 +51,7 @@ def answer_all(questions: int, answers: int) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(line_buffering=True)  # a process that is ended prints no rest
+    _have_c_print_lines()
     car = _Car()
     try:
         while True:
@@ -66,12 +70,19 @@ def answer_all(questions: int, answers: int) -> None:
         with contextlib.suppress(Exception):  # a controller may have closed or replaced them
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()
+        _LIBC.fflush(None)
     except BaseException as error:  # of a handler of signals of the controller's own, which comes between two questions
-        said = f"controller {car.name}: its own code failed between two questions with {reason_of(error)}\n"
+        said = f"its own code failed between two questions with {reason_of(error)}\n"
         with contextlib.suppress(OSError):
             os.write(2, said.encode("utf-8", "backslashreplace"))
         os._exit(1)
     os._exit(0)  # whatever the controller's own threads are at
+
+
+def _have_c_print_lines() -> None:
+    """Have code in C print line by line, which would keep what it prints, as this goes into a pipe, until the end."""
+    with contextlib.suppress(ValueError):  # of a C library that has no variable of that name
+        _LIBC.setvbuf(ctypes.c_void_p.in_dll(_LIBC, "stdout"), None, _BY_LINES, ctypes.c_size_t(0))
 
 
 class _Car:

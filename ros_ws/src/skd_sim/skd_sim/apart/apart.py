@@ -1,8 +1,8 @@
 """A user's controller in a process of its own, and copies of it there: to whoever asks them they are controllers.
 
-That process is a new Python, not a fork: it has nothing of this one but its environment, its working folder and where
-it prints. What it is told is the controller's name, and what `reset`, `sense` and `command` are given. A call takes
-some ten microseconds more than in this process.
+That process is a new Python, not a fork: it has nothing of this one but its environment and its working folder. What it
+is told is the controller's name, and what `reset`, `sense` and `command` are given. A call takes some ten microseconds
+more than in this process. What it prints comes to standard error through another one, see `skd_sim.apart.pump`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from skd_sim.apart.beginning import Beginning, SentModule, SentModules
+from skd_sim.apart.pump import Pump
 from skd_sim.apart.wire import (
     COMMAND,
     COMMANDS,
@@ -51,7 +52,6 @@ _MOST: Final = 4  # processes of different controllers that are kept
 _PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
 _LARGEST: Final = 2**63 - 1
 _MOST_GENERATORS: Final = 1_000_000  # that one keeps
-_STDERR: Final = 2  # its descriptor
 _COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
 _HERE: Final = str(Path(__file__).parents[2])
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
@@ -84,27 +84,36 @@ class ApartCar:
         self.name = car.controller
         theirs, self._out = os.pipe()
         self._in, their_answers = os.pipe()
+        printed, their_prints = os.pipe()
         command = [sys.executable, "-P", "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
         # Who goes by the order of a set of names is the same car in each process.
         variables = {"PYTHONHASHSEED": "0", **os.environ}
         # Nothing of a controller's folder, as a sitecustomize.py, is to run before the process is secluded.
         variables[PUT_OFF] = variables.pop("PYTHONPATH", "")
+        self._pid_file = -1
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
-                stdout=_STDERR,  # standard output is for results
+                stdout=their_prints,
+                stderr=their_prints,
                 pass_fds=(theirs, their_answers),
                 env=variables,
             )
+            self.pid = self._process.pid
+            try:
+                if hasattr(os, "pidfd_open"):  # Linux
+                    self._pid_file = os.pidfd_open(self.pid)
+                self._pump = Pump(car.controller, printed, self._pid_file)
+            except BaseException:  # no process or descriptor is left for it
+                self._process.kill()
+                self._process.wait()
+                raise
         finally:
-            os.close(theirs)
-            os.close(their_answers)
-        self.pid = self._process.pid
+            for file in (theirs, their_answers, printed, their_prints):
+                os.close(file)
         self._ending: select.poll | None = None
-        self._pid_file = -1
-        if hasattr(os, "pidfd_open"):  # Linux
-            self._pid_file = os.pidfd_open(self.pid)
+        if self._pid_file >= 0:
             self._ending = select.poll()
             self._ending.register(self._in, select.POLLIN)
             self._ending.register(self._pid_file, select.POLLIN)
@@ -113,6 +122,11 @@ class ApartCar:
         self._can_copy = False
         main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
         self.add(_loaded(Op.BEGIN, 0, Beginning(users_first(), car.controller, car.multiplier, modules, main)))
+
+    @property
+    def pids(self) -> tuple[int, int]:
+        """Ids of its two processes."""
+        return self.pid, self._pump.pid
 
     def make(self) -> ApartController:
         """Make a controller there.
@@ -185,23 +199,29 @@ class ApartCar:
         return again
 
     def close(self) -> None:
-        """End it; what it has printed comes out first, if it does not take long."""
+        """End it; what it has printed comes out before this returns, if it does not take long."""
         for file in (self._out, self._in, self._pid_file):
             with contextlib.suppress(OSError):
                 os.close(file)
         self._out = self._in = self._pid_file = -1
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_PATIENCE)
+        self._end()
+
+    def _end(self) -> int:
         self._process.kill()
-        self._process.wait()
+        code = self._process.wait()
+        self._pump.finish(_PATIENCE)
+        return code
 
     def _ended(self) -> int:
         """Return with what exit code it has ended, whose pipe is closed; negative: by which signal."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return self._process.wait(_PATIENCE)
-        self._process.kill()
-        self._process.wait()
-        return 1
+        try:
+            code = self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            code = 1
+        self._end()  # what it has printed comes before what is said of it
+        return code
 
 
 def _say_lost(code: int, name: str) -> None:
@@ -406,5 +426,6 @@ def close_all() -> None:
 
 
 def pids() -> list[int]:
-    """Return the ids of the processes that this process keeps."""
-    return [process.pid for process in list(_Kept.cars.values())] if _Kept.owner == os.getpid() else []
+    """Return the ids of the processes that this process keeps, and of those that pass on what they print."""
+    cars = list(_Kept.cars.values()) if _Kept.owner == os.getpid() else []
+    return [pid for process in cars for pid in process.pids]

@@ -233,9 +233,13 @@ class WorkerPool(Executor):
         self._workers: list[_Worker] = []
         atexit.register(self.shutdown, wait=False)  # Python waits for its children at its end
         self._count = count
-        self._fill()
         self._manager = threading.Thread(target=self._manage, name="skd-workers", daemon=True)
-        self._manager.start()
+        try:
+            self._fill()
+            self._manager.start()
+        except BaseException:  # no descriptor, memory or process is left for another one
+            self.shutdown(wait=False)
+            raise
 
     def _fill(self) -> None:
         """Start workers until there are as many as there should be."""
@@ -369,7 +373,8 @@ class WorkerPool(Executor):
             if self._wake < 0:
                 return
             os.write(self._wake, b"\0")
-        self._manager.join()
+        if self._manager.ident is not None:
+            self._manager.join()
         for worker in self._workers:
             if wait:
                 with contextlib.suppress(OSError):

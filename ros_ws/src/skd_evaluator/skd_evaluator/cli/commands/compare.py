@@ -23,7 +23,7 @@ from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.measure.behaviour import WALKERS
 from skd_evaluator.report import repeat
@@ -76,12 +76,12 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         "warnings": warnings,
     }
 
-    if arguments.json:
-        print_json(content)
-    else:  # before the pictures, which take longer than the figures
+    def show() -> None:
+        if arguments.json:
+            print_json(content)
+            return
         print_table(comparison_table(rows, ranked_by))
         print_table(verdict_table(entries, names[0], confidence))
-        sys.stdout.flush()
 
     def write(folder: Path) -> None:
         write_json(folder / "comparison.json", content)
@@ -100,6 +100,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         if ranked_by == MARGIN and len(cars) == len(results) and all(_one_scale(results[0], one) for one in results):
             save_rating(folder / "rating.png", [*cars, *behind])
 
+    read = is_read(show)  # before the pictures, which take longer than the figures
     problem = out.save(write)
     if not arguments.json and not problem:
         print(f"results in {out.path}")
@@ -107,7 +108,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         print(f"skd compare: warning: {warning}", file=sys.stderr)
     if problem:
         print(f"skd compare: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+    return 1 if problem or not read else 0
 
 
 def _one_scale(first: StoredResult, other: StoredResult) -> bool:

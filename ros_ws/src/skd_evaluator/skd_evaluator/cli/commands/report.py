@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import os
+import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 from skd_sim.errors import UsageError
@@ -13,9 +12,11 @@ from skd_sim.errors import UsageError
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.terminal import counted
+from skd_evaluator.temporary_folders import make_temporary
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -54,17 +55,19 @@ def _target(out: Path, *, overwrite: bool) -> Path:
 
 
 def _write(out: Path, page: str) -> None:
-    """Write the file under another name and rename it, so that it is there whole or not at all."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(prefix=".skd-report-", suffix=".html", dir=out.parent)
-    temporary = Path(name)
+    """Write the file elsewhere and rename it, so that it is there whole or not at all.
+
+    Raises:
+        AssessmentError: it cannot be written.
+    """
     try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-            stream.write(page)
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(out)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+        out.parent.mkdir(parents=True, exist_ok=True)
+        folder = make_temporary(out.parent)
+        try:
+            temporary = folder / out.name
+            temporary.write_text(page, encoding="utf-8")
+            temporary.replace(out)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        raise AssessmentError(f"--out {out}: nothing was written: {error.strerror}") from error

@@ -13,7 +13,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
-from skd_evaluator.cli.output import print_json
+from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import trend_table
 from skd_evaluator.report.history.trend import trends_of
@@ -43,12 +43,13 @@ def run(arguments: argparse.Namespace) -> int:
     trends = trends_of(wanted, arguments.figure, held)
     kind = AT_THE_TOP[arguments.figure].kind
     content = {"figure": arguments.figure, "cars": [one.as_dict() for one in trends]}
-    if arguments.json:
-        print_json(content)
-    else:
+
+    def show() -> None:
+        if arguments.json:
+            print_json(content)
+            return
         for trend in trends:
             print_table(trend_table(trend, kind))
-        sys.stdout.flush()
 
     def write(folder: Path) -> None:
         write_json(folder / "trend.json", content)
@@ -57,9 +58,10 @@ def run(arguments: argparse.Namespace) -> int:
 
             save_trends(folder / "trend.png", trends, kind)
 
+    is_seen = is_read(show)  # before the picture, which takes longer than the figures
     problem = out.save(write)
     if problem:
         print(f"skd trend: {problem}", file=sys.stderr)
     elif not arguments.json:
         print(f"results in {out.path}")
-    return 1 if problem else 0
+    return 1 if problem or not is_seen else 0

@@ -1,0 +1,72 @@
+"""What the system denies: standard streams that are closed, and descriptors of which there are too few."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_support import SMALL
+from common import PATIENCE
+
+NOISY = """
+class Car:
+    def reset(self, scenario, rng): print("reset", flush=True)
+    def command(self, car, adversary): return 0.0
+"""
+
+
+def run(here: Path, *words: str, first: Callable[[], object]) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process in which something is called first; no stream of its is a pipe that `first` closes."""
+    command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--safe", "good.csv", *words]
+    variables = {**os.environ, "PYTHONPATH": str(here)}
+    with (here / "said").open("w") as said:
+        done = subprocess.run(
+            command, cwd=here, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=variables,
+            preexec_fn=first, timeout=PATIENCE, check=False,
+        )  # fmt: skip
+    return subprocess.CompletedProcess(command, done.returncode, (here / "said").read_text())
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_closed_streams_lead_nowhere(here: Path, closed: tuple[int, ...]) -> None:
+    """What is printed must not come into a file that has got the number of a closed stream."""
+    (here / "noisy.py").write_text(NOISY)
+    words = ("--knowledge", "nothing", "--controller", "noisy:Car", "--out")
+    done = run(here, *words, "closed", first=lambda: [os.close(one) for one in closed])
+    assert done.returncode == 0
+    assert "Traceback" not in done.stdout
+    whole = run(here, *words, "whole", first=lambda: None)
+    assert whole.returncode == 0
+    assert (here / "closed" / "episodes.npz").read_bytes() == (here / "whole" / "episodes.npz").read_bytes()
+
+
+@pytest.mark.parametrize("count", [11, 16])
+def test_too_few_descriptors_are_said_in_a_line(here: Path, count: int) -> None:
+    done = run(
+        here, "--workers", "2", "--out", "out",
+        first=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (count, count)),
+    )  # fmt: skip
+    assert done.returncode == 1
+    (line,) = done.stdout.splitlines()
+    assert line.startswith("skd assess: error: [Errno 24] Too many open files")
+    assert line.endswith("; allow more (ulimit -n)")
+    assert not (here / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["compare", "trend"])
+def test_what_nobody_reads_is_written(here: Path, command: str) -> None:
+    """These print their tables before they write, as pictures take longer."""
+    for name in ("first", "second"):
+        assert run(here, "--no-pictures", "--margin-limit", "0", "--out", name, first=lambda: None).returncode == 0
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = [sys.executable, "-m", "skd_evaluator", command, "first", "second", "--no-pictures", "--out", "seen"]
+    done = subprocess.run(words, cwd=here, stdout=writing, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
+    os.close(writing)
+    assert (done.returncode, b"Traceback" in done.stderr) == (1, False)
+    assert (here / "seen" / "manifest.sha256").exists()
