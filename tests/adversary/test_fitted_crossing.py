@@ -183,6 +183,7 @@ def _point(value: float) -> dict[str, object]:
             -1.0,
             "parameters.trigger.prior.value must be from 0 to 60 .m., got -1",
         ),
+        (("parameters", "trigger", "prior"), {"distribution": ["point"]}, "prior.distribution must be one of point"),
         (("parameters", "trigger", "interval_95"), [1.0], "interval_95 must be a list of two numbers"),
         (("parameters", "trigger", "interval_95"), [9.5, 8.5], "trigger.interval_95 must hold the estimate 9, got"),
         (("parameters", "trigger", "estimate"), 12.0, "trigger.interval_95 must hold the estimate 12"),

@@ -330,7 +330,7 @@ def _parameter(value: Any, where: str, name: str) -> Parameter:
     data = _mapping(value, where, key)
     prior = _mapping(data.get("prior"), where, f"{key}.prior")
     distribution = prior.get("distribution")
-    if distribution not in _NAMES:
+    if not isinstance(distribution, str) or distribution not in _NAMES:
         raise UsageError(
             f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {short(distribution)}"
         )
