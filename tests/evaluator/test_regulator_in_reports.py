@@ -178,11 +178,13 @@ def test_a_test_that_contradicts_itself_is_refused(subject, tmp_path, change):
 
 
 def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeypatch):
-    """It brakes nowhere, and raises where the car starts in the middle of its range, which no attempt does."""
+    """It brakes nowhere, and raises where its speed has no noise, which it has in every attempt."""
     (tmp_path / "fails_alone.py").write_text(
         "class Car:\n"
-        "    def reset(self, scenario, rng): self.strict = scenario.car.start_gap_range == 0.0\n"
-        "    def command(self, car, adversary): return 1 / 0 if self.strict else 0.0\n",
+        "    def reset(self, scenario, rng): self.before = None\n"
+        "    def command(self, car, adversary):\n"
+        "        before, self.before = self.before, car.speed\n"
+        "        return 1 / 0 if before == car.speed else 0.0\n",
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(str(tmp_path))

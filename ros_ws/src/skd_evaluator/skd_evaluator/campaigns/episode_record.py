@@ -52,7 +52,10 @@ class Specifications:
         phi = episode.safe_trajectory
         plain = [one.plain(getattr(episode, one.name)) for one in options_of(Episode)]
         plain += [int(episode.mode), episode.seed, episode.episode_id]
-        return digest(self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode())
+        parts = [self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode()]
+        if episode.shown is not None:  # few have another one to show than their own
+            parts.append(self._of(episode.shown))
+        return digest(*parts)
 
     def _of(self, thing: Scenario | Trajectory) -> bytes:
         known = self._known.get(id(thing))

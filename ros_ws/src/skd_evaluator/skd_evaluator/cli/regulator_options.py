@@ -15,7 +15,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     steps_of,
 )
-from skd_evaluator.ncap.result import ROOM
+from skd_evaluator.ncap.colours import ROOM
 
 REFERENCE_ATTEMPTS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"

@@ -22,8 +22,6 @@ from skd_evaluator.ncap.matrices import CRITERIA, Criterion
 
 RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
 VERSION: Final = 1
-ROOM: Final = 0.5
-"""m, the margin below which a green test stands out, unless something else is asked for."""
 STANDARD, EXTENDED = RANGES = ("standard", "extended")
 _SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
 _ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30

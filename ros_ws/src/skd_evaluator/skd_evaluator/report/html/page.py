@@ -18,7 +18,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.ncap.result import ROOM
+from skd_evaluator.ncap.colours import ROOM
 from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts

@@ -23,7 +23,7 @@ from skd_evaluator.campaign.store.stored_failures import failing_episodes
 from skd_evaluator.files import tails
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
-from skd_evaluator.ncap.result import ROOM
+from skd_evaluator.ncap.colours import ROOM
 from skd_evaluator.report.ncap.of_results import views_of
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.report.terminal import car_name
