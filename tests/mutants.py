@@ -65,7 +65,7 @@ def _evaluator(name: str) -> str:
     return f"tests/evaluator/test_{name}.py"
 
 
-_FRECHET = ("tests/evaluator/test_frechet.py", "tests/evaluator/test_skd.py")
+_FRECHET = (_evaluator("frechet"), _evaluator("skd"))
 _SMALL_CURVES = ("-k", "not leaving_cells_out or 5-90 or 64-31")  # of 100 points and more: half a minute
 _SLOW_PLANNING = "root_value or after_each_count or near_tie or expected_return or gathers or opens_once or useless"
 _PLANNER = ("tests/adversary/test_search_tree.py", "tests/adversary/test_search.py", "tests/adversary/test_planner.py")
@@ -81,12 +81,12 @@ _ROADS = ("tests/sim/test_road.py", "tests/sim/test_scenario.py", "tests/sim/tes
 TARGETS = (
     Target("skd_evaluator.measure.distances.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
     Target("skd_evaluator.measure.distances.frechet_kernels", _FRECHET, _SMALL_CURVES),
-    Target("skd_evaluator.measure.distances.deformation", ("tests/evaluator/test_deformation.py",)),
-    Target("skd_evaluator.measure.mean_deformation", ("tests/evaluator/test_mean_deformation.py",)),
-    Target("skd_evaluator.measure.skd", ("tests/evaluator/test_skd.py",)),
+    Target("skd_evaluator.measure.distances.deformation", (_evaluator("deformation"),)),
+    Target("skd_evaluator.measure.mean_deformation", (_evaluator("mean_deformation"),)),
+    Target("skd_evaluator.measure.skd", (_evaluator("skd"),)),
     Target(
         "skd_evaluator.measure.statistics.statistics",
-        ("tests/evaluator/test_statistics.py", "tests/evaluator/test_skd.py"),
+        (_evaluator("statistics"), _evaluator("skd")),
     ),
     Target("skd_evaluator.measure.statistics.clustered", (_evaluator("clustered"), _evaluator("prior"))),
     Target(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import json
+import random
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +33,10 @@ from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from result_forgeries import ARRAYS
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
 
@@ -157,12 +163,7 @@ def test_verify_says_which_runs_are_not_there_although_later_ones_are(folders, t
 
 def test_attempts_without_a_margin_are_noticed(folders, tmp_path):
     def fewer(arrays: dict[str, np.ndarray]) -> None:
-        kept = arrays["margin_attempt"] < arrays["margin_attempt"].max()
-        lengths = np.diff(arrays["margin_offsets"])
-        arrays["margin_positions"] = arrays["margin_positions"][np.repeat(kept, lengths)]
-        arrays["margin_offsets"] = np.cumsum([0, *lengths[kept]])
-        for name in ("", "_gap", "_safe_index", "_attempt", "_duration", "_impact_speed"):
-            arrays[f"margin{name}"] = arrays[f"margin{name}"][kept]
+        ARRAYS["margin's attempts"](arrays, random.Random(0))
 
     found = verify(forge(folders[0.5], tmp_path / "forged", fewer)).contradict
     assert any(line.startswith("number of margins of safe trajectory") for line in found), found

@@ -252,9 +252,8 @@ def _table_that_differs(path: Path, rows: list[Mapping[str, Any]]) -> list[str]:
             value = row.get(key)
             text = " ".join(map(str, value)) if isinstance(value, list) else "" if value is None else str(value)
             if cell != text:
-                return [
-                    f"{path}, line {line}: {key} is {cell or 'blank'!r:.60}, in {_CAMPAIGN} {text or 'blank'!r:.60}"
-                ]
+                said_there, here = (f"{one or 'blank'!r:.60}" for one in (text, cell))
+                return [f"{path}, line {line}: {key} is {here}, in the JSON beside it {said_there}"]
     return []
 
 

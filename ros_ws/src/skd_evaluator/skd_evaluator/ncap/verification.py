@@ -1,0 +1,37 @@
+"""Whether what `skd ncap` wrote agrees with itself, for `skd verify`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json, read_text
+
+from skd_evaluator.campaign.store.verification import Verified
+from skd_evaluator.ncap.points import points_of, with_calculator
+from skd_evaluator.ncap.result import RESULT, TABLE, checked, ncap_of, table_of
+
+
+def with_regulator(found: Verified) -> Verified:
+    """Return what was found, and whether what `skd ncap` wrote agrees with itself: colours, margins, points, table."""
+    path = found.folder / RESULT
+    if found.problems or not path.exists():
+        return found
+    try:
+        said = checked(ncap_of(read_json(path), str(path)), path)
+        table = read_text(found.folder / TABLE).replace("\r\n", "\n")
+    except UsageError as error:
+        return replace(found, problems=(str(error),))
+    problems, remarks = [], list(found.remarks)
+    again = table_of(said).replace("\r\n", "\n")
+    if table.partition("\n")[0] != again.partition("\n")[0]:
+        remarks.append(f"{TABLE} has the columns of another version")
+    elif table != again:
+        problems.append(f"{found.folder / TABLE}: has other cells than {RESULT}")
+    if with_calculator() and said.points:
+        if said.points != tuple(points_of(said.grids)):
+            problems.append(f"{path}: its points are not those of its colours, by Euro NCAP's calculator")
+    elif said.points:
+        remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
+    remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
+    return replace(found, problems=tuple(problems), remarks=tuple(remarks))
