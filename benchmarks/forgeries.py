@@ -1,7 +1,7 @@
 """Ways to forge a whole recording so that its messages still agree with each other; see `mutations.py`.
 
-Beside these stand recorders that are odd and honest: they are to change no number. Each has the signature of a
-`mutators.Mutator`.
+Beside these stand recorders that are odd and honest (`recorders.py`): they are to change no number. Each has the
+signature of a `mutators.Mutator`.
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ import itertools
 import json
 import math
 import operator
-import struct
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, changed, messages_of, write_mcap
-from mcap.opcode import Opcode
-from mutators import HEAD, Mutator, records
+from mutators import Mutator, pick
+from recorders import odd_chunks, odd_records
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.messages.from_messages import message_to_episode
 
@@ -31,13 +29,9 @@ def _each(sent: Sequence[Sent], topics: Sequence[str], edit: Callable[[Any], Any
     return [dataclasses.replace(one, content=edit(one.content)) if one.topic in topics else one for one in sent]
 
 
-def _pick(rng: np.random.Generator, things: Sequence[Any]) -> Any:
-    return things[int(rng.integers(len(things)))]
-
-
 def _episode_of(sent: Sequence[Sent], rng: np.random.Generator) -> tuple[int, int]:
     """Return where an episode begins and where its result is; they stand one after the other."""
-    first = _pick(rng, [place for place, one in enumerate(sent) if one.topic == EPISODE])
+    first = pick(rng, [place for place, one in enumerate(sent) if one.topic == EPISODE])
     return first, next(place for place in range(first, len(sent)) if sent[place].topic == RESULT)
 
 
@@ -47,7 +41,7 @@ def another_seed(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent]
 
 
 def another_car(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    new = float(_pick(rng, [1.0, 1.1000001, 1.11, 1.2, 5.0, 0.1]))
+    new = float(pick(rng, [1.0, 1.1000001, 1.11, 1.2, 5.0, 0.1]))
     return _each(sent, [EPISODE], lambda one: changed(one, "multiplier", new)), f"multiplier of all: {new}"
 
 
@@ -59,8 +53,8 @@ def another_scenario(sent: list[Sent], rng: np.random.Generator) -> tuple[list[S
         for key, value in inside.items()
         if isinstance(value, float)
     ]
-    section, key = _pick(rng, places)
-    factor = float(_pick(rng, [0.5, 0.99, 1.000001, 1.01, 2.0]))
+    section, key = pick(rng, places)
+    factor = float(pick(rng, [0.5, 0.99, 1.000001, 1.01, 2.0]))
 
     def edit(one: Any) -> Any:
         scenario = json.loads(one.scenario)
@@ -71,8 +65,8 @@ def another_scenario(sent: list[Sent], rng: np.random.Generator) -> tuple[list[S
 
 
 def another_phi(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    name = _pick(rng, sorted({one.content.safe_trajectory_name for one in sent if one.topic == EPISODE}))
-    shift, tick = float(_pick(rng, [1e-9, 0.01, -0.3, 2.0])), int(rng.integers(30))
+    name = pick(rng, sorted({one.content.safe_trajectory_name for one in sent if one.topic == EPISODE}))
+    shift, tick = float(pick(rng, [1e-9, 0.01, -0.3, 2.0])), int(rng.integers(30))
 
     def edit(one: Any) -> Any:
         if one.safe_trajectory_name != name:
@@ -86,7 +80,7 @@ def another_phi(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent],
 
 
 def another_objective(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    new = _pick(rng, ["paper", "frechet", "deformation", "position"])
+    new = pick(rng, ["paper", "frechet", "deformation", "position"])
     return _each(sent, [EPISODE], lambda one: changed(one, "objective", new)), f"objective of all: {new}"
 
 
@@ -108,7 +102,7 @@ def ended_before(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent]
     states = [one for one in sent[first + 1 : end] if one.topic in (CAR, ADVERSARY)]
     ticks = max(1, len(states) // 2 - 1 - int(rng.integers(1, 3)))
     content = sent[end].content
-    outcome = int(_pick(rng, [1, 2, 3, 4]))
+    outcome = int(pick(rng, [1, 2, 3, 4]))
     for field, value in (("outcome", outcome), ("ticks", ticks), ("impact_time", 0.0), ("impact_speed", 0.0)):
         content = changed(content, field, value)
     result = dataclasses.replace(sent[end], content=content)
@@ -117,14 +111,14 @@ def ended_before(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent]
 
 def later_contact(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     _, end = _episode_of(sent, rng)
-    factor = float(_pick(rng, [0.5, 0.999, 1.001, 1.1]))
+    factor = float(pick(rng, [0.5, 0.999, 1.001, 1.1]))
     content = changed(sent[end].content, "impact_time", sent[end].content.impact_time * factor)
     content = changed(content, "impact_speed", content.impact_speed * factor)
     return [*sent[:end], dataclasses.replace(sent[end], content=content), *sent[end + 1 :]], f"contact times {factor}"
 
 
 def moved_world(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    shift, axis = float(_pick(rng, [1e-6, 0.1, -1.0])), _pick(rng, ["x", "y"])
+    shift, axis = float(pick(rng, [1e-6, 0.1, -1.0])), pick(rng, ["x", "y"])
     field = f"pose.pose.position.{axis}"
 
     def edit(one: Any) -> Any:
@@ -148,7 +142,7 @@ def another_walk(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent]
 
 
 def rounded(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    digits, topic = int(_pick(rng, [2, 4, 6, 9, 12])), _pick(rng, [CAR, ADVERSARY])
+    digits, topic = int(pick(rng, [2, 4, 6, 9, 12])), pick(rng, [CAR, ADVERSARY])
 
     def edit(one: Any) -> Any:
         where = one.pose.pose.position
@@ -170,7 +164,7 @@ def without(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str
         for place in places
         if any(_kind_of(sent[other]) == _kind_of(sent[place]) for other in places if other > place)
     ]
-    return _dropped(sent, _pick(rng, followed or places[:1]))
+    return _dropped(sent, pick(rng, followed or places[:1]))
 
 
 def without_last(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
@@ -192,7 +186,7 @@ def run_twice(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], s
 
 def renumbered(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     first, end = _episode_of(sent, rng)
-    new = int(sent[first].content.episode_id) + int(_pick(rng, [1, 2**32, 2**48, 7]))
+    new = int(sent[first].content.episode_id) + int(pick(rng, [1, 2**32, 2**48, 7]))
     inside = _each(sent[first : end + 1], [EPISODE, RESULT], lambda one: changed(one, "episode_id", new))
     return [*sent[:first], *inside, *sent[end + 1 :]], f"the episode at {first} is number {new}"
 
@@ -204,13 +198,13 @@ def other_clock(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent],
 
 
 def namespaced(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
-    name = _pick(rng, ["/a", "/a/b", "/skd"])
+    name = pick(rng, ["/a", "/a/b", "/skd"])
     return [dataclasses.replace(one, topic=name + one.topic) for one in sent], f"all below {name}"
 
 
 def shifted_topic(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Give every state of one topic what the one a tick before or after it says, within its episode; stamps stay."""
-    topic, by = _pick(rng, [CAR, ADVERSARY]), int(_pick(rng, [-1, 1]))
+    topic, by = pick(rng, [CAR, ADVERSARY]), int(pick(rng, [-1, 1]))
     new, run = list(sent), list[int]()
     for place, one in enumerate(sent):
         run = [] if one.topic == EPISODE else [*run, place] if one.topic == topic else run
@@ -224,8 +218,8 @@ def shifted_topic(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent
 
 def other_stamps(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Shift the stamps of one topic, or of all; the times at which messages were recorded stay."""
-    topics = _pick(rng, [[CAR], [ADVERSARY], [CAR, ADVERSARY], [EPISODE], [CAR, ADVERSARY, EPISODE, RESULT]])
-    shift = int(_pick(rng, [1, 1000, 10**6, 3 * 10**8, 10**9]))
+    topics = pick(rng, [[CAR], [ADVERSARY], [CAR, ADVERSARY], [EPISODE], [CAR, ADVERSARY, EPISODE, RESULT]])
+    shift = int(pick(rng, [1, 1000, 10**6, 3 * 10**8, 10**9]))
 
     def later(stamp: Any) -> Any:
         total = stamp.sec * 10**9 + stamp.nanosec + shift
@@ -262,7 +256,7 @@ def mirrored(sent: list[Sent], _rng: np.random.Generator) -> tuple[list[Sent], s
 def exchanged_phi(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Say of two episodes, or of all, that each was of the other φ, by its number and by its positions."""
     firsts = [place for place, one in enumerate(sent) if one.topic == EPISODE]
-    first = sent[_pick(rng, firsts)].content
+    first = sent[pick(rng, firsts)].content
     others = [sent[place].content for place in firsts]
     other = next((one for one in others if one.safe_trajectory_name != first.safe_trajectory_name), first)
     both = rng.random() < 0.5  # of all, or of these two alone
@@ -301,7 +295,7 @@ def doubled_under_new_numbers(sent: list[Sent], rng: np.random.Generator) -> tup
 
 def two_sessions(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Glue a second session behind the first: the same, another seed's or campaign's; its clock begins anew."""
-    how = _pick(rng, ["the same", "another seed", "another campaign", "another campaign without its last episode"])
+    how = pick(rng, ["the same", "another seed", "another campaign", "another campaign without its last episode"])
     second = list(sent)
     if how == "another seed":
         second = _each(second, [EPISODE], lambda one: changed(one, "seed", int(one.seed) + 1))
@@ -324,7 +318,7 @@ def _again(sent: list[Sent], first: int, end: int, **otherwise: Any) -> list[Sen
 def slower_car(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Put in what another car did in an episode, in full, under the name of the first."""
     first, end = _episode_of(sent, rng)
-    new = float(_pick(rng, [1.2, 2.0, 5.0]))
+    new = float(pick(rng, [1.2, 2.0, 5.0]))
     return _again(sent, first, end, multiplier=new), f"the episode at {first} was driven with {new}"
 
 
@@ -337,14 +331,14 @@ def weaker_kamikaze(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Se
 def missed_instead(sent: list[Sent], rng: np.random.Generator) -> tuple[list[Sent], str]:
     """Cut the last tick before a contact, lead the adversary out of reach, and say that it missed."""
     ends = [place for place, one in enumerate(sent) if one.topic == RESULT and one.content.outcome == 1]
-    end = _pick(rng, ends) if ends else next(place for place, one in enumerate(sent) if one.topic == RESULT)
+    end = pick(rng, ends) if ends else next(place for place, one in enumerate(sent) if one.topic == RESULT)
     places = [place for place in range(end) if sent[place].topic == ADVERSARY][-1:]
-    new, away = list(sent), float(_pick(rng, [-1.0, 1.0, 3.0]))
+    new, away = list(sent), float(pick(rng, [-1.0, 1.0, 3.0]))
     for place in places:
         moved = changed(sent[place].content, "pose.pose.position.x", sent[place].content.pose.pose.position.x + away)
         new[place] = dataclasses.replace(sent[place], content=moved)
     content = sent[end].content
-    outcome = int(_pick(rng, [2, 3, 4]))
+    outcome = int(pick(rng, [2, 3, 4]))
     for field, value in (("outcome", outcome), ("impact_time", math.nan), ("impact_speed", math.nan)):
         content = changed(content, field, value)
     new[end] = dataclasses.replace(sent[end], content=content)
@@ -454,35 +448,6 @@ def _mutator(forgery: Forgery) -> Mutator:
         return what
 
     return mutate
-
-
-def odd_chunks(original: Path, file: Path, _s: Sequence[Sent], _o: dict[str, Any], rng: np.random.Generator) -> str:
-    """Put in a chunk that is empty, holds a chunk, ends within a record, or is packed by what nobody knows."""
-    content = original.read_bytes()
-    _, start, _ = _pick(rng, records(content)[1:-3])
-    how = _pick(rng, ["empty", "nested", "cut", "unknown"])
-    inside = {
-        "empty": b"",
-        "nested": HEAD.pack(Opcode.CHUNK, 40) + bytes(40),
-        "cut": HEAD.pack(Opcode.MESSAGE, 99) + bytes(22),
-        "unknown": bytes(31),
-    }[how]
-    name = b"snappy" if how == "unknown" else b""
-    body = struct.pack("<QQQII", 0, 0, len(inside), zlib.crc32(inside), len(name)) + name
-    body += struct.pack("<Q", len(inside)) + inside
-    file.write_bytes(content[:start] + HEAD.pack(Opcode.CHUNK, len(body)) + body + content[start:])
-    return f"{how} chunk at {start}"
-
-
-def odd_records(original: Path, file: Path, _s: Sequence[Sent], _o: dict[str, Any], rng: np.random.Generator) -> str:
-    """Put in a record that later versions may have, with any content, or one whose length is beyond the file."""
-    content = original.read_bytes()
-    _, start, _ = _pick(rng, records(content)[1:-3])
-    opcode = int(_pick(rng, [0x10, 0x7F, 0x80, 0xFF, Opcode.ATTACHMENT, Opcode.METADATA]))
-    size, said = int(rng.integers(64)), 0
-    said = int(_pick(rng, [size, size, size + 1, 2**63]))
-    file.write_bytes(content[:start] + HEAD.pack(opcode, said) + rng.bytes(size) + content[start:])
-    return f"a record {opcode:#x} of {size} bytes that says {said}"
 
 
 FORGING: dict[str, Mutator] = {

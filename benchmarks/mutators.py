@@ -50,7 +50,8 @@ def records(content: bytes) -> list[tuple[int, int, int]]:
     return found
 
 
-def _pick(rng: np.random.Generator, things: Sequence[Any]) -> Any:
+def pick(rng: np.random.Generator, things: Sequence[Any]) -> Any:
+    """Draw one of some things."""
     return things[int(rng.integers(len(things)))]
 
 
@@ -68,8 +69,8 @@ def field(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, Any],
     """Flip a bit of a field of a record: of its head, or of one of the fields that every such record has."""
     content = bytearray(original.read_bytes())
     all_records = records(bytes(content))
-    opcode = _pick(rng, sorted({record[0] for record in all_records}))
-    _, start, _ = _pick(rng, [record for record in all_records if record[0] == opcode])
+    opcode = pick(rng, sorted({record[0] for record in all_records}))
+    _, start, _ = pick(rng, [record for record in all_records if record[0] == opcode])
     formats = ("B", "Q", *_FIELDS.get(opcode, ()))
     chosen = int(rng.integers(len(formats)))
     offset = struct.calcsize("<" + "".join(formats[:chosen]))
@@ -82,8 +83,8 @@ def field(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, Any],
 def truncate(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, Any], rng: np.random.Generator) -> str:
     """Cut at the end of a record, or a few bytes before or after."""
     content = original.read_bytes()
-    _, start, end = _pick(rng, records(content))
-    cut = _pick(rng, [start, end, end - 1, start + 1, start + 9, (start + end) // 2])
+    _, start, end = pick(rng, records(content))
+    cut = pick(rng, [start, end, end - 1, start + 1, start + 9, (start + end) // 2])
     file.write_bytes(content[: min(cut, len(content) - 1)])
     return f"cut to {cut} of {len(content)} bytes"
 
@@ -95,7 +96,7 @@ def shuffle_records(
     content = original.read_bytes()
     parts = [content[start:end] for _, start, end in records(content)]
     chosen, other = (int(place) for place in rng.integers(0, len(parts), 2))
-    how = _pick(rng, ("dropped", "doubled", "exchanged"))
+    how = pick(rng, ("dropped", "doubled", "exchanged"))
     if how == "dropped":
         parts[chosen] = b""
     elif how == "doubled":
@@ -150,14 +151,14 @@ def _flipped(value: Any, rng: np.random.Generator) -> Any:
         return int(value) ^ 1 << int(rng.integers(31))
     if isinstance(value, str):
         place = int(rng.integers(len(value) + 1))
-        return value[:place] + _pick(rng, ["", "x", "9", "\x00", "[", "φ", "-"]) + value[place + 1 :]
+        return value[:place] + pick(rng, ["", "x", "9", "\x00", "[", "φ", "-"]) + value[place + 1 :]
     if isinstance(value, np.ndarray):
         return value
     members = list(value)
     if not members or rng.random() < 0.3:
         return [*members, *members[:1]] if rng.random() < 0.5 else members[:-1]
     place = int(rng.integers(len(members)))
-    axis = _pick(rng, ["x", "y"])
+    axis = pick(rng, ["x", "y"])
     members[place] = changed(members[place], axis, _flipped(getattr(members[place], axis), rng))
     return members
 
@@ -174,9 +175,9 @@ def _fits(value: Any, like: Any) -> Any:
 def forge(_original: Path, file: Path, sent: Sequence[Sent], options: dict[str, Any], rng: np.random.Generator) -> str:
     """Flip a bit of any field of any message, and write it all anew, with right checksums."""
     for _ in range(100):
-        topic = _pick(rng, sorted({message.topic for message in sent}))
-        place = _pick(rng, [number for number, message in enumerate(sent) if message.topic == topic])
-        where, value = _pick(rng, list(_leaves(sent[place].content)))
+        topic = pick(rng, sorted({message.topic for message in sent}))
+        place = pick(rng, [number for number, message in enumerate(sent) if message.topic == topic])
+        where, value = pick(rng, list(_leaves(sent[place].content)))
         new = _flipped(value, rng)
         if isinstance(value, (int, np.integer)) and ("outcome" in where or "mode" in where):
             new %= 256
@@ -201,15 +202,15 @@ def extreme(
     _original: Path, file: Path, sent: Sequence[Sent], options: dict[str, Any], rng: np.random.Generator
 ) -> str:
     """Give a number that matters a value that cannot be, or hardly, with right checksums."""
-    topic = _pick(rng, sorted(_TELLING))
-    place = _pick(rng, [number for number, message in enumerate(sent) if message.topic == topic])
-    where = _pick(rng, _TELLING[topic])
+    topic = pick(rng, sorted(_TELLING))
+    place = pick(rng, [number for number, message in enumerate(sent) if message.topic == topic])
+    where = pick(rng, _TELLING[topic])
     value: Any = sent[place].content
     for name in where.split("."):
         value = getattr(value, name)
     whole = isinstance(value, (int, np.integer))
     high = 255 if where in ("mode", "outcome") else 2**31
-    new = int(rng.integers(high)) if whole else _pick(rng, EXTREME)
+    new = int(rng.integers(high)) if whole else pick(rng, EXTREME)
     other = dataclasses.replace(sent[place], content=changed(sent[place].content, where, new))
     written(file, [*sent[:place], other, *sent[place + 1 :]], options)
     return f"{where} of message {place} on {topic}: {value} → {new}"
@@ -219,7 +220,7 @@ def messages(
     _original: Path, file: Path, sent: Sequence[Sent], options: dict[str, Any], rng: np.random.Generator
 ) -> str:
     """Drop or double a message, exchange the contents of two, or put all in another order."""
-    how = _pick(rng, ("dropped", "doubled", "exchanged", "shuffled", "contradicted"))
+    how = pick(rng, ("dropped", "doubled", "exchanged", "shuffled", "contradicted"))
     place = int(rng.integers(len(sent)))
     new = list(sent)
     if how == "dropped":
@@ -229,13 +230,13 @@ def messages(
     elif how == "shuffled":
         new = [sent[number] for number in rng.permutation(len(sent))]
     elif how == "exchanged":
-        other = _pick(rng, [number for number, one in enumerate(sent) if one.topic == sent[place].topic])
+        other = pick(rng, [number for number, one in enumerate(sent) if one.topic == sent[place].topic])
         header = sent[place].content.header
         new[place] = dataclasses.replace(sent[place], content=changed(sent[other].content, "header", header))
     else:
-        place = _pick(rng, [number for number, one in enumerate(sent) if one.topic == RESULT])
+        place = pick(rng, [number for number, one in enumerate(sent) if one.topic == RESULT])
         said = changed(sent[place].content, "impact_speed", 3.25)
-        new.insert(_pick(rng, [place, place + 1]), dataclasses.replace(sent[place], content=said))
+        new.insert(pick(rng, [place, place + 1]), dataclasses.replace(sent[place], content=said))
     written(file, new, options)
     return f"message {place} on {sent[place].topic} {how}"
 
@@ -244,14 +245,12 @@ def bomb(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, Any], 
     """Put in a chunk that unpacks to much, says that it does, or holds countless records."""
     content = original.read_bytes()
     start = next(begin for opcode, begin, _ in records(content) if opcode != Opcode.HEADER)
-    size = int(_pick(rng, [2**26, 2**27, 2**28]))
-    filling = _pick(
-        rng, [bytes(1), HEAD.pack(Opcode.MESSAGE, 22) + bytes(22), HEAD.pack(Opcode.SCHEMA, 14) + bytes(14)]
-    )
+    size = int(pick(rng, [2**26, 2**27, 2**28]))
+    filling = pick(rng, [bytes(1), HEAD.pack(Opcode.MESSAGE, 22) + bytes(22), HEAD.pack(Opcode.SCHEMA, 14) + bytes(14)])
     packed = zstandard.ZstdCompressor(level=1).compress(filling * (size // len(filling)))
-    said = int(_pick(rng, [size // len(filling) * len(filling), 2**62, 100]))
+    said = int(pick(rng, [size // len(filling) * len(filling), 2**62, 100]))
     body = struct.pack("<QQQII", 0, 0, said, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
-    times = int(_pick(rng, [1, 4]))
+    times = int(pick(rng, [1, 4]))
     file.write_bytes(content[:start] + times * (HEAD.pack(Opcode.CHUNK, len(body)) + body) + content[start:])
     return f"{times} chunks of {size} bytes that say {said}"
 
@@ -260,8 +259,8 @@ def npz_member(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, 
     """Flip a bit in the head or the body of an array, and pack it anew, with right checksums."""
     with zipfile.ZipFile(original) as archive:
         members = {name: bytearray(archive.read(name)) for name in archive.namelist()}
-    name = _pick(rng, sorted(members))
-    part = _pick(rng, ["head", "body"])
+    name = pick(rng, sorted(members))
+    part = pick(rng, ["head", "body"])
     low, high = (0, 128) if part == "head" else (128, len(members[name]))
     place = int(rng.integers(low, max(low + 1, high)))
     if place < len(members[name]):
@@ -276,16 +275,16 @@ def npz_value(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, A
     """Give a member of an array another value, with right checksums."""
     with np.load(original) as archive:
         arrays = {name: archive[name].copy() for name in archive.files}
-    name = _pick(rng, sorted(arrays))
+    name = pick(rng, sorted(arrays))
     array = arrays[name]
     place = int(rng.integers(array.size))
     kind = array.dtype.kind
     if kind in "US":
-        value: Any = _pick(rng, WORDS)
+        value: Any = pick(rng, WORDS)
     elif kind == "b":
         value = not array.reshape(-1)[place]
     else:
-        value = _pick(rng, EXTREME) if kind == "f" else int(rng.integers(np.iinfo(array.dtype).max))
+        value = pick(rng, EXTREME) if kind == "f" else int(rng.integers(np.iinfo(array.dtype).max))
     array.reshape(-1)[place : place + 1] = value
     np.savez_compressed(file, **arrays)
     return f"{name}[{place}] = {value}"
@@ -295,12 +294,12 @@ def npz_shape(original: Path, file: Path, _sent: Sequence[Sent], _o: dict[str, A
     """Drop, retype, shorten, turn or unpack an array beyond all bounds."""
     with np.load(original) as archive:
         arrays = {name: archive[name] for name in archive.files}
-    name = _pick(rng, sorted(arrays))
-    how = _pick(rng, ["dropped", "retyped", "shortened", "reversed", "bomb"])
+    name = pick(rng, sorted(arrays))
+    how = pick(rng, ["dropped", "retyped", "shortened", "reversed", "bomb"])
     array = arrays.pop(name)
     if how == "retyped":
         others = ["U4", "S4", "S40"] if array.dtype.kind in "US" else [np.float32, np.int32, np.complex64, "U4", bool]
-        array = array.astype(_pick(rng, others))
+        array = array.astype(pick(rng, others))
     elif how == "shortened":
         array = np.ravel(array)[:-1]
     elif how == "reversed":
