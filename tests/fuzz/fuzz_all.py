@@ -1,7 +1,8 @@
 """Fuzzes every target in turn until each has had its hours: `scripts/fuzz all --hours 2`, in a night, or in several.
 
-Each run of a target takes ten minutes of processor time; who has had least is next, and what `.fuzz/runs.csv` knows of
-runs before counts. A target that finds something is left alone from then on, and the exit code is 1 in the end.
+Each run of a target takes ten minutes of processor time; who has had least is next, and runs before count: those in
+`.fuzz/runs.csv`, and those that the repository knows of (`runs.csv` beside this module). A target that finds something
+is left alone from then on, and the exit code is 1 in the end.
 """
 
 from __future__ import annotations
@@ -18,16 +19,20 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 KEPT = HERE.parents[1] / ".fuzz"
 RUNS = "runs.csv"
+LEDGER = HERE / RUNS
+"""What earlier runs came to, on this machine or another one; `scripts/fuzz keep` moves `.fuzz/runs.csv` into it."""
+HEADER = "target,processor_minutes,inputs,new,last_new_minute\n"
 _MINUTES = 10.0  # of a run
 
 
-def minutes_of(path: Path) -> Counter[str]:
-    """Return the processor minutes that each target has had without a finding, as the table of runs has them."""
+def minutes_of(*tables: Path) -> Counter[str]:
+    """Return the processor minutes that each target has had without a finding, as tables of runs have them."""
     found: Counter[str] = Counter()
-    if path.exists():
-        with path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                found[row["target"]] += float(row["processor_minutes"])  # type: ignore[assignment]
+    for path in tables:
+        if path.exists():
+            with path.open(newline="") as file:
+                for row in csv.DictReader(file):
+                    found[row["target"]] += float(row["processor_minutes"])  # type: ignore[assignment]
     return found
 
 
@@ -42,12 +47,12 @@ def next_of(targets: list[str], had: Counter[str], busy: set[str], wanted: float
 
 def run(target: str, minutes: float) -> tuple[str, bool]:
     """Fuzz a target for some processor minutes; return it, and whether it has had as many without a finding."""
-    had = minutes_of(KEPT / RUNS)[target]
+    had = minutes_of(LEDGER, KEPT / RUNS)[target]
     log = KEPT / f"{target}.log"
     with log.open("wb") as file:
         words = [sys.executable, str(HERE / "fuzz_long.py"), target, "--hours", repr(minutes / 60.0)]
         subprocess.run(words, stdout=file, stderr=subprocess.STDOUT, check=False)
-    return target, minutes_of(KEPT / RUNS)[target] > had
+    return target, minutes_of(LEDGER, KEPT / RUNS)[target] > had
 
 
 def main(targets: list[str]) -> int:
@@ -62,14 +67,14 @@ def main(targets: list[str]) -> int:
     busy: set[str] = set()
     with ThreadPoolExecutor(given.workers) as pool:
         while True:
-            had = minutes_of(KEPT / RUNS)
+            had = minutes_of(LEDGER, KEPT / RUNS)
             while len(running) < given.workers and (one := next_of(targets, had, busy, 60.0 * given.hours)):
                 busy.add(one[0])
                 running.add(pool.submit(run, *one))
             if not running:
                 break
             done, running = wait(running, return_when=FIRST_COMPLETED)
-            had = minutes_of(KEPT / RUNS)
+            had = minutes_of(LEDGER, KEPT / RUNS)
             for target, fine in (one.result() for one in done):
                 if fine:
                     busy.remove(target)

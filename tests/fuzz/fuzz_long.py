@@ -4,7 +4,7 @@
 (`fuzz_structures.py`), from choices that are led in the same way. Inputs that reach something new are kept below
 `.fuzz/`, where the next run begins; what ends a run is written there as `TARGET-crash-…`, `…-timeout-…` or `…-oom-…`.
 Give it back with `scripts/fuzz TARGET FILE`. What each run came to is a line of `.fuzz/runs.csv`. `scripts/fuzz all` is
-all targets in turn (`fuzz_all.py`).
+all targets in turn (`fuzz_all.py`); `scripts/fuzz keep` leaves in the repository what they came to (`fuzz_keep.py`).
 """
 
 from __future__ import annotations
@@ -44,8 +44,10 @@ with (
     contextlib.redirect_stderr(io.StringIO()),  # a line for each module
     atheris.instrument_imports(include=_INSTRUMENTED, exclude=_KERNELS, enable_loader_override=False),
 ):
-    from fuzz_all import RUNS
+    from fuzz_all import HEADER, RUNS
     from fuzz_all import main as fuzz_all
+    from fuzz_keep import main as fuzz_keep
+    from fuzz_keep import unpack
     from fuzz_structures import STRUCTURES
     from fuzz_targets import HERE, TARGETS, Target
     from numba.core.event import install_recorder
@@ -107,7 +109,7 @@ class _Reading:
         sys.stdout.flush()
         runs = self._kept.parent / RUNS
         if not runs.exists():
-            runs.write_text("target,processor_minutes,inputs,new,last_new_minute\n")
+            runs.write_text(HEADER)
         with runs.open("a") as file:
             file.write(f"{self._name},{minutes:.3f},{self._count},{new},{latest:.1f}\n")
 
@@ -123,19 +125,26 @@ def main() -> None:
     names = [*TARGETS, *(f"{name}-structure" for name in STRUCTURES)]
     if sys.argv[1:2] == ["all"]:
         sys.exit(fuzz_all(names))
+    if sys.argv[1:2] == ["keep"]:
+        sys.exit(fuzz_keep(names))
     parser = argparse.ArgumentParser(prog="scripts/fuzz", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("target", choices=names, metavar="TARGET", help=f"{', '.join(names)}; or all, in turn")
-    parser.add_argument("inputs", nargs="*", type=Path, metavar="FILE", help="only read these inputs")
+    said = f"{', '.join(names)}; or all, in turn; or keep, what they came to"
+    parser.add_argument("target", choices=names, metavar="TARGET", help=said)
+    parser.add_argument("inputs", nargs="*", metavar="FILE", help="only read these inputs")
     parser.add_argument("--hours", type=float, default=2.0, help="of processor time (default: %(default)s)")
-    given = parser.parse_args()
+    parser.add_argument("--as", dest="name", help=argparse.SUPPRESS)  # of fuzz_keep's, with words of libFuzzer's
+    end = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    given = parser.parse_args(sys.argv[1:end])
+    given.inputs += sys.argv[end + 1 :]
     name, _, structured = given.target.partition("-")
     found = HERE.parents[1] / ".fuzz" / given.target
     found.mkdir(parents=True, exist_ok=True)
     reading = _Reading(given.target, TARGETS[name], 3600.0 * given.hours, found)
     one = reading.of_structures if structured else reading.of_bytes
     if given.inputs:
-        words = [str(path) for path in given.inputs]
+        words = given.inputs
     else:
+        unpack(given.target, found)
         seeds = [str(HERE / "corpus" / name)]
         if structured:
             seeds = []
@@ -146,7 +155,7 @@ def main() -> None:
             f"-artifact_prefix={found.parent}/{given.target}-", f"-timeout={_STUCK}", f"-rss_limit_mb={_MEMORY}",
             "-max_len=65536", "-print_final_stats=1", "-len_control=0", str(found), *seeds,
         ]  # fmt: skip
-    atheris.Setup([sys.argv[0], *words], one)
+    atheris.Setup([given.name or sys.argv[0], *words], one)
     try:
         atheris.Fuzz()
     finally:

@@ -9,12 +9,15 @@ import random
 from pathlib import Path
 
 import pytest
-from fuzz_all import minutes_of, next_of
+from fuzz_all import LEDGER, minutes_of, next_of
+from fuzz_keep import unpack
 from fuzz_structures import INPUTS
 from fuzz_targets import TARGETS
 from hypothesis import given, settings
 
 _MUTANTS = 12
+_GROWN = 25
+"""How many of the inputs that fuzzing has found for a target are read; a reading takes some milliseconds."""
 _EXAMPLES = 12
 
 
@@ -47,6 +50,14 @@ def test_bytes_are_taken_or_refused_in_one_line(name: str, folder: Path) -> None
         target.run(changed(draw.choice(seeds), draw), folder)
 
 
+@pytest.mark.parametrize("name", TARGETS)
+def test_what_fuzzing_has_found_is_taken_or_refused_in_one_line(name: str, folder: Path, tmp_path: Path) -> None:
+    unpack(name, tmp_path)
+    found = sorted(tmp_path.iterdir())
+    for path in random.Random(1).sample(found, min(_GROWN, len(found))):
+        TARGETS[name].run(path.read_bytes(), folder)
+
+
 @pytest.mark.parametrize("name", INPUTS)
 def test_what_is_nearly_right_is_taken_or_refused_in_one_line(name: str, folder: Path) -> None:
     target = TARGETS[name]
@@ -67,6 +78,8 @@ def test_who_has_had_least_is_fuzzed_next(folder: Path) -> None:
     )
     had = minutes_of(runs)
     assert had == {"a": 14.5, "b": 12.0}
+    assert minutes_of(runs, runs) == {"a": 29.0, "b": 24.0}
+    assert set(minutes_of(LEDGER)) == {*TARGETS, *(f"{name}-structure" for name in INPUTS)}
     targets = ["a", "b", "c"]
     assert next_of(targets, had, set(), 20.0) == ("c", 10.0)
     assert next_of(targets, had, {"c"}, 20.0) == ("b", 8.0)
