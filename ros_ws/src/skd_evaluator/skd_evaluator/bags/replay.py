@@ -15,6 +15,7 @@ from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, m
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.campaign.plan.options import RECORDED
 from skd_evaluator.campaign.plan.plan import (
@@ -137,8 +138,9 @@ def rating_from(
         },
     )
     rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    standing = doubts_of_standing_off(plan.controller, replays)
     if damage is None:
-        return rating
+        return replace(rating, warnings=standing)
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
@@ -153,4 +155,4 @@ def rating_from(
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
-    return replace(rating, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))
+    return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *standing))

@@ -51,6 +51,8 @@ _FEWEST_RUNS = 10
 
 DISBELIEF = "do not believe these figures: "
 """Begins a warning that makes an assessment fail."""
+DOUBT = "these figures are in doubt: "
+"""Begins a warning that stands wherever figures do, and with which no gate passes."""
 HARDLY_DRIVES = "with nobody within a kilometre "
 """Begins a warning of a car that slows down for nobody, which a comparison repeats."""
 
@@ -58,6 +60,11 @@ HARDLY_DRIVES = "with nobody within a kilometre "
 def disbelief(warnings: Iterable[str]) -> list[str]:
     """Return those of an assessment's warnings that make it fail."""
     return [line for line in warnings if line.startswith(DISBELIEF)]
+
+
+def in_doubt(warnings: Iterable[object]) -> list[str]:
+    """Return those of an assessment's warnings by which its figures may be those of another car."""
+    return [str(line) for line in warnings if str(line).startswith((DISBELIEF, DOUBT))]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.html import figures_html
+from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
@@ -112,7 +113,8 @@ def read_result(folder: Path) -> StoredResult:
         risks = stored_risks(figures, stored)
     if risks is not None:
         groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
+    doubted = (f"{folder}: {line}" for line in in_doubt(figures.get("warnings") or ()))
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted))
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:

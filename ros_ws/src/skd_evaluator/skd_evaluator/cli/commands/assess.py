@@ -88,6 +88,8 @@ def print_result(
     reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted), *disbelieved]
     failures = [why for why in reasons if why]
     checks = gate.checks(result, None if problem else out.path, failures)
+    if len(checks) > 1 and checks[0].error and not failures:
+        failures.append(f"gate: nothing can be said of a car whose figures are in doubt: {checks[0].text}")
     for one in checks[1:]:  # the first is of the failures above
         if one.passed and not arguments.json:
             print(f"gate: {one.name}: passed, {one.text}")
@@ -202,7 +204,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
     fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
-    runners = Runners(recorder, runner, runner, fresh=None if arguments.scheduler else fresh)
+    runners = Runners(recorder, runner, runner, fresh=fresh)
     origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:

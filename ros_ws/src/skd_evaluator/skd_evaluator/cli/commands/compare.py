@@ -18,6 +18,7 @@ from skd_evaluator.assessing.asked import scenario_for
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import columns
+from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
@@ -54,6 +55,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             "car": name,
             "folder": str(result.folder),
             **{key: result.figures.get(key) for key in columns("compare")},
+            "warnings": in_doubt(result.figures.get("warnings") or ()),
         }
         for name, result in zip(names, results, strict=True)
     ]

@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return _INTERRUPTED
     found = _found(arguments, asked, grids)
-    if not (asked.plan.car.is_own or arguments.scheduler):
+    if not asked.plan.car.is_own:
         found = replace(
             found, warnings=doubts_of_episodes(asked.plan.car, tests, (), partial(InProcessRunner, 1, isolated=True))
         )
