@@ -189,3 +189,10 @@ def test_recordings_of_a_car_that_stood_are_not_believed() -> None:
     assert line.startswith(DISBELIEF)
     assert "does not drive hits nobody" in line
     assert doubts_of_standing_off("a.b:C", runs(Careful())) == ()
+    starting = [
+        EpisodeLog(one.episode, one.outcome, one.adversary, one.car * np.array([1, 1, 0 if number % 10 else 1]))
+        for number, one in enumerate(runs(Careful()))
+    ]
+    for one in starting:
+        one.car[3:, 2] = 8.0  # who stands at first, and starts
+    assert doubts_of_standing_off("a.b:C", starting) == ()

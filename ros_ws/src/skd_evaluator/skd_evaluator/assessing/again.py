@@ -164,7 +164,7 @@ def _doubts(
     )
     changed = [(log, other) for log, other in zip(every, again, strict=True) if not _same(log, other)]
     if changed:
-        found = (_changed(name, changed, len(every)),)
+        found: tuple[str, ...] = (_changed(name, changed, len(every)),)
         if otherwise:  # which may come of the same; but no margin is right on whose ways others are hit
             sure = touched >= _HITS and touched >= _OF_WAYS * len(led)
             hits = f", and hit on {touched} of them where it had not" if touched else ""

@@ -18,7 +18,8 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Stage, episode
 from skd_evaluator.errors import AssessmentError
 
 _FAR = 1000.0  # m up the road, and as many beside it
-_MUCH = 0.7  # share of its speed that a car keeps which nobody is in the way of
+_SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
+_MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
 _NEARLY_ALL = 0.9  # of the runs along φ
 _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 _HITS_NOBODY = "a car that does not drive hits nobody, so neither its margin nor its risk says how it avoids people"
@@ -30,7 +31,7 @@ class Slowing(NamedTuple):
 
     Attributes:
         first: speed at the beginning, m/s.
-        last: speed at the end, much less than that, m/s.
+        last: speed at the end, less than half of it, m/s.
         seconds: time between them, s.
     """
 
@@ -78,7 +79,7 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
 
 
 def doubts_of_standing_off(controller: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
-    """Return, in a line, that a car stands so far from whoever crosses that nobody could be hit; empty if not.
+    """Return, in a line, that a car never drives, or stands so far from everybody that it hits nobody.
 
     It is told from what happened, whoever the car is and however it knows that somebody is there.
 
@@ -94,7 +95,7 @@ def doubts_of_standing_off(controller: str, logs: Sequence[EpisodeLog]) -> tuple
     scenario = runs[0].episode.scenario
     return (
         f"{DISBELIEF}in {still} of {len(runs)} runs along φ {controller} was slower than "
-        f"{scenario.collision.hit_speed:g} m/s, at which a hit begins, from the start on or while whoever crossed was "
+        f"{scenario.collision.hit_speed:g} m/s, at which a hit begins, all the time or while whoever crossed was "
         f"more than {_far(scenario):.0f} m away: {_HITS_NOBODY}",
     )
 
@@ -107,16 +108,17 @@ def _far(scenario: Scenario) -> float:
 def _stood_far_off(log: EpisodeLog) -> bool:
     scenario = log.episode.scenario
     slower = log.car[:, 2] < scenario.collision.hit_speed
-    first = int(np.argmax(slower))
-    away = float(np.hypot(*(log.adversary[first] - log.car[first, :2]))) - scenario.car.front
-    return bool(slower[first]) and (first == 0 or away > _far(scenario))
+    begins = int(np.argmin(slower))  # who stands at first may have to start
+    stands = begins + int(np.argmax(slower[begins:]))
+    away = float(np.hypot(*(log.adversary[stands] - log.car[stands, :2]))) - scenario.car.front
+    return bool(slower.all()) or (bool(slower[stands]) and stands > begins and away > _far(scenario))
 
 
 def _episode(plan: Plan) -> Episode:
     """Return an episode in which nobody is on the road, and somebody stands a kilometre away."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
     scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False), others=())
-    ticks = scenario.ticks
+    ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
     return Episode(
