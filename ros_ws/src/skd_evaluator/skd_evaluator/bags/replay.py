@@ -11,7 +11,13 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, missing_episodes, unfinished_episodes
+from skd_evaluator.bags.completeness import (
+    aborted_episodes,
+    doubts_beside,
+    fewer_than_said,
+    missing_episodes,
+    unfinished_episodes,
+)
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
@@ -153,6 +159,7 @@ def rating_from(
         lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
+    lines += doubts_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
     return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *standing))
