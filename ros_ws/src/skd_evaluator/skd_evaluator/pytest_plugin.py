@@ -77,7 +77,7 @@ class Skd:
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
             self._kept[key] = Assessed(assess(controller, out=folder, **options), folder)
-        if doubted := in_doubt(self._kept[key].figures["warnings"]):
+        if doubted := in_doubt(self._kept[key].figures.get("warnings") or ()):
             raise AssessmentError(f"{controller}: {'; '.join(doubted)}. See {self._kept[key].folder}")
         return self._kept[key]
 

@@ -262,7 +262,7 @@ class Rating:
         return self.collisions / self.completed_replays if self.completed_replays else None
 
     def _repr_html_(self) -> str:
-        return figures_html(self.as_dict())
+        return figures_html(self.as_dict(), in_doubt(self.warnings))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.

@@ -56,7 +56,7 @@ class StoredResult:
     remarks: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
-        return figures_html(self.figures)
+        return figures_html(self.figures, in_doubt(self.figures.get("warnings") or ()))
 
     @property
     def margin_curve(self) -> VulnerabilityCurve | None:

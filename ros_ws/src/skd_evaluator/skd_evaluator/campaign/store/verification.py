@@ -14,6 +14,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
+from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
@@ -131,6 +132,7 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
     try:
         figures, former = read_figures(folder)
         stored = read_episodes(folder)
+        remarks += in_doubt(figures.get("warnings") or ())
         if former or not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
