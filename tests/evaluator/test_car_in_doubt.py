@@ -22,6 +22,7 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.risk.any_car import Kept
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
@@ -116,7 +117,11 @@ class Here:
 
 
 def doubts(
-    monkeypatch: pytest.MonkeyPatch, first: Controller, second: Controller, led: Sequence[LedWay] = (), count: int = 40
+    monkeypatch: pytest.MonkeyPatch,
+    first: Controller | Sequence[EpisodeLog],
+    second: Controller,
+    led: Sequence[LedWay] = (),
+    count: int = 40,
 ) -> tuple[str, ...]:
     """Return what is said of a car that was one controller at first, and is another one when it is asked again."""
 
@@ -128,7 +133,7 @@ def doubts(
     monkeypatch.setattr(Alone, "__init__", lambda *_: None)
     monkeypatch.setattr(Alone, "__exit__", lambda *_: None)
     monkeypatch.setattr(Alone, "answers", lambda *_: "it ended")
-    return doubts_of_episodes(CAR, runs(first, count), led, fresh)
+    return doubts_of_episodes(CAR, first if isinstance(first, list) else runs(first, count), led, fresh)
 
 
 def test_a_car_that_was_surely_more_careful_at_first_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,6 +168,24 @@ def test_one_fault_does_not_hide_another(monkeypatch: pytest.MonkeyPatch) -> Non
     same = doubts(monkeypatch, Careful(), Careful(), [way], 12)
     assert [line.startswith(DOUBT) for line in same] == [True, False]  # could not be asked alone; copies
     assert same[1].startswith(DISBELIEF)
+
+
+def test_kamikazes_that_plan_with_copies_are_run_again_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A car that is careful where a copy was made of it was so in all of them, and nobody looked."""
+
+    class Uncopied(Careful):
+        def __deepcopy__(self, memo: dict[int, Any]) -> Careful:
+            raise AssertionError
+
+    plan = replace(PLAN, simulations=20, knowledge=Knowledge.NOTHING)
+    episodes = [plan.episode(Mode.KAMIKAZE, number, 0, PHI[number]) for number in range(2)]
+    planned = [run_episode(one, Careful([True] * 2)) for one in episodes]
+    logs = [replace(one, episode=replace(one.episode, knowledge=Knowledge.ITSELF)) for one in planned]
+    (line,) = doubts(monkeypatch, logs, Uncopied())
+    assert "of 2 episodes went otherwise when they were run again" in line
+    assert "the first is a kamikaze" in line
+    (line,) = doubts(monkeypatch, logs, Careful([True] * 4))
+    assert "could not be asked again" in line
 
 
 # --- who does not drive
