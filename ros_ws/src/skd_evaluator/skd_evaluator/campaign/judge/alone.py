@@ -20,6 +20,7 @@ from skd_evaluator.errors import AssessmentError
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
 _MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
+_HARDLY_MORE = 1.5  # times the speed at which a hit begins: who keeps just above it is stopped by any touch of a brake
 _NEARLY_ALL = 0.9  # of the runs along φ
 _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 _HITS_NOBODY = "a car that does not drive hits nobody, so neither its margin nor its risk says how it avoids people"
@@ -73,7 +74,7 @@ def doubts_of_driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
         return ()
     (first, last, seconds), least = found, plan.scenario.collision.hit_speed
     slows = f"{HARDLY_DRIVES}{plan.controller} slows from {first:.1f} to {last:.1f} m/s in {seconds:.1f} s"
-    if last < least:
+    if last < _HARDLY_MORE * least:
         return (f"{DISBELIEF}{slows}, and a hit begins at {least:g} m/s: {_HITS_NOBODY}",)
     return (f"{slows}: how far people may stray, and how seldom they are hit, is due to that, too",)
 
