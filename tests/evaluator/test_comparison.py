@@ -18,8 +18,8 @@ from skd_evaluator.campaign.compare.comparison import (
     compare,
     ranking_figure,
 )
-from skd_evaluator.campaign.judge.rating import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.side_by_side import verdict_table
 from skd_sim.encounter.scenario import load_scenario

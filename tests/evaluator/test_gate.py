@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from skd_evaluator.campaign.compare.gate import Check, Limit, check_limits, check_not_worse
-from skd_evaluator.campaign.judge.rating import DISBELIEF, DOUBT, rate
+from skd_evaluator.campaign.judge.rating import rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.figure_names import check_figure, figure, scalar_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.gate import Gate
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
 from skd_evaluator.report.terminal import headline

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
-from skd_evaluator.campaign.judge.rating import DOUBT
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.cli.main import main
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.trend import trends_of
 

@@ -11,15 +11,15 @@ from types import SimpleNamespace
 
 import pytest
 from skd_evaluator.assessing import library
-from skd_evaluator.campaign.judge.rating import DOUBT
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.pytest_plugin import Skd
 
 CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
 from skd_evaluator.assessing import library
-from skd_evaluator.campaign.judge.rating import DOUBT
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.errors import AssessmentError
 
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())

@@ -17,8 +17,8 @@ from bag_forge import Sent, forged
 from common import run_skd
 from recordings_support import MOST_MEMORY, MOST_TIME
 from skd_evaluator.bags.completeness import doubts_beside
-from skd_evaluator.campaign.judge.rating import DOUBT
 from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.measure.doubt import DOUBT
 from watched import watched
 
 Arrays = dict[str, np.ndarray[Any, Any]]

@@ -69,8 +69,8 @@ class Skd:
             AssessmentError: its figures may be those of another car, so that no test of them says anything.
         """
         from skd_evaluator.assessing.library import assess
-        from skd_evaluator.campaign.judge.rating import in_doubt
         from skd_evaluator.errors import AssessmentError
+        from skd_evaluator.measure.doubt import in_doubt
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"

@@ -21,7 +21,7 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF, DOUBT, Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import shuffled, spread_by_lot
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
@@ -29,6 +29,7 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.led import ALIKE, NEARLY, LedAdversary, LedWay, led_again
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 
 EPISODES = 12
 """So many are run again as they were, one by lot of each of as many parts of all."""

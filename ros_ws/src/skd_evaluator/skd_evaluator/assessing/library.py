@@ -20,13 +20,14 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
-from skd_evaluator.campaign.judge.rating import Rating, in_doubt
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.provenance import provenance
 from skd_evaluator.risk.asked import risk_asked
 

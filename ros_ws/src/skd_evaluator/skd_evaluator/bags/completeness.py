@@ -14,8 +14,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.bags.validation import is_over
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.measure.doubt import in_doubt
 
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 

@@ -22,11 +22,11 @@ from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation import Damage, Found, accept
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
 from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.measure.doubt import in_doubt
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")

@@ -98,7 +98,7 @@ class Gate:
             errors: why nothing, or not enough, can be said of the car.
         """
         from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
-        from skd_evaluator.campaign.judge.rating import in_doubt
+        from skd_evaluator.measure.doubt import in_doubt
 
         aborted = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
         doubts = in_doubt(result["warnings"])  # by which nothing can be said of the car, either

@@ -18,7 +18,7 @@ from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Object
 from skd_sim.inputs.printable import one_line, own
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
-from skd_evaluator.campaign.judge.rating import disbelief, in_doubt
+from skd_evaluator.measure.doubt import disbelief, in_doubt
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows

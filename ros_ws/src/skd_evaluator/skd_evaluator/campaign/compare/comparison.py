@@ -19,9 +19,9 @@ from skd_sim.encounter.scenario import scenario_from_dict
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
-from skd_evaluator.campaign.judge.rating import DOUBT, HARDLY_DRIVES, disbelief, in_doubt
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.doubt import DOUBT, HARDLY_DRIVES, disbelief, in_doubt
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 

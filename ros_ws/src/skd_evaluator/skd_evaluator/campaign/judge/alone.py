@@ -13,13 +13,13 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Stage, episode_id
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
-_MUCH = 0.5  # share of its speed that a car keeps which nobody is in the way of
+_MUCH = 0.8  # share of its speed that a car keeps which nobody is in the way of
 _HARDLY_MORE = 1.5  # times the speed at which a hit begins: who keeps just above it is stopped by any touch of a brake
 _NEARLY_ALL = 0.9  # of the runs along φ
 _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
@@ -32,7 +32,7 @@ class Slowing(NamedTuple):
 
     Attributes:
         first: speed at the beginning, m/s.
-        last: speed at the end, less than half of it, m/s.
+        last: speed at the end, much less than that, m/s.
         seconds: time between them, s.
     """
 

@@ -15,11 +15,11 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.html import figures_html
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve

@@ -14,13 +14,13 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.measure.doubt import in_doubt
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey

@@ -32,7 +32,7 @@ from skd_evaluator.assessing.pipeline import (
     learned_plan,
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
-from skd_evaluator.campaign.judge.rating import Rating, disbelief, judge_all
+from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -42,6 +42,7 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (

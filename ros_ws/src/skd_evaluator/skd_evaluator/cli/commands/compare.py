@@ -18,7 +18,6 @@ from skd_evaluator.assessing.asked import scenario_for
 from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import columns
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
@@ -27,6 +26,7 @@ from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.measure.behaviour import WALKERS
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.report import repeat
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car

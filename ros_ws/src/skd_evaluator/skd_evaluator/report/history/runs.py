@@ -10,10 +10,10 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, real_path
 
-from skd_evaluator.campaign.judge.rating import in_doubt
 from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.report.terminal import car_name
 from skd_evaluator.temporary_folders import PREFIX
 

@@ -21,7 +21,6 @@ from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.bags.logs import EPISODES, write_logs
-from skd_evaluator.campaign.judge.rating import disbelief
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Recorder
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
@@ -29,6 +28,7 @@ from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.version import version

@@ -18,7 +18,6 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.propagated import Propagated, assessed_draws, propagated
-from skd_evaluator.campaign.judge.rating import disbelief, in_doubt
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
@@ -31,6 +30,7 @@ from skd_evaluator.fusion.measured import PATH_TOLERANCE
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.measure.doubt import disbelief, in_doubt
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
