@@ -93,8 +93,9 @@ def _heard(log: EpisodeLog) -> Heard:
 
 
 def _led_again(log: EpisodeLog) -> EpisodeLog:
-    """Run an episode again with somebody who is led on the same way: in a worker."""
-    return run_episode(log.episode, apart(log.episode.car), _led(log))
+    """Run an episode again with somebody who is led where whoever planned had gone: in a worker."""
+    planned = log.episode.mode == Mode.KAMIKAZE
+    return run_episode(log.episode, apart(log.episode.car), _led(log) if planned else None)
 
 
 def _led(log: EpisodeLog) -> LedAdversary:

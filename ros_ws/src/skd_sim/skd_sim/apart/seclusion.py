@@ -62,7 +62,7 @@ def seclude() -> bool:
 def _forbid_limits() -> bool:
     """Forbid to set or read the limits of another process (prlimit(2)), for good; tell whether it could be done.
 
-    Limits of its own, by the same call with process 0, stay as they are. Where a process of the same user may have
+    Limits of its own stay its own, by process 0 or by its number. Where a process of the same user may have
     its limits taken, it fails in ways that name nobody, and keeps what another one has counted in them.
     """
     kind, number = _PRLIMIT.get(platform.machine(), (0, 0))
@@ -70,12 +70,13 @@ def _forbid_limits() -> bool:
         return False
     steps = (
         (_LOAD, 0, 0, _KIND),
-        (_EQUALS, 0, 6, kind),  # else refused: a call of 32 bits
+        (_EQUALS, 0, 7, kind),  # else refused: a call of 32 bits
         (_LOAD, 0, 0, _NUMBER),
-        (_AT_LEAST, 4, 0, _OTHER_NUMBERS),
-        (_EQUALS, 0, 2, number),
+        (_AT_LEAST, 5, 0, _OTHER_NUMBERS),
+        (_EQUALS, 0, 3, number),
         (_LOAD, 0, 0, _FIRST),
-        (_EQUALS, 0, 1, 0),
+        (_EQUALS, 1, 0, 0),
+        (_EQUALS, 0, 1, os.getpid()),
         (_RETURN, 0, 0, _ALLOWED),
         (_RETURN, 0, 0, _REFUSED),
     )
