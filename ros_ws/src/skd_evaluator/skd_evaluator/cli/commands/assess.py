@@ -90,7 +90,7 @@ def print_result(
     failures = [why for why in reasons if why]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:
-        failures.append(f"gate: nothing can be said of a car whose figures are in doubt: {checks[0].text}")
+        failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
     for one in checks[1:]:  # the first is of the failures above
         if one.passed and not arguments.json:
             print(f"gate: {one.name}: passed, {one.text}")
