@@ -19,7 +19,7 @@ from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
-_MUCH = 0.8  # share of its speed that a car keeps which nobody is in the way of
+_MUCH = 0.7  # share of its speed that a car keeps which nobody is in the way of
 _HARDLY_MORE = 1.5  # times the speed at which a hit begins: who keeps just above it is stopped by any touch of a brake
 _NEARLY_ALL = 0.9  # of the runs along φ
 _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
