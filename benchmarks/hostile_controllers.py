@@ -28,10 +28,11 @@ import skd_evaluator.cli
 from forked_child import end_of
 from hostile_cars_further import FURTHER
 from hostile_cars_source import CARS as FIRST
+from hostile_cars_whole import WHOLE
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.start import skd as program
 
-CARS = FIRST + FURTHER
+CARS = FIRST + FURTHER + WHOLE
 BASES = ("Honest", "Batch")
 _HELPERS = ("Copied", "Mad", "Says")
 _COUNTS = ["--safe-count", "3", "--kamikaze-count", "5", "--collision-runs", "30", "--risk-runs", "150"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy import stats
 from skd_evaluator.campaign.compare.comparison import (
     LESS_SAFE,
@@ -16,9 +18,10 @@ from skd_evaluator.campaign.compare.comparison import (
     compare,
     ranking_figure,
 )
-from skd_evaluator.campaign.judge.rating import DISBELIEF, HARDLY_DRIVES
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
+from skd_evaluator.report.side_by_side import verdict_table
 from skd_sim.encounter.scenario import load_scenario
 
 FIGURES: dict[str, Any] = {
@@ -128,6 +131,15 @@ def test_a_car_that_hardly_drives_is_named_beside_its_verdict() -> None:
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{HARDLY_DRIVES}it slows"]))
     assert found.verdict == SAFER
     assert found.warnings == (f"b: {HARDLY_DRIVES}it slows",)
+
+
+def test_a_verdict_about_figures_in_doubt_says_so() -> None:
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{DOUBT}it counts"]))
+    assert (found.verdict, found.in_doubt, found.as_dict()["in_doubt"]) == (SAFER, True, True)
+    assert found.warnings == (f"b: {DOUBT}it counts",)
+    shown = Console(width=200, record=True, file=io.StringIO())
+    shown.print(verdict_table([{"car": "b", **found.as_dict()}], "a", 0.95))
+    assert "safer, in doubt" in shown.export_text()
 
 
 def test_a_cars_own_part_of_the_scenario_may_differ() -> None:

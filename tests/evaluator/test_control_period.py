@@ -200,6 +200,14 @@ class Wordy(Watching):
     control_period = "often"
 
 
+class Shortest(Watching):
+    control_period = 5e-324
+
+
+class Large(Watching):
+    control_period = 10**400
+
+
 class Odd(Watching):
     control_period = 0.07
 
@@ -220,8 +228,10 @@ def test_what_it_declares_goes_into_the_scenario() -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Wordy", "control_period must be a positive number (s), got something of str"),
-        ("Never", "control_period must be a positive number (s), got 0"),
+        ("Wordy", "control_period must be a number from 0.001 to 2 (s), got something of str"),
+        ("Never", "control_period must be a number from 0.001 to 2 (s), got 0"),
+        ("Shortest", "control_period must be a number from 0.001 to 2 (s), got 4.94066e-324"),
+        ("Large", "control_period must be a number from 0.001 to 2 (s), got 1e+300"),
         ("Odd", "in scenario crossing: control_period 0.07 s must divide time_step 0.3 s; 0.075 s does"),
     ],
 )

@@ -107,6 +107,7 @@ def test_a_car_that_does_not_brake_hits(tmp_path: Path):
         ({"ids": ("lead", "dummy")}, "no object 'car' but 'dummy', 'lead'"),
         ({"other_rate": 1.0}, "hole of 1.00 s"),
         ({"speed": 600.0}, "m and times in s"),
+        ({"speed": 0.01}, "the car never drives, at most 0.01 m/s, and a hit begins at 0.556 m/s"),
     ],
 )
 def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, changes, says):

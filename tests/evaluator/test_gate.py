@@ -20,8 +20,11 @@ from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.figure_names import check_figure, figure, scalar_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.cli.gate import Gate
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
+from skd_evaluator.report.terminal import headline
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -91,6 +94,19 @@ def test_every_number_of_a_result_has_a_name_that_is_known(result):
         with pytest.raises(UsageError, match="no figure"):
             check_figure(name)
     assert {"margin", "hit_rate", "closeness", "impact_speed.p90", "deformation"} <= set(scalar_figures())
+
+
+@pytest.mark.parametrize(("begin", "said"), [(DOUBT, "In doubt"), (DISBELIEF, "Not to be believed")])
+def test_no_gate_passes_with_figures_in_doubt(result, begin, said):
+    """A car that counts its episodes passed, with a warning that nobody reads where a machine decides."""
+    doubted = {**result, "warnings": [f"{begin}it counts"]}
+    assert headline(doubted) == f"{said} (the warnings say why): {headline(result)}"
+    checks = Gate((Limit("deformation", 0.0),), None, {}).checks(doubted, None, [])
+    assert [(one.error, one.passed) for one in checks] == [(True, False), (False, True)]
+    assert checks[0].text == f"{begin}it counts"
+    assert markdown(doubted, checks).startswith("## ⚠️")
+    (failures,) = [one.checks(result, None, []) for one in [Gate((), None, {})]]
+    assert failures[0].passed
 
 
 def test_a_car_is_held_against_an_earlier_one(cars):

@@ -12,6 +12,7 @@ from cli_support import one_line
 from matplotlib.image import imread
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.cli.main import main
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.trend import trends_of
 
@@ -99,6 +100,21 @@ def test_a_trend_follows_each_car_by_date(figures):
     assert [step.value for step in mine.steps] == pytest.approx([0.1 * number for number in range(REVISIONS)])
     assert [step.value for step in theirs.steps] == [9.0]
     assert asked == [(str(n), str(n + 1), pytest.approx(1.0 - 0.05 / (REVISIONS - 1))) for n in range(REVISIONS - 1)]
+
+
+def test_what_is_in_doubt_is_marked_in_lists_and_trends(tmp_path, figures, capsys, monkeypatch):
+    """A car that was another one when it was run again stood there like any other."""
+    monkeypatch.setenv("COLUMNS", "120")
+    doubted = {**figures, "warnings": [f"{DOUBT}it counts"]}
+    written(doubted, tmp_path / "doubted")
+    assert main(["list", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "doubted*" in shown
+    assert f"* {tmp_path / 'doubted'}: {DOUBT}it counts" in shown
+    runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", doubted), ("3", figures), ("4", figures))]
+    (trend,) = trends_of(runs, "margin")
+    assert [step.in_doubt for step in trend.steps] == [False, True, True, False]
+    assert [one["in_doubt"] for one in trend.as_dict()["runs"]] == [False, True, True, False]
 
 
 @pytest.mark.usefixtures("pictures_drawn")

@@ -11,12 +11,16 @@ from types import SimpleNamespace
 
 import pytest
 from skd_evaluator.assessing import library
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.pytest_plugin import Skd
 
 CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
 from skd_evaluator.assessing import library
+from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.errors import AssessmentError
 
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())
 
@@ -71,3 +75,11 @@ def test_a_class_is_named_by_its_module(tmp_path: Path, monkeypatch: pytest.Monk
     assert skd.assess(MyCar, seed=1) is skd.assess(MyCar, seed=1)
     assert skd.assess(MyCar, seed=2) is not skd.assess(MyCar, seed=1)
     assert asked == [(f"{__name__}:MyCar", tmp_path / "0"), (f"{__name__}:MyCar", tmp_path / "1")]
+
+
+def test_a_car_whose_figures_are_in_doubt_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their margin was held against its limit like any other."""
+    rating = SimpleNamespace(as_dict=lambda: {"margin": 5.0, "warnings": ["harmless", f"{DOUBT}it counts"]})
+    monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
+    with pytest.raises(AssessmentError, match=f"MyCar: {DOUBT}it counts. See {tmp_path / '0'}"):
+        Skd(tmp_path).assess(MyCar)

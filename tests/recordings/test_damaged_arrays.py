@@ -16,7 +16,9 @@ import pytest
 from bag_forge import Sent, forged
 from common import run_skd
 from recordings_support import MOST_MEMORY, MOST_TIME
+from skd_evaluator.bags.completeness import doubts_beside
 from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.measure.doubt import DOUBT
 from watched import watched
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -88,6 +90,19 @@ def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.Captur
     assert "left out" not in said.err
     with np.load(copy / "episodes.npz") as arrays:
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
+
+
+def test_what_is_in_doubt_is_so_for_who_learns_from_it(
+    copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (path for path in map(copy.joinpath, ("probe.json", "assessment.json")) if path.exists()):
+        path.write_text(json.dumps({**json.loads(path.read_text()), "warnings": [f"{DOUBT}it counts", "harmless"]}))
+    assert run_skd("fit", copy, "--json", "--out", tmp_path / "model") == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
+    assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {DOUBT}it counts"]
+    (tmp_path / "assessment.json").write_text(json.dumps({"warnings": [f"{DOUBT}it counts"]}))
+    assert doubts_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [f"{DOUBT}it counts"]
+    assert doubts_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
 
 
 @pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])

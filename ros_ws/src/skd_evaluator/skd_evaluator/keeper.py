@@ -17,13 +17,21 @@ import os
 import resource
 import signal
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
+
+from skd_evaluator.errors import AssessmentError
 
 END_ALL = signal.SIGHUP
 """Tells a keeper to kill all that is below it at once."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
+_LIMITS = {
+    resource.RLIMIT_NOFILE: "open files",
+    resource.RLIMIT_AS: "memory",
+    resource.RLIMIT_FSIZE: "length of files",
+}
 _HEARD = (signal.SIGHUP, signal.SIGCHLD)
 _DEAF = (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT)
 
@@ -175,3 +183,24 @@ def _state(pid: int) -> bytes:
         return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
     except OSError:
         return b""
+
+
+def limits() -> dict[int, tuple[int, int]]:
+    """Return the limits of this process."""
+    return {number: resource.getrlimit(number) for number in _LIMITS}
+
+
+def of_whom(error: BaseException, before: Mapping[int, tuple[int, int]], controllers: Sequence[str]) -> BaseException:
+    """Return an error that says who may have caused it, where the limits of this process are not as they were.
+
+    Args:
+        error: what went wrong.
+        before: its limits at the beginning.
+        controllers: names of those that this process has asked.
+    """
+    changed = [_LIMITS[number] for number, limit in limits().items() if limit != before[number]]
+    if not changed or not isinstance(error, (OSError, MemoryError)):
+        return error
+    whose = f"controller {', '.join(controllers)}" if controllers else "some process"
+    why = str(error) or type(error).__name__
+    return AssessmentError(f"{whose}: took the {' and '.join(changed)} of a process of SKD's by prlimit(2): {why}")

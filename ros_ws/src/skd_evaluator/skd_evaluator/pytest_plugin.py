@@ -64,14 +64,21 @@ class Skd:
         Args:
             car: a class with `reset` and `command`, in a module that can be imported, or what `--controller` takes.
             options: those of `skd_evaluator.assess`.
+
+        Raises:
+            AssessmentError: its figures may be those of another car, so that no test of them says anything.
         """
         from skd_evaluator.assessing.library import assess
+        from skd_evaluator.errors import AssessmentError
+        from skd_evaluator.measure.doubt import in_doubt
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
             self._kept[key] = Assessed(assess(controller, out=folder, **options), folder)
+        if doubted := in_doubt(self._kept[key].figures.get("warnings") or ()):
+            raise AssessmentError(f"{controller}: {'; '.join(doubted)}. See {self._kept[key].folder}")
         return self._kept[key]
 
 

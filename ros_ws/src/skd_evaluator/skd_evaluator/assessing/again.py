@@ -7,34 +7,40 @@ what no car can see, whether somebody tries to be hit, say.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from skd_sim.apart.apart import apart
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.choices.simulators import is_own_world
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.plan.lot import shuffled, spread_by_lot
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import ALIKE, NEARLY, LedWay, led_otherwise
+from skd_evaluator.campaign.run.led import ALIKE, NEARLY, LedAdversary, LedWay, led_again
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 
 EPISODES = 12
-"""So many are run again, spread over all."""
+"""So many are run again as they were, one by lot of each of as many parts of all."""
+FURTHER, SHARE = 48, 20
+"""So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
 WAYS = 96
 """So many of the ways on which the search for the margin has led the car are gone again, spread over all."""
 _LEARNED_FROM = "of those by which the adversary learned the car, "
 _SLOWER = 3.0  # times as long the answers may take as the episodes did
-
-_Item = TypeVar("_Item")
+_HITS, _OF_WAYS = 5, 0.05  # on so many ways, and on such a share of them, a car is hit that had not been
+_BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
 
 Fresh = Callable[[], AbstractContextManager[ExecutorRunner]]
 """Makes a runner with a process of its own, into which no controller has been loaded."""
@@ -71,16 +77,29 @@ class DoubtsOfLearning:
         if self._fresh is not None:
             found = doubts_of_episodes(self._car, logs, (), self._fresh)
             for line in found:
-                told = line.removeprefix(DISBELIEF)
-                self.found += (f"{DISBELIEF if told != line else ''}{_LEARNED_FROM}{told}",)
+                told = line.removeprefix(DISBELIEF).removeprefix(DOUBT)
+                self.found += (f"{line.removesuffix(told)}{_LEARNED_FROM}{told}",)
         return not self.found
 
 
-def _heard(episode: Episode) -> Heard:
+def _heard(log: EpisodeLog) -> Heard:
     """Run an episode again and listen to its controller: in a worker."""
+    episode = log.episode
     controller = overhear(apart(episode.car), episode.controller)
-    log = run_episode(episode, controller)
-    return Heard(log, controller.questions, controller.answers)
+    # One that plans with copies of the controller would be heard, too, and would be seen by it.
+    with_copies = episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF
+    again = run_episode(episode, controller, _led(log) if with_copies else None)
+    return Heard(again, controller.questions, controller.answers)
+
+
+def _led_again(log: EpisodeLog) -> EpisodeLog:
+    """Run an episode again with somebody who is led where whoever planned had gone: in a worker."""
+    planned = log.episode.mode == Mode.KAMIKAZE
+    return run_episode(log.episode, apart(log.episode.car), _led(log) if planned else None)
+
+
+def _led(log: EpisodeLog) -> LedAdversary:
+    return LedAdversary.along(log.adversary, log.episode.scenario.time_step)
 
 
 def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
@@ -110,48 +129,85 @@ def doubts_of_episodes(
         fresh: makes a new process in which episodes are run again; see `Fresh`.
         besides: further episodes, of which as many are run again.
     """
-    some = [*_some(besides), *_some(logs)]
+    some = [*_some(besides)[::-1], *_some(logs)[::-1]]
     if not some:
         return ()
     with Alone(car) as alone:  # begins while another process runs the episodes again
-        return _doubts(car, some, _spread(led, WAYS), fresh, alone)
+        further = shuffled([*_further(besides, some), *_further(logs, some)])
+        return _doubts(car, some, further, spread_by_lot(led, WAYS), fresh, alone)
 
 
 def _doubts(
-    car: CarUnderTest, logs: Sequence[EpisodeLog], led: Sequence[LedWay], fresh: Fresh, alone: Alone
+    car: CarUnderTest,
+    logs: Sequence[EpisodeLog],
+    further: Sequence[EpisodeLog],
+    led: Sequence[LedWay],
+    fresh: Fresh,
+    alone: Alone,
 ) -> tuple[str, ...]:
-    name = car.controller
+    name, every = car.controller, [*logs, *further]
     try:
         with fresh() as runner:
             runner.start()
             begin = time.perf_counter()
-            heard = list(runner.map(_heard, [log.episode for log in logs]))
+            heard = list(runner.map(_heard, logs))
             seconds = time.perf_counter() - begin
-            otherwise = sum(runner.map(led_otherwise, led))
+            again = [*(one.log for one in heard), *runner.map(_led_again, further)]
+            ways = list(runner.map(led_again, led))
     except (AssessmentError, UsageError) as error:
-        return (f"when {len(logs)} episodes were run again to see whether they go as before, this came of it: {error}",)
-    changed = [log for log, again in zip(logs, heard, strict=True) if not _same(log, again.log)]
-    if changed:
         return (
-            f"{len(changed)} of {len(logs)} episodes went otherwise when they were run again, in a new process and in "
-            f"another order (the first is {_named(changed[0])}): {name} answers by more than what reset gave it and "
-            "what it saw since, as by what it keeps from one episode to the next; so its figures depend on the order "
-            "of the episodes and on --workers",
+            f"{DOUBT}when {len(every)} episodes were run again to see whether they go as before, this came of it: "
+            f"{error}",
         )
+    otherwise, touched = (sum(column) for column in zip(*ways, strict=True)) if ways else (0, 0)
+    copies = (
+        f"on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered otherwise when "
+        "nobody made copies of it"
+    )
+    changed = [(log, other) for log, other in zip(every, again, strict=True) if not _same(log, other)]
+    if changed:
+        found: tuple[str, ...] = (_changed(name, changed, len(every)),)
+        if otherwise:  # which may come of the same; but no margin is right on whose ways others are hit
+            sure = touched >= _HITS and touched >= _OF_WAYS * len(led)
+            hits = f", and hit on {touched} of them where it had not" if touched else ""
+            found += (
+                f"{DISBELIEF if sure else DOUBT}{copies}{hits}: the margin {'is' if sure else 'may be'} that of "
+                "another car",
+            )
+        return found
     doubts = _doubts_alone(name, alone, heard, _SLOWER * seconds)
     if otherwise:
-        doubts += (
-            f"{DISBELIEF}on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered "
-            "otherwise when nobody made copies of it: the margin is that of another car",
-        )
+        doubts += (f"{DISBELIEF}{copies}: the margin is that of another car",)
     return doubts
+
+
+def _changed(name: str, changed: Sequence[tuple[EpisodeLog, EpisodeLog]], count: int) -> str:
+    """Return in a line what it means that some of `count` episodes, the first and second run of each, went otherwise.
+
+    It is more than a doubt where the first runs had surely fewer collisions: the rating flatters the car.
+    """
+    collided = [tuple(log.outcome == Outcome.COLLISION for log in both) for both in changed]
+    come, gone = collided.count((False, True)), collided.count((True, False))
+    flatters = come > gone and _at_least(come, come + gone) < _BY_CHANCE
+    said = f"; {come} of them collided then alone, {gone} before alone" if come or gone else ""
+    return (
+        f"{DISBELIEF if flatters else DOUBT}{len(changed)} of {count} episodes went otherwise when they were run "
+        f"again, in a new process and in another order (the first is {_named(changed[0][0])}{said}): {name} answers "
+        "by more than what reset gave it and what it saw since, as by what it keeps from one episode to the next; so "
+        "its figures depend on the order of the episodes and on --workers"
+    )
+
+
+def _at_least(come: int, count: int) -> float:
+    """Return how likely at least `come` of `count` are where each is as likely to come as to go."""
+    return float(sum(math.comb(count, one) for one in range(come, count + 1))) / 2.0**count
 
 
 def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
     found = alone.answers([one.questions for one in heard], limit)
     if isinstance(found, str):
         return (
-            f"{name} could not be asked again what it was asked in {len(heard)} episodes, alone in a "
+            f"{DOUBT}{name} could not be asked again what it was asked in {len(heard)} episodes, alone in a "
             f"process: {found}; nobody has seen whether it answers by what a car sees",
         )
     far = [
@@ -169,23 +225,16 @@ def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float)
 
 
 def _some(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
-    """Return a few episodes, spread over all, the last first."""
-    fit = [
-        log
-        for log in logs
-        if log.outcome != Outcome.ABORTED
-        # Its adversary plans with copies of the controller, and would hear what they are asked, too.
-        and not (log.episode.mode == Mode.KAMIKAZE and log.episode.knowledge == Knowledge.ITSELF)
-    ]
-    return _spread(fit, EPISODES)[::-1]
+    """Return a few episodes, spread over all."""
+    return spread_by_lot([log for log in logs if log.outcome != Outcome.ABORTED], EPISODES)
 
 
-def _spread(items: Sequence[_Item], most: int) -> list[_Item]:
-    """Return some items, spread over all."""
-    if not items:
-        return []
-    numbers = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
-    return [items[number] for number in numbers.tolist()]
+def _further(logs: Sequence[EpisodeLog], but: Sequence[EpisodeLog]) -> list[EpisodeLog]:
+    """Return some more of them, which cost little as nobody plans in them again; none of another simulator, slow."""
+    taken = set(map(id, but))
+    left = [log for log in logs if log.outcome != Outcome.ABORTED and id(log) not in taken]
+    left = [log for log in left if is_own_world(log.episode.simulator)]
+    return spread_by_lot(left, min(FURTHER, max(EPISODES, len(logs) // SHARE)))
 
 
 def _same(first: EpisodeLog, second: EpisodeLog) -> bool:

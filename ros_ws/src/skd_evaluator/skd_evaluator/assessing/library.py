@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -26,6 +27,7 @@ from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.provenance import provenance
 from skd_evaluator.risk.asked import risk_asked
 
@@ -60,7 +62,8 @@ def assess(
             `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, …
 
     Returns:
-        The assessment; `as_dict()` has the figures of assessment.json under their names.
+        The assessment; `as_dict()` has the figures of assessment.json under their names. Why these may be those of
+        another car is a warning of Python's.
 
     Raises:
         UsageError: an option does not exist, is not allowed, or does not go with the others.
@@ -78,6 +81,8 @@ def assess(
     told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
     rating = assess_in_process(plan, objectives, runners, told, further, _origin)
     rating = replace(rating, seconds=time.perf_counter() - begin)
+    for line in in_doubt(rating.warnings):
+        warnings.warn(line, stacklevel=2)
     if folder is not None:
         folder.write(lambda where: fill(where, rating))
     return rating

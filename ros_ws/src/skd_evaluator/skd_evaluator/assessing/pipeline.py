@@ -18,7 +18,7 @@ from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
-from skd_evaluator.campaign.judge.alone import doubts_of_driving
+from skd_evaluator.campaign.judge.alone import doubts_of_driving, doubts_of_standing_off
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.judge.static_tests import with_static_tests
@@ -184,7 +184,7 @@ def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[st
     """
     if plan.car.is_own:
         return ()
-    found: tuple[str, ...] = ()
+    found: tuple[str, ...] = doubts_of_standing_off(plan.controller, rating.replays)
     if runners.fresh is not None and not plan.car.is_external:
         found += doubts_of_the_controller(rating, runners.fresh)
     alone = runners.ways if runners.fresh is None else runners.here

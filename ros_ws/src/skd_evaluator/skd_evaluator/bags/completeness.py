@@ -15,6 +15,7 @@ from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.bags.validation import is_over
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.measure.doubt import in_doubt
 
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
@@ -125,6 +126,18 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
                 f"recordings of {found[0]} and {found[1]}"
             )
     return lines
+
+
+def doubts_beside(files: Iterable[Path]) -> list[str]:
+    """Return why the assessments beside recordings say that theirs may be of another car, a line each."""
+    found: list[str] = []
+    bags = {file.absolute().parent.parent for file in files}
+    for folder in sorted(folder.parent for folder in bags if folder.name == "bags"):
+        try:
+            found += in_doubt(read_json(folder / "assessment.json")["warnings"])
+        except (UsageError, TypeError, KeyError):
+            continue
+    return found
 
 
 def _said_in(file: Path) -> tuple[int, int] | None:

@@ -26,6 +26,7 @@ from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
 from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.measure.doubt import in_doubt
 
 EPISODES = "episodes.npz"
 _SUMMARIES = ("probe.json", "assessment.json")
@@ -116,13 +117,14 @@ def _arrays_below(folder: Path, damage: Damage) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Beside:
-    """What assessment.json or probe.json says of the episodes.npz beside it."""
+    """What assessment.json or probe.json says of the episodes.npz beside it; why it may be of another car."""
 
     scenario: Scenario
     controller: str
     multiplier: float
     seed: int
     by_objective: bool
+    doubts: tuple[str, ...] = ()
 
 
 def _said_beside(path: Path) -> _Beside:
@@ -141,6 +143,7 @@ def _said_beside(path: Path) -> _Beside:
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
                     "objectives" in content,
+                    tuple(in_doubt(content.get("warnings") or ())),
                 )
             except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
@@ -153,6 +156,8 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
         for file in (path, *(path.with_name(name) for name in _SUMMARIES if (path.parent / name).exists())):
             check_as_written(file)
         logs = _logs_in(path)
+        for line in _said_beside(path).doubts:
+            damage.warn(f"{path}: {line}")
     except UsageError as error:
         damage.leave_out(str(error))
         return

@@ -11,10 +11,17 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.bags.completeness import aborted_episodes, fewer_than_said, missing_episodes, unfinished_episodes
+from skd_evaluator.bags.completeness import (
+    aborted_episodes,
+    doubts_beside,
+    fewer_than_said,
+    missing_episodes,
+    unfinished_episodes,
+)
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.campaign.plan.options import RECORDED
 from skd_evaluator.campaign.plan.plan import (
@@ -137,8 +144,9 @@ def rating_from(
         },
     )
     rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    standing = doubts_of_standing_off(plan.controller, replays)
     if damage is None:
-        return rating
+        return replace(rating, warnings=standing)
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
@@ -151,6 +159,7 @@ def rating_from(
         lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
+    lines += doubts_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
-    return replace(rating, left_out=tuple(damage.left_out), warnings=tuple(damage.warnings))
+    return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *standing))

@@ -27,11 +27,12 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.bags.validation import Otherwise, Unverified, decide_again
-from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.measure.doubt import DISBELIEF
 from skd_evaluator.version import version
 
 LABEL = "decisions made again"

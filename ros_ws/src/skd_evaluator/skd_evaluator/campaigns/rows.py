@@ -17,13 +17,14 @@ from skd_sim.inputs.outside import sha256_of
 
 from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
 from skd_evaluator.campaign.judge.figure_table import columns
-from skd_evaluator.campaign.judge.rating import Rating, disbelief
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.checked import check_result
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.campaigns.cell import Cell
+from skd_evaluator.measure.doubt import disbelief
 
 FIGURES = columns("campaign")
 OF_PLANS = ("knowledge", "ranking_objective")

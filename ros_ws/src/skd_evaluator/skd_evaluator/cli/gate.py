@@ -98,9 +98,12 @@ class Gate:
             errors: why nothing, or not enough, can be said of the car.
         """
         from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
+        from skd_evaluator.measure.doubt import in_doubt
 
         aborted = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
-        first = Check("assessment", "; ".join(errors) or aborted or "complete", error=bool(errors))
+        doubts = in_doubt(result["warnings"])  # by which nothing can be said of the car, either
+        why = "; ".join([*errors, *(line for line in doubts if line not in errors)])
+        first = Check("assessment", why or aborted or "complete", error=bool(why))
         found = [first, *check_limits(result, self.limits)]
         if self.earlier is not None:
             name = f"not worse than {self.earlier.folder}"

@@ -94,6 +94,7 @@ class Recorder:
             scene = _until(scene, int(touching[0]) + 1)
         self._check_follows(scene, phi, path)
         self._check_road(scene, path)
+        self._check_drives(scene, path)
         return scene
 
     def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
@@ -165,6 +166,15 @@ class Recorder:
         if turned > _TURNED:
             raise UsageError(f"{path}: the car points {math.degrees(turned):.0f}° off its lane: does --frame turn it?")
         self._check_points(scene, path)
+
+    def _check_drives(self, scene: Scene, path: Path) -> None:
+        """Refuse a car that stands all the time: it hits nobody, and that says nothing of how it avoids people."""
+        fastest, least = float(scene.car[:, 3].max()), self.scenario.collision.hit_speed
+        if fastest < least:
+            raise UsageError(
+                f"{path}: the car never drives, at most {fastest:.2f} m/s, and a hit begins at {least:g} m/s; in a "
+                "trial it has to come up to the road user"
+            )
 
     @staticmethod
     def _check_points(scene: Scene, path: Path) -> None:

@@ -17,9 +17,9 @@ from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import CarState
 
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
+from skd_evaluator.campaign.run.led import LedAdversary
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, StoredWay
@@ -40,23 +40,6 @@ class Again(NamedTuple):
 
     problems: tuple[str, ...] = ()
     remark: str = ""
-
-
-class _Led:
-    """Somebody who walks a stored way, whatever the car does."""
-
-    depletions = 0
-
-    def __init__(self, way: StoredWay, time_step: float) -> None:
-        velocities = np.diff(way.positions, axis=0) / time_step
-        velocities[-1:] /= way.duration - (len(velocities) - 1)  # the last position is that of the contact
-        self._velocities = iter([*velocities.tolist(), *velocities[-1:].tolist()])
-        self._last: tuple[float, float] = (0.0, 0.0)
-
-    def act(self, _car: CarState) -> tuple[float, float]:
-        vx, vy = next(self._velocities, self._last)
-        self._last = (vx, vy)
-        return self._last
 
 
 def margins_again(folder: Path, figures: Mapping[str, Any], stored: StoredEpisodes) -> Again:
@@ -100,10 +83,16 @@ def margins_again(folder: Path, figures: Mapping[str, Any], stored: StoredEpisod
     return Again(tuple(problems), f"{count} margins were {done}" if count else "")
 
 
+def _led(way: StoredWay, time_step: float) -> LedAdversary:
+    velocities = np.diff(way.positions, axis=0) / time_step
+    velocities[-1:] /= way.duration - (len(velocities) - 1)  # the last position is that of the contact
+    return LedAdversary(velocities)
+
+
 def _walked(episode: Episode, way: StoredWay | None) -> Iterator[str]:
     if way is None:
         return
-    log = run_episode(episode, adversary=_Led(way, episode.scenario.time_step))
+    log = run_episode(episode, adversary=_led(way, episode.scenario.time_step))
     if not log.hit:
         yield f"nobody is hit on its way, which ends as {log.outcome.name}"
     elif abs(log.impact_time / episode.scenario.time_step - way.duration) > _SAME:

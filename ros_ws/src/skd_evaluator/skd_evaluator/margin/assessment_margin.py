@@ -20,7 +20,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.simulation.named_simulator import repeats_itself
 
-from skd_evaluator.campaign.judge.rating import DISBELIEF, Rating
+from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.led import LedWay
@@ -34,6 +34,7 @@ from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.measure.doubt import DISBELIEF
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
 

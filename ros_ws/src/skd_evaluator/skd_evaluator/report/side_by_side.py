@@ -10,11 +10,18 @@ from rich.table import Table
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
-from skd_evaluator.report.terminal import counted, narrow_table, one_line_cells
+from skd_evaluator.report.terminal import counted, in_short, narrow_table, one_line_cells
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
+_IN_DOUBT = ", [red]in doubt[/]"
 _HEAD_AND_FOOT = 7  # lines of a table beside its rows
 _BARS = 6  # lines that are left for bars
+
+
+def _doubt(row: Mapping[str, Any]) -> str:
+    """Return what stands behind the name of a car whose figures may be those of another one."""
+    said = in_short([*(row.get("warnings") or ()), *(row.get("problems") or ())])
+    return f", [red]{said}[/]" if said else ""
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -43,7 +50,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             table.add_row(name, f"[red]{row['state']}[/]", *[""] * (len(columns) - 1))
             continue
         table.add_row(
-            name,
+            f"{name}{_doubt(row)}",
             f"[red]{number(row['margin'])}[/]" if row["margin_converged"] is False else number(row["margin"]),
             interval(row["margin_ci95"]),
             number(row["equivalent_multiplier"]),
@@ -67,7 +74,8 @@ def cell_line(row: Mapping[str, Any]) -> str:
     figures.append(f"hit along φ {TERMINAL.share(row['hit_rate'])}")
     if row["deformation"] is not None:
         figures.append(f"planned {number(row['deformation'])} m")
-    return f"{row['name']}: {', '.join(figures)}"
+    said = in_short([*row["warnings"], *row["problems"]])
+    return f"{row['name']}{f' ({said})' if said else ''}: {', '.join(figures)}"
 
 
 class LiveTable:
@@ -116,7 +124,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
         margin = _number(row["margin"])
         table.add_row(
-            escape(row["car"]),
+            f"{escape(row['car'])}{_doubt(row)}",
             f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
             _interval(row["margin_ci95"], 2),
             escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
@@ -151,7 +159,12 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
                 "—" if found["p_value"] is None else f"{found['p_value']:.2g}",
             )
         )
-        table.add_row(escape(entry["car"]), f"[bold]{entry['verdict']}[/]", *figures, entry["design"])
+        table.add_row(
+            escape(entry["car"]),
+            f"[bold]{entry['verdict']}[/]{_IN_DOUBT if entry['in_doubt'] else ''}",
+            *figures,
+            entry["design"],
+        )
     return table
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Object
 from skd_sim.inputs.printable import one_line, own
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
+from skd_evaluator.measure.doubt import disbelief, in_doubt
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
@@ -44,8 +45,19 @@ def car_name(result: Mapping[str, Any]) -> str:
     return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
+def in_short(warnings: Iterable[object]) -> str:
+    """Return in a few words that figures may be those of another car, by warnings about them; empty if not."""
+    doubted = in_doubt(warnings)
+    return "" if not doubted else "not to be believed" if disbelief(doubted) else "in doubt"
+
+
 def headline(result: Mapping[str, Any]) -> str:
-    """Return what was found, in a sentence or two."""
+    """Return what was found, in a sentence or two; first that it is in doubt, if it is."""
+    doubted = in_short(result.get("warnings") or ())
+    return f"{doubted.capitalize()} (the warnings say why): {_found(result)}" if doubted else _found(result)
+
+
+def _found(result: Mapping[str, Any]) -> str:
     car, eta_max = car_name(result), f"{result['eta_max']:g} m"
     if result["margin"] is None:
         return f"{car}: the margin is not known ({result['margin_note']})."

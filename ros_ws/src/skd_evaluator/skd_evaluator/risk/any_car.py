@@ -17,6 +17,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
 from skd_sim.state import AdversaryState
 
+from skd_evaluator.campaign.plan.lot import one_of
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.behaviour.walking import walked
 from skd_evaluator.measure.risks import Touch
@@ -29,7 +30,7 @@ _MOST: Final = 240
 
 
 class Kept:
-    """Some crossings, spread over all that there are.
+    """Some crossings, spread over all that there are: of each so many, one by lot.
 
     Attributes:
         logs: what happened in them.
@@ -38,13 +39,21 @@ class Kept:
     def __init__(self) -> None:
         """Begin with none."""
         self.logs: list[EpisodeLog] = []
-        self._seen, self._one_in = 0, _ONE_IN
+        self._one_in = _ONE_IN
+        self._next = one_of(_ONE_IN)  # counted from the next crossing
+        self._left = _ONE_IN  # crossings of the part in which that is
 
     def wants(self, count: int) -> list[int]:
         """Return which of the next `count` crossings are to be added."""
-        first = -self._seen % self._one_in
-        self._seen += count
-        return list(range(first, count, self._one_in))
+        found, at = [], 0
+        while at < count:
+            here = min(self._left, count - at)
+            if 0 <= self._next < here:
+                found.append(at + self._next)
+            self._next, self._left, at = self._next - here, self._left - here, at + here
+            if not self._left:
+                self._next, self._left = one_of(self._one_in), self._one_in
+        return found
 
     def add(self, logs: Iterable[EpisodeLog]) -> None:
         """Keep what happened; of so many that it takes much room, every other one."""

@@ -42,6 +42,7 @@ from skd_sim.apart.wire import (
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
+from skd_sim.encounter.definition import CONTROL_PERIODS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
 from skd_sim.program.places import PUT_OFF, users_first
@@ -141,7 +142,9 @@ class ApartCar:
             sensing, scene, batches, period = (told[name] for name in ("sensing", "scene", "batches", "control_period"))
             kind = ApartSensingController if sensing else ApartController
             period = None if period is None else float(period)
-        except (KeyError, TypeError, ValueError):
+            if period is not None and not CONTROL_PERIODS.low <= period <= CONTROL_PERIODS.high:
+                raise ValueError(period)
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise AssessmentError(f"controller {self.name}: its process does not say what it is") from None
         return kind(self, number, period, takes_scene=bool(scene), takes_batches=bool(batches))
 
@@ -423,6 +426,11 @@ def close_all() -> None:
         for process in _Kept.cars.values():
             process.close()
     _Kept.cars.clear()
+
+
+def names() -> list[str]:
+    """Return the controllers of whom this process keeps a process, or has kept one."""
+    return sorted({name for name, _ in _Kept.cars}) if _Kept.owner == os.getpid() else []
 
 
 def pids() -> list[int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import types
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +12,7 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import numpy as np
 
 from skd_sim.encounter.checks import check_control_period
+from skd_sim.encounter.definition import CONTROL_PERIODS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.sensors.scan import Scan
@@ -120,15 +120,18 @@ def control_period_of(controller: object, name: str) -> float | None:
     """Return the control period (s) that a controller, called `name`, declares; None if it declares none.
 
     Raises:
-        UsageError: what it declares is no time.
+        UsageError: what it declares is no time that there may be between two decisions.
     """
     period = getattr(controller, "control_period", None)
     if period is None:
         return None
     number = isinstance(period, (int, float)) and not isinstance(period, bool)
-    if not number or not 0.0 < period < math.inf:
-        got = f"{period:g}" if number else f"something of {type(period).__name__}"
-        raise UsageError(f"controller {name}: control_period must be a positive number (s), got {got}")
+    least, most = CONTROL_PERIODS.low, CONTROL_PERIODS.high
+    if not number or not least <= period <= most:  # compared first: whole numbers may be too large for a float
+        got = f"{min(max(period, -1e300), 1e300):g}" if number else f"something of {type(period).__name__}"
+        raise UsageError(
+            f"controller {name}: control_period must be a number from {least:g} to {most:g} (s), got {got}"
+        )
     return float(period)
 
 

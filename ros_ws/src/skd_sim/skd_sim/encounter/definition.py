@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.geometry.obstruction import runs_into
 from skd_sim.inputs.keys import Range
 from skd_sim.state import AdversaryState, RoadUserState
+
+CONTROL_PERIODS: Final = Range(0.001, 2.0, "s")
+"""Between two decisions of a car: a shorter time makes an episode longer without end, and no car has it."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Scenario(Unchanging):
     adversary: RoadUser
     collision: Collision
     eta_max: Annotated[float, Range(0.01, 1000.0, "m")] = 5.0
-    control_period: Annotated[float, Range(0.001, 2.0, "s")] | None = None
+    control_period: Annotated[float, CONTROL_PERIODS] | None = None
     sensor: Sensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
     others: tuple[Other, ...] = ()

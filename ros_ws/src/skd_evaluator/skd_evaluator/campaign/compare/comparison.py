@@ -19,9 +19,9 @@ from skd_sim.encounter.scenario import scenario_from_dict
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
-from skd_evaluator.campaign.judge.rating import HARDLY_DRIVES, disbelief
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.measure.doubt import DOUBT, HARDLY_DRIVES, disbelief, in_doubt
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 
@@ -121,6 +121,11 @@ class Comparison:
         return self.judged_by if undecided or self.judged_by in told else told[0]
 
     @property
+    def in_doubt(self) -> bool:
+        """Whether one of the results says of itself that its figures may be those of another car."""
+        return any(in_doubt(_warnings_of(one)) for one in (self.first, self.second))
+
+    @property
     def design(self) -> str:
         """How the cars were compared, in a few words."""
         judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
@@ -141,6 +146,7 @@ class Comparison:
             "first": str(self.first.folder),
             "second": str(self.second.folder),
             "verdict": self.verdict,
+            "in_doubt": self.in_doubt,
             "judged_by": self.decided_by,
             "opposed_by": list(self.opposed),
             "design": self.design,
@@ -348,7 +354,7 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
         f"{one.folder}: {line}"
         for one in (first, second)
         for line in _warnings_of(one)
-        if line.startswith(HARDLY_DRIVES)
+        if line.startswith((HARDLY_DRIVES, DOUBT))
     ]
 
 

@@ -9,6 +9,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.plan.lot import one_of
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.vulnerability_curve import budget_points
@@ -29,11 +30,12 @@ def held_to(
 ) -> tuple[float, int, int]:
     """Run kamikazes that plan for a deformation of at most η; return η, how many were hit within it, and of how many.
 
-    Their number is fixed beforehand: to go on until enough have collided would make the share too high. One on each φ
-    is put into `kept`.
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high. One on each φ,
+    by lot, is put into `kept`.
     """
     plan = replace(assessment.plan, maximum_distance=eta)
     each = held_attempts(plan)
+    looked_at = {index * each + one_of(each) for index in range(len(assessment.safe))}
     episodes: list[Episode] = [
         plan.episode(Mode.KAMIKAZE, index, attempt, phi)
         for index, phi in enumerate(assessment.safe)
@@ -41,7 +43,7 @@ def held_to(
     ]
     successes = attempts = 0
     for number, log in enumerate(runner.run(episodes)):
-        if number % each == 0:
+        if number in looked_at:
             kept.append(log)
         attempts += log.outcome != Outcome.ABORTED
         if log.hit:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -35,6 +35,7 @@ from skd_evaluator.campaign.plan.plan import (
 )
 from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.measure.distances.measures import load_measures
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins, closeness
 from skd_evaluator.measure.risks import Risks
@@ -48,16 +49,6 @@ from skd_evaluator.version import version
 HIT_SHARE = 0.95
 """Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
 _FEWEST_RUNS = 10
-
-DISBELIEF = "do not believe these figures: "
-"""Begins a warning that makes an assessment fail."""
-HARDLY_DRIVES = "with nobody within a kilometre "
-"""Begins a warning of a car that slows down for nobody, which a comparison repeats."""
-
-
-def disbelief(warnings: Iterable[str]) -> list[str]:
-    """Return those of an assessment's warnings that make it fail."""
-    return [line for line in warnings if line.startswith(DISBELIEF)]
 
 
 @dataclass(frozen=True)
@@ -255,7 +246,7 @@ class Rating:
         return self.collisions / self.completed_replays if self.completed_replays else None
 
     def _repr_html_(self) -> str:
-        return figures_html(self.as_dict())
+        return figures_html(self.as_dict(), in_doubt(self.warnings))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.

@@ -1,20 +1,44 @@
-"""Ways on which a search has led a car, and whether the car goes so again when nobody makes copies of it."""
+"""Ways on which somebody was led, and whether the car goes so again when nobody makes copies of it, or plans."""
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from skd_sim.apart.apart import apart
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode
 from skd_sim.simulation.branching import Branch
+from skd_sim.state import CarState
 
 ALIKE: Final = 1e-6
 """m, m/s, m/s²: what libraries that add up in several threads may differ by."""
 
 NEARLY: Final = 0.05
 """m, m/s: what answers that differ by `side_by_side.TOLERANCE` do not come to within half a minute."""
+
+
+class LedAdversary:
+    """Somebody who is led, whatever the car does: each velocity for a tick, and the last one from then on."""
+
+    depletions = 0
+
+    def __init__(self, velocities: FloatArray) -> None:
+        """Take velocities, n × 2, m/s."""
+        self._velocities = iter(velocities.tolist())
+        self._last: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def along(cls, positions: FloatArray, time_step: float) -> Self:
+        """Lead somebody on a way that is known at the ticks, n × 2, m."""
+        return cls(np.diff(positions, axis=0) / time_step)
+
+    def act(self, _car: CarState) -> tuple[float, float]:
+        """Return the velocity of the next tick; see `Adversary.act`."""
+        for vx, vy in self._velocities:
+            self._last = (vx, vy)
+            break
+        return self._last
 
 
 class LedWay(NamedTuple):
@@ -31,17 +55,35 @@ class LedWay(NamedTuple):
     cars: FloatArray
 
 
-def led_otherwise(way: LedWay) -> bool:
-    """Lead the car on a way anew, in the process that this one keeps for its controller; tell if it goes otherwise.
+class LedAgain(NamedTuple):
+    """What became of a way on which a search had led a car to no contact.
+
+    Attributes:
+        otherwise: whether the car went otherwise.
+        touched: whether it did, and touched who was led.
+    """
+
+    otherwise: bool
+    touched: bool
+
+
+def led_again(way: LedWay) -> LedAgain:
+    """Lead the car on a way anew, in the process that this one keeps for its controller.
 
     A car that was asked by `commands` may go by a little otherwise, as `command` may answer so.
     """
     controller = apart(way.episode.car)
     most = NEARLY if controller.takes_batches else ALIKE
     branch = Branch(way.episode, lambda: controller)
-    user = branch.world.adversary
+    user, otherwise = branch.world.adversary, False
     for (vx, vy), car in zip(way.velocities.tolist(), way.cars, strict=True):
         user, contact = branch.go_on(user, (vx, vy))
-        if contact is not None or float(np.max(np.abs(np.subtract(branch.world.car, car)))) > most:
-            return True
-    return False
+        if contact is not None:
+            return LedAgain(True, True)
+        otherwise |= float(np.max(np.abs(np.subtract(branch.world.car, car)))) > most
+    return LedAgain(otherwise, False)
+
+
+def led_otherwise(way: LedWay) -> bool:
+    """Tell whether the car goes otherwise on a way when it is led on it anew."""
+    return led_again(way).otherwise

@@ -29,7 +29,7 @@ from skd_sim.errors import UsageError
 from skd_sim.program.interruption import SIGNALS
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.keeper import end_alike, end_now, is_stopped, keep
+from skd_evaluator.keeper import end_alike, end_now, is_stopped, keep, limits, of_whom
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
@@ -102,6 +102,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     keep()
     _Here.signs = signs
     signs[_PID] = os.getpid()
+    before = limits()
     apart.when_lost = lambda code, _name: end_alike(code)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -114,7 +115,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
         try:
             answer = (True, work(*arguments, **named))
         except BaseException as error:  # whatever a user's code raises
-            answer = (False, portable(error))
+            answer = (False, portable(of_whom(error, before, apart.names())))
         try:
             connection.send(answer)
         except (OSError, BrokenPipeError):

@@ -19,6 +19,7 @@ from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
@@ -55,7 +56,7 @@ class StoredResult:
     remarks: tuple[str, ...] = ()
 
     def _repr_html_(self) -> str:
-        return figures_html(self.figures)
+        return figures_html(self.figures, in_doubt(self.figures.get("warnings") or ()))
 
     @property
     def margin_curve(self) -> VulnerabilityCurve | None:
@@ -112,7 +113,8 @@ def read_result(folder: Path) -> StoredResult:
         risks = stored_risks(figures, stored)
     if risks is not None:
         groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, tuple(remarks))
+    doubted = (f"{folder}: {line}" for line in in_doubt(figures.get("warnings") or ()))
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted))
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:

@@ -20,6 +20,7 @@ from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hol
 from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.measure.doubt import in_doubt
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey
@@ -131,6 +132,7 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
     try:
         figures, former = read_figures(folder)
         stored = read_episodes(folder)
+        remarks += in_doubt(figures.get("warnings") or ())
         if former or not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))

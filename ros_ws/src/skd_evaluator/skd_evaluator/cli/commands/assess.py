@@ -32,7 +32,7 @@ from skd_evaluator.assessing.pipeline import (
     learned_plan,
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
-from skd_evaluator.campaign.judge.rating import Rating, disbelief, judge_all
+from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -42,6 +42,7 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
@@ -88,6 +89,8 @@ def print_result(
     reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted), *disbelieved]
     failures = [why for why in reasons if why]
     checks = gate.checks(result, None if problem else out.path, failures)
+    if len(checks) > 1 and checks[0].error and not failures:
+        failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
     for one in checks[1:]:  # the first is of the failures above
         if one.passed and not arguments.json:
             print(f"gate: {one.name}: passed, {one.text}")
@@ -202,7 +205,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
     fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
-    runners = Runners(recorder, runner, runner, fresh=None if arguments.scheduler else fresh)
+    runners = Runners(recorder, runner, runner, fresh=fresh)
     origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:

@@ -18,7 +18,6 @@ from skd_sim.errors import UsageError
 from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.judge.rating import disbelief
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -27,6 +26,7 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.ncap.judging import Asked, judged_grid
 from skd_evaluator.ncap.points import HOW, points_of, with_calculator
 from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return _INTERRUPTED
     found = _found(arguments, asked, grids)
-    if not (asked.plan.car.is_own or arguments.scheduler):
+    if not asked.plan.car.is_own:
         found = replace(
             found, warnings=doubts_of_episodes(asked.plan.car, tests, (), partial(InProcessRunner, 1, isolated=True))
         )

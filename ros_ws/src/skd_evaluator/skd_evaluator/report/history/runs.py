@@ -13,6 +13,7 @@ from skd_sim.inputs.outside import folders_in, read_json, real_path
 from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.report.terminal import car_name
 from skd_evaluator.temporary_folders import PREFIX
 
@@ -55,6 +56,11 @@ class Run:
         git = origin.get("controller_git") or origin.get("git")
         return "" if not git else f"{git['revision'][:SHORT]}{'+' if git['modified'] else ''}"
 
+    @property
+    def doubts(self) -> list[str]:
+        """Why its figures may be those of another car, a line each."""
+        return in_doubt(self.figures.get("warnings") or ())
+
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
         keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deformation", "skd", "risk_1", "seed", "safe")
@@ -68,6 +74,7 @@ class Run:
             "attempts": self.figures.get("margin_attempts"),
             **{key: self.figures.get(key) for key in keys},
             "remark": self.remark,
+            "in_doubt": bool(self.doubts),
         }
 
 

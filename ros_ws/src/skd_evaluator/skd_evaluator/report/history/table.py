@@ -31,7 +31,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
     table.add_column("date\n(UTC)")
     for run in runs:
         table.add_row(
-            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark else ''}",
+            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.doubts else ''}",
             escape(run.car),
             escape(run.encounter),
             _number(run.figures["margin"]),
@@ -85,7 +85,7 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
             step.run.revision,
             _number(None if step.value is None else scale * step.value),
             _interval(scaled(step.interval, scale), 2),
-            f"[bold]{step.verdict}[/]",
+            f"[bold]{step.verdict}[/]{'[red] in doubt[/]' if step.in_doubt else ''}",
             *change,
             escape(os.path.relpath(step.run.folder, parent)),
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
@@ -41,6 +41,7 @@ class Step:
         verdict: what is said of the car beside the assessment before; empty for the first.
         difference: of the figure from the one before; None where it is not compared.
         difference_interval: interval of the difference.
+        in_doubt: whether it says of itself that its figures may be those of another car, or the one before does.
     """
 
     run: Run
@@ -49,6 +50,7 @@ class Step:
     verdict: str = ""
     difference: float | None = None
     difference_interval: Interval | None = None
+    in_doubt: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class Trend:
                     "value": step.value,
                     "ci95": step.interval,
                     "verdict": step.verdict,
+                    "in_doubt": step.in_doubt,
                     "difference": step.difference,
                     "difference_interval": step.difference_interval,
                 }
@@ -115,16 +118,17 @@ def trends_of(
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
         steps = [_step(mine[0], figure)]
         for before, run in itertools.pairwise(mine):
-            steps.append(_step(run, figure, None if compare is None else compare(before, run, confidence)))
+            step = _step(run, figure, None if compare is None else compare(before, run, confidence))
+            steps.append(replace(step, in_doubt=step.in_doubt or bool(before.doubts)))
         found.append(Trend(car, encounter, figure, tuple(steps), confidence))
     return found
 
 
 def _step(run: Run, figure: str, compared: Compared | None = None) -> Step:
-    value, interval = run.figures.get(figure), run.figures.get(f"{figure}_ci95")
+    step = Step(run, run.figures.get(figure), run.figures.get(f"{figure}_ci95"), in_doubt=bool(run.doubts))
     if compared is None:
-        return Step(run, value, interval)
+        return step
     change = compared.differences.get(figure)
     if change is None:
-        return Step(run, value, interval, compared.verdict)
-    return Step(run, value, interval, compared.verdict, change.value, change.interval)
+        return replace(step, verdict=compared.verdict)
+    return replace(step, verdict=compared.verdict, difference=change.value, difference_interval=change.interval)

@@ -15,7 +15,7 @@ from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
-from skd_evaluator.report.terminal import headline
+from skd_evaluator.report.terminal import headline, in_short
 
 _FEW = 3
 """Most pairs of cars that a sentence names."""
@@ -99,6 +99,9 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             of = () if key == "margin" else (one.figures.get("knowledge"), one.ranking_objective)
             groups.setdefault((one.safe_key, one.figures["eta_max"], *of), []).append(one)
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
+    for one in subjects:
+        if said := in_short(one.figures["warnings"]):
+            found.append(f"What is said of {one.label} is {said}: its warnings say why.")
     left = [one.label for one in subjects if one.figures[key] is None]
     if key == "margin" and left:
         named = ", ".join(left) if len(left) <= _FEW else counted(len(left), "car")

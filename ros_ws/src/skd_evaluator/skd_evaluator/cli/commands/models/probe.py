@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.simulation.named_simulator import make_simulator
 
+from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.bags.logs import EPISODES, write_logs
@@ -26,6 +28,7 @@ from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.version import version
@@ -49,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
     problem: str | None = None
+    doubts: tuple[str, ...] = ()
     if arguments.graph:
         logs = _through_graph(arguments, episodes, out)
     else:
@@ -65,9 +69,11 @@ def run(arguments: argparse.Namespace) -> int:
             done = f"{len(recorder.logs)} of {len(episodes)} episodes"
             print(f"skd probe: interrupted after {done}; nothing was written", file=sys.stderr)
             return EXIT_INTERRUPTED
-        problem = out.save(lambda folder: _fill(folder, arguments, logs))
+        if not car.is_own:
+            doubts = doubts_of_episodes(car, logs, (), partial(InProcessRunner, 1, isolated=True))
+        problem = out.save(lambda folder: _fill(folder, arguments, logs, doubts))
     aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
-    summary = _summary(arguments, logs)
+    summary = _summary(arguments, logs, doubts)
     if arguments.json:
         print_json(summary)
     else:
@@ -75,8 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; logs in {out.path}; next: skd fit {out.path}")
+    for line in doubts:
+        print(f"skd probe: {'' if disbelief([line]) else 'warning: '}{line}", file=sys.stderr)
     if problem:
         print(f"skd probe: {problem}", file=sys.stderr)
+    if problem or disbelief(doubts):
         return 1
     if arguments.graph:
         say_aborted("probe", [log.reason for log in aborted], len(logs), out)
@@ -111,7 +120,7 @@ def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], o
     return logs
 
 
-def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[str, Any]:
+def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: Sequence[str] = ()) -> dict[str, Any]:
     return {
         "episodes": len(logs),
         "ticks": sum(len(log.adversary) - 1 for log in logs),
@@ -121,10 +130,11 @@ def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> dict[
         "seed": arguments.seed,
         "scenario": logs[0].episode.scenario.as_dict(),
         "version": version(),
+        "warnings": list(doubts),
     }
 
 
-def _fill(folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog]) -> None:
-    write_json(folder / "probe.json", _summary(arguments, logs))
+def _fill(folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: Sequence[str] = ()) -> None:
+    write_json(folder / "probe.json", _summary(arguments, logs, doubts))
     if not arguments.graph:  # the graph leaves bags
         write_logs(folder / EPISODES, logs)

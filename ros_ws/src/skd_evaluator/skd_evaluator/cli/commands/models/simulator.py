@@ -30,6 +30,7 @@ from skd_evaluator.fusion.measured import PATH_TOLERANCE
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.measure.doubt import disbelief, in_doubt
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
@@ -67,8 +68,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draws and calibration.told:
         rng = np.random.default_rng(np.random.SeedSequence(int(figures["seed"]), spawn_key=(len(trials),)))
         worlds = [calibrated(world, values) for values in calibration.drawn(arguments.draws, rng)]
-    found = _with_draws(worlds, car, simulated, int(figures["seed"]), workers, float(figures["eta_max"]), arguments)
-    warnings = [*simulated.remarks, *doubts(calibration)]
+    found, doubted = _with_draws(
+        worlds, car, simulated, int(figures["seed"]), workers, float(figures["eta_max"]), arguments
+    )
+    warnings = [*simulated.remarks, *doubts(calibration), *doubted]
     content = {
         "simulated": simulated.source,
         "physical": str(physical),
@@ -114,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd fit: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)
-    return 1 if problem else 0
+    return 1 if problem or disbelief(doubted) else 0
 
 
 def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
@@ -165,14 +168,16 @@ def _with_draws(
     workers: int,
     eta_max: float,
     arguments: argparse.Namespace,
-) -> list[Propagated]:
+) -> tuple[list[Propagated], list[str]]:
+    """Return figures over draws, and why those of some draw may be of another car, a line each."""
     if not worlds:
-        return []
+        return [], []
     safe = dict(list((simulated.safe or {}).items())[: arguments.draw_phi])
     with progress_bar(quiet=arguments.quiet) as progress:
         found = assessed_draws(worlds, car, safe, seed, workers, progress)
     every = [propagated(found, key, (0.0, eta_max if key == "margin" else 1.0)) for key in _KEYS]
-    return [one for one in every if one is not None]
+    doubted = list(dict.fromkeys(line for one in found for line in in_doubt(one["warnings"])))
+    return [one for one in every if one is not None], doubted
 
 
 def doubts(calibration: Calibration) -> list[str]:

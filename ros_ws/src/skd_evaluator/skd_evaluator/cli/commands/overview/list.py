@@ -42,8 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{where}: holds no assessment that is asked for ({counted(len(runs), 'result')} in all)")
         print_table(runs_table(found))
         for one in found:
-            if one.remark:
-                print(f"* {one.folder}: {one.remark}")
+            for line in (*([one.remark] if one.remark else []), *one.doubts):
+                print(f"* {one.folder}: {line}")
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
     return 0
 
