@@ -11,6 +11,7 @@ import json
 import math
 import os
 import stat
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -136,13 +137,20 @@ def parse_json(content: bytes | str, where: str) -> Any:
 
     Raises:
         UsageError: it is no JSON; is nested deeper than `DEEPEST`; has more than some million values, a number that is
-            not finite or has more than 64 bits, or a text that is none.
+            not finite or has more than 64 bits, a text that is none, or a key that stands twice in an object: one
+            reader takes the first value, another the last.
     """
     try:
         text = content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
         if sum(map(text.count, (b",", b"[", b"{"))) > _MOST:
             raise ValueError(f"it has more than {_MOST} values")
-        data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole)
+        data = json.loads(
+            content,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            parse_int=_whole,
+            object_pairs_hook=_each_once,
+        )
         _look_through(data)
     except RecursionError as error:
         raise UsageError(f"{where}: not JSON that SKD reads: it is nested deeper than {DEEPEST} levels") from error
@@ -153,6 +161,14 @@ def parse_json(content: bytes | str, where: str) -> Any:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no number in JSON")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"{twice[:60]!r} stands twice in one object")
+    return found
 
 
 def _finite(text: str) -> float:
