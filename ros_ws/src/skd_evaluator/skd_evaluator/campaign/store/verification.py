@@ -17,7 +17,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, rebuilt, recompute
+from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 
@@ -140,7 +140,7 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
             if starts is not None:
                 (problems if starts.refused else remarks).append(starts.line)
             if (folder / SURROGATES).exists():  # older results have none
-                problems += _surrogates_that_differ(folder / SURROGATES, rebuilt(figures, stored).surrogates)
+                problems += _surrogates_that_differ(folder / SURROGATES, found.rating.surrogates)
     except UsageError as error:
         return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
     unknown: dict[str, tuple[str, ...]] = {}
