@@ -160,6 +160,8 @@ FOUND_OTHERWISE: dict[str, str] = {
     "another scenario": "`--verify`, where only plans follow from the value",
     "simulations of all": "`--verify`",
     "another multiplier": "nothing, where that car would have done the same in every episode",
+    "another value at the top": "`--verify`, where only plans follow from the value",
+    "a φ left out": "the manifest, or assessment.json beside the bags, where it is the last φ",
     "the last left out": "the manifest, or assessment.json beside the bags",
     "one topic a tick off": "`--verify`, where a kamikaze that waits for a tick meets the car all the same",
     "a weaker kamikaze's states": "`--verify`",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import types
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from skd_sim.choices.suggestion import did_you_mean
@@ -26,7 +26,7 @@ def build(kind: type[Section], data: Any, where: str, path: str) -> Section:
     if unknown:
         key, known = name_of_key(unknown[0]), [*fields, *getattr(kind, "also", ())]
         raise UsageError(f"{where}: unknown key {prefix}{key}; allowed: {', '.join(known)}{did_you_mean(key, known)}")
-    hints = _hints_of(kind)
+    hints = _hints_of(cast(Hashable, kind))
     values: dict[str, Any] = {}
     for name in fields:
         if name not in data:

@@ -19,7 +19,7 @@ from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import PublicKey
@@ -42,6 +42,8 @@ class Verified:
         problems: whatever else is wrong, a line each.
         remarks: remarks for the reader, a line each.
         decisions: result of planning its kamikazes' decisions again, as JSON has it; None if nobody asked for it.
+        read: its figures, whether they are of before the margin, and its episodes, for whoever looks at them further;
+            None if they could not be read.
     """
 
     folder: Path
@@ -52,6 +54,7 @@ class Verified:
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     decisions: Mapping[str, Any] | None = None
+    read: tuple[Mapping[str, Any], bool, StoredEpisodes] | None = None
 
     @property
     def fine(self) -> bool:
@@ -133,7 +136,8 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         stored = read_episodes(folder)
         if former or not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
-            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
+            read = figures, former, stored
+            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks), read=read)
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
             starts = starts_that_differ(folder, figures, stored)
@@ -148,7 +152,14 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         reason = _why_unknown(name)
         unknown[reason] = (*unknown.get(reason, ()), name)
     return Verified(
-        folder, files, found.agree, tuple(map(str, found.contradict)), unknown, tuple(problems), tuple(remarks)
+        folder,
+        files,
+        found.agree,
+        tuple(map(str, found.contradict)),
+        unknown,
+        tuple(problems),
+        tuple(remarks),
+        read=(figures, former, stored),
     )
 
 
