@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from bag_forge import Sent, campaign_messages, write_mcap
+from foreign_recorders import FOREIGN
 from forgeries import FORGING, FOUND_OTHERWISE, OF_SEVERAL
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
@@ -195,7 +196,8 @@ def mutated(source: Source, rng: np.random.Generator, name: str, folder: Path) -
     file = folder / original.name
     what = source.mutators[name](original, file, source.sent[chosen] if source.sent else [], source.options, rng)
     others = [one for one in source.files if one != original]
-    given = folder if (folder / METADATA).exists() else file  # which is looked at in a folder alone
+    several = (folder / METADATA).exists() or len(list(folder.glob("*.mcap"))) > 1
+    given = folder if several else file  # metadata is looked at in a folder alone
     return [*others[:chosen], given, *others[chosen:]], f"{original.name}: {what}"
 
 
@@ -205,6 +207,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--forged", action="store_true", help="forge whole recordings")
+    parser.add_argument("--only", nargs="*", default=[""], help="those alone whose names hold one of these texts")
     parser.add_argument("--commands", action="store_true", help="run skd itself on every twentieth")
     parser.add_argument("--verbose", action="store_true", help="print every mutation and what became of it")
     arguments = parser.parse_args()
@@ -214,10 +217,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         made = sources(Path(scratch), seed=2)
         if arguments.forged:
-            made = [replace(one, mutators=FORGING | RECORDERS) for one in made if one.command == "replay"]
-            few = {name: one for name, one in (FORGING | RECORDERS).items() if name not in OF_SEVERAL}
+            made = [replace(one, mutators=FORGING | RECORDERS | FOREIGN) for one in made if one.command == "replay"]
+            few = {name: one for name, one in (FORGING | RECORDERS | FOREIGN).items() if name not in OF_SEVERAL}
             made = [one if len(one.files) == 1 else replace(one, mutators=few) for one in made]
-        turns = [(source, name) for source in made for name in source.mutators]
+        turns = [(one, name) for one in made for name in one.mutators if any(part in name for part in arguments.only)]
         for number in range(arguments.count):
             source, name = turns[number % len(turns)]
             rng = np.random.default_rng((arguments.seed, number))

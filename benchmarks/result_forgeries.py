@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from result_selections import SELECTIONS, Arrays, keep_episodes
 from skd_evaluator.campaign.store.rebuilt import rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.measure.distances.deformation import deformation
-
-Arrays = dict[str, np.ndarray]
 
 
 def _rows(arrays: Arrays, mode: int | None = None) -> np.ndarray:
@@ -74,16 +73,7 @@ def _runs_fewer(arrays: Arrays, draw: random.Random) -> None:
     drop = _rows(arrays, 2)[-1:]
     if draw.random() < 0.5:
         drop = np.array([row for row in _rows(arrays, 2) if arrays["outcome"][row] == 1], np.int64)
-    offsets, count = arrays["offsets"], len(arrays["mode"])
-    keep = np.setdiff1d(np.arange(count), drop)
-    states = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in keep])
-    lengths = np.diff(offsets)[keep]
-    for name, one in list(arrays.items()):
-        if name in ("positions", "car", "belief"):
-            arrays[name] = one[states]
-        elif one.ndim and len(one) == count and not name.startswith(("margin", "safe_name", "risk")):
-            arrays[name] = one[keep]
-    arrays["offsets"] = np.concatenate([[0], np.cumsum(lengths)])
+    keep_episodes(arrays, np.setdiff1d(np.arange(len(arrays["mode"])), drop))
 
 
 ARRAYS: dict[str, Callable[[Arrays, random.Random], None]] = {
@@ -100,25 +90,43 @@ ARRAYS: dict[str, Callable[[Arrays, random.Random], None]] = {
 
 def mutate_consistently(folder: Path, draw: random.Random) -> str:
     """Change an array, and write all figures anew that follow from it."""
-    path, kind = folder / "episodes.npz", draw.choice(sorted(ARRAYS))
-    with np.load(path) as file:
-        arrays = {name: file[name].copy() for name in file.files}
+    kind = draw.choice(sorted(ARRAYS))
+    arrays = _arrays(folder)
     ARRAYS[kind](arrays, draw)
-    np.savez(path, **arrays)
+    return _written(folder, arrays, f"consistent {kind}")
+
+
+def mutate_selection(folder: Path, draw: random.Random) -> str:
+    """Choose what the result is of, and write all figures anew that follow from it."""
+    kind = draw.choice(sorted(SELECTIONS))
+    arrays, said = _arrays(folder), json.loads((folder / "assessment.json").read_text())
+    SELECTIONS[kind](arrays, said, draw)
+    (folder / "assessment.json").write_text(json.dumps(said))
+    return _written(folder, arrays, f"selection {kind}")
+
+
+def _arrays(folder: Path) -> Arrays:
+    with np.load(folder / "episodes.npz") as file:
+        return {name: file[name].copy() for name in file.files}
+
+
+def _written(folder: Path, arrays: Arrays, what: str) -> str:
+    """Write arrays, and all figures that follow from them; return what was done."""
+    np.savez(folder / "episodes.npz", **arrays)
     try:
         figures, _ = read_figures(folder)
         stored = read_episodes(folder)
         rating = rebuilt(figures, stored)
         wrong = {one.name.partition(".")[0] for one in recompute(figures, stored).contradict}
     except Exception as error:  # what the reader refuses need not be written any further
-        return f"consistent {kind}: {type(error).__name__}"
+        return f"{what}: {type(error).__name__}"
     given = json.loads(json.dumps(rating.as_dict()))
     said = json.loads((folder / "assessment.json").read_text())
     said |= {name: given[name] for name in wrong if name in given}
     (folder / "assessment.json").write_text(json.dumps(said))
     with (folder / "surrogate_measures.csv").open("w", encoding="utf-8", newline="") as table:
         rating.surrogates.write_csv(table)
-    return f"consistent {kind}: figures anew"
+    return f"{what}: figures anew"
 
 
 def _equivalent(figures: dict[str, Any], _draw: random.Random) -> None:

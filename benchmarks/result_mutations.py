@@ -28,7 +28,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from result_forgeries import mutate_consistently, mutate_sayings
+from result_forgeries import mutate_consistently, mutate_sayings, mutate_selection
+from result_writers import WRITERS
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.rebuilt import entries_of, recompute
 from skd_evaluator.campaign.store.result_file import read_figures
@@ -194,7 +195,7 @@ def mutate_figures_alike(folder: Path, draw: random.Random) -> str:
 
 MUTATORS = (mutate_json, mutate_json, mutate_arrays, mutate_arrays, mutate_bytes)
 FORGERIES = (mutate_episodes, mutate_episodes, mutate_figures_alike)
-CONSISTENT = (mutate_consistently, mutate_consistently, mutate_sayings)
+CONSISTENT = (mutate_consistently, mutate_selection, mutate_sayings)
 
 
 def said(folder: Path) -> dict[str, Any]:
@@ -253,7 +254,7 @@ def child(
     shutil.copytree(base, target)
     what = draw.choice(mutators)(target, draw)
     manifest = "anew" if mutators is CONSISTENT else draw.choice(["kept", "anew", "anew", "removed"])
-    if what != f"bytes: {MANIFEST}":
+    if what != f"bytes: {MANIFEST}" and not what.startswith("manifest:"):
         if manifest == "removed":
             (target / MANIFEST).unlink()
         elif manifest == "anew":
@@ -273,8 +274,11 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--forged", action="store_true", help="forge whole episodes, and figures wherever they stand")
     parser.add_argument("--consistent", action="store_true", help="forge so that all files agree")
+    parser.add_argument("--written", action="store_true", help="write files as other programs do")
+    parser.add_argument("--verbose", action="store_true", help="print every mutant and what became of it")
     given = parser.parse_args()
     mutators = CONSISTENT if given.consistent else FORGERIES if given.forged else MUTATORS
+    mutators = WRITERS if given.written else mutators
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         bases = [scratch / "known", scratch / "two"]
@@ -302,6 +306,7 @@ def main() -> int:
             process.join()
             if found.isupper() or found.split(":")[0].isupper():
                 failures += 1
+            if given.verbose or found.isupper() or found.split(":")[0].isupper():
                 print(f"{given.seed + number}: {kind}: {what}: {found}", flush=True)
             table.setdefault(kind, Counter())[found.split(":")[0]] += 1
             shutil.rmtree(folder, ignore_errors=True)

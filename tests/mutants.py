@@ -303,6 +303,9 @@ def main() -> int:
     arguments = parser.parse_args()
     if os.environ.get("NUMBA_DISABLE_JIT") != "1":
         parser.error("run it by scripts/mutants, which has kernels run as plain Python")
+    known = [target.module for target in TARGETS]
+    if unknown := [name for name in arguments.modules if name not in known]:
+        parser.error(f"{unknown[0]} is no module that mutants are made of; these are: {', '.join(known)}")
     os.chdir(ROOT)
     for name in _IMPORTED:
         importlib.import_module(name)

@@ -22,15 +22,18 @@ def of_rate(groups):  # Wilson's with the effective number of runs, and Student'
     runs = p * (1 - p) / error**2 if error > 0 else said["values"]
     half = q * np.sqrt(p * (1 - p) / runs + (q / runs) ** 2 / 4)
     return [(p + q * q / runs / 2 + side * half) / (1 + q * q / runs) for side in (-1, 1)]
-def of_distance(groups, ratio, scale, low=-np.inf, high=np.inf, side=1, tail=1.25):
+def of_distance(groups, ratio, scale, low=-np.inf, high=np.inf, side=1, tail=1.25, top=6):
     n, m, inside, _, mean = layout(groups)
-    f, z, rho = n.sum() - 1, norm.ppf(0.975), np.exp(np.linspace(np.log(1e-4), np.log(1e6), 401))
+    f, z, rho = n.sum() - 1, norm.ppf(0.975), np.logspace(-4, top, 40 * (top + 4) + 1)
     v = rho[:, None] + 1 / n
     centre = (m / v).sum(axis=1) / (1 / v).sum(axis=1)
     squares = inside + ((m - centre[:, None]) ** 2 / v).sum(axis=1)
     prior = 4 * np.log1p((np.log(rho / ratio) / scale) ** 2 / 3)
     x = np.log(v).sum(axis=1) + np.log((1 / v).sum(axis=1)) + f * np.log(squares) + prior
     share, error = np.exp((x.min() - x) / 2), np.sqrt(squares / f * (v @ (n / n.sum()) ** 2))
+    if share[-1] > 1e-3 and top == 6:  # values of one φ hardly vary: ρ up to six decades beyond what φ show
+        shown = np.log10(m.var(ddof=1) / (inside / f))
+        return of_distance(groups, ratio, scale, low, high, side, tail, 6 + max(1, int(np.ceil(shown))))
     share /= share.sum()
     half = brentq(lambda h: share @ t.cdf(h / error, f) - 0.975, 0, 1e3 * error.max())
     out = half + max(0, tail + side * skew(m)) * (1 + 2 * z * z) / (6 * np.sqrt(len(n))) * half / z

@@ -20,11 +20,13 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.former_names import NOTE, of_today
 from skd_evaluator.campaign.store.manifest import write_manifests
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.report.history.runs import read_run
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import scenario_name
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
@@ -303,3 +305,23 @@ def test_a_measure_that_was_renamed_is_read_under_the_name_of_today(ratings, tmp
     found = verify(tmp_path)
     assert found.fine
     assert "measures.required_deceleration_at_entry.mean" in found.agree
+
+
+@pytest.mark.parametrize("lacks", ["objectives", "measures"])
+def test_a_result_of_the_first_versions_is_refused_by_what_wrote_it_and_what_to_do(tmp_path, lacks):
+    """They had neither objectives nor measures: both had been a bare KeyError."""
+    figures = {
+        "skd": 3.4,
+        "controller": "basic",
+        "scenario": {"name": "crossing"},
+        "version": "0.1.0",
+        "car_model": None,
+    }
+    if lacks == "measures":
+        figures |= {"objectives": {"paper": {"skd": 3.4}}}
+    (tmp_path / ASSESSMENT).write_text(json.dumps(figures))
+    said = f"an early SKD 0.1.0, when results had no {lacks}"
+    with pytest.raises(UsageError, match=f"{said}.*run the assessment again") as refused:
+        read_figures(tmp_path)
+    assert "\n" not in str(refused.value)
+    assert said in read_run(tmp_path).remark

@@ -106,3 +106,25 @@ def test_there_is_an_interval_for_whatever_values(groups, confidence, prior):
     assert math.isfinite(low)
     assert math.isfinite(high)
     assert low <= found.value <= high
+
+
+@pytest.mark.parametrize("safe", [3, 20])
+def test_values_of_one_phi_that_hardly_vary_make_no_interval_narrow(safe):
+    """A car without noise has the same margin in each attempt on a φ, but for rounding: φ alone say how far they lie.
+
+    Beyond a ρ of 10⁶ nothing had been looked for, and the interval of 20 φ was a seventh as wide.
+    """
+    means = np.random.default_rng(1).normal(1.0, 0.1, safe)
+    apart = np.linspace(-1.0, 1.0, 50)
+    widths = []
+    for deviation in (1e-3, 1e-6, 1e-9, 1e-14):
+        low, high = clustered_mean([mean + deviation * apart for mean in means], prior=DISTANCES).interval
+        widths.append(high - low)
+    assert widths == sorted(widths)
+    assert widths[-1] < 1.3 * widths[0]
+    student = clustered_mean([mean + 1e-9 * apart for mean in means]).interval
+    assert widths[-1] > 0.9 * (student[1] - student[0])
+
+
+def test_a_skewness_beyond_what_numbers_hold_is_none():
+    assert sample_skewness(np.array([0.0, 1e-120, 3e-120])) == 0.0

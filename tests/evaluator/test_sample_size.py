@@ -61,3 +61,59 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "--figure skd needs a result" in capsys.readouterr().err
     assert main(["plan", "--width", "1e-12"]) == 2
     assert "ask for a wider interval" in capsys.readouterr().err
+
+
+def student_width(between: float, within: float, safe: int, attempts: int, confidence: float) -> float:
+    """Return the mean of 2·t·s/√m over samples of means, by scipy's χ distribution."""
+    freedom = safe - 1
+    root = stats.chi(freedom).mean() / math.sqrt(freedom)
+    quantile = stats.t.ppf(0.5 + confidence / 2.0, freedom)
+    return float(2.0 * quantile * root * math.sqrt((between + within / attempts) / safe))
+
+
+def test_without_prior_the_width_is_students():
+    for safe, attempts, confidence in ((2, 1, 0.95), (7, 3, 0.8), (60, 20, 0.99), (10_000, 1, 0.95)):
+        expected = student_width(0.09, 0.25, safe, attempts, confidence)
+        assert expected_width(0.09, 0.25, safe, attempts, confidence=confidence) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_prior_is_left_out_where_it_can_say_nothing():
+    """Of one attempt on each φ, of values without variance, and of many φ; 10⁻³⁰⁰ m² had been a traceback."""
+    for within, safe, attempts, student in (
+        (0.25, 60, 8, False), (0.25, 61, 8, True), (0.25, 5, 1, True), (0.25, 5, 2, False), (0.0, 5, 8, True),
+        (1e-300, 5, 8, True),
+    ):  # fmt: skip
+        known = expected_width(0.09, within, safe, attempts, prior=DISTANCES)
+        plain = expected_width(0.09, within, safe, attempts)
+        assert (known == plain) == student
+        assert known == pytest.approx(plain, rel=0.25)
+
+
+def test_without_variance_a_difference_is_found_for_sure_or_by_chance_alone():
+    assert power(0.1, 0.0, 0.0, 5, 5, paired=True) == 1.0
+    assert power(-0.1, 0.0, 0.0, 2, 1, paired=False) == 1.0
+    assert power(0.0, 0.0, 0.0, 5, 5, paired=True, level=0.07) == 0.07
+    for paired, freedom in ((True, 4), (False, 8)):
+        error = math.sqrt((1 if paired else 2) * 0.5 / 5)
+        bound = stats.t.ppf(0.9, freedom)
+        theirs = stats.nct.sf(bound, freedom, 1.0 / error) + stats.nct.cdf(-bound, freedom, 1.0 / error)
+        assert power(1.0, 0.4, 0.2, 5, 2, paired=paired, level=0.2) == pytest.approx(theirs, abs=2e-4)
+    assert power(0.0, 0.4, 0.2, 5, 2, paired=True) == pytest.approx(0.05, abs=1e-5)
+
+
+def test_sizes_are_of_two_to_ten_thousand_phi():
+    wide = sizes_for_width(1e6, 0.1, 0.1)
+    assert [size.attempts for size in wide] == [10, 20, 25, 50, 100, 200, 400]
+    assert {(size.safe, size.power) for size in wide} == {(2, None)}
+    assert [size.episodes for size in wide] == [2 * size.attempts for size in wide]
+    least = expected_width(0.1, 0.1, 10_000, 10)
+    (size,) = sizes_for_width(least, 0.1, 0.1, counts=[10])
+    assert (size.safe, size.width) == (10_000, least)
+    assert sizes_for_width(math.nextafter(least, 0.0), 0.1, 0.1, counts=[10]) == []
+
+
+@pytest.mark.parametrize(("paired", "cars"), [(True, 1), (False, 2)])
+def test_a_size_says_how_wide_the_difference_will_be(paired, cars):
+    (size,) = sizes_for_power(0.1, 0.8, 0.005, 0.08, paired=paired, counts=[20])
+    assert size.width == expected_width(cars * 0.005, cars * 0.08, size.safe, 20)
+    assert size.power == power(0.1, 0.005, 0.08, size.safe, 20, paired=paired)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -47,12 +48,16 @@ def read_arrays(
 
     Raises:
         UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
-            one of another type or shape, or holds more than `LARGEST` bytes.
+            one of another type or shape, has one twice, or holds more than `LARGEST` bytes.
     """
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
-                there = set(archive.namelist())
+                names = archive.namelist()
+                there = set(names)
+                if len(there) < len(names):
+                    twice = next(name for name, count in Counter(names).items() if count > 1)
+                    raise UsageError(f"{twice[:60]!r} is in it twice: one reader takes the first, another the last")
                 columns = {**columns, **{name: one for name, one in (optional or {}).items() if f"{name}.npy" in there}}
                 members = {name: archive.getinfo(f"{name}.npy") for name in columns}
                 size = sum(member.file_size for member in members.values())

@@ -19,9 +19,10 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import folders_in, read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
+from skd_evaluator.bags.completeness import aborted_episodes
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.bags.validation import Damage, Found, accept
+from skd_evaluator.bags.validation import Damage, Found, accept, is_over
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
@@ -38,6 +39,7 @@ _PER_EPISODE = {
     "impact_speed": Column(np.float64, (-1,)),
 }
 _OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
+_REASON = {"reason": Column("U", (-1,))}  # older files have none
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
@@ -178,18 +180,20 @@ def look_through(path: Path, damage: Damage) -> int:
         UsageError: it cannot be read.
     """
     logs = _logs_in(path)
+    for line in aborted_episodes(log for log in logs if log.outcome == Outcome.ABORTED and is_over(log)):
+        damage.warn(line)  # nobody can tell whether these were hits
     return len(accept([Found(log, str(path), str(path)) for log in logs], damage))
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
     """Return the episodes of an episodes.npz, as `write_logs` or `write_episodes` wrote them."""
-    arrays = read_arrays(path, _COLUMNS)
+    arrays = read_arrays(path, _COLUMNS, _REASON)
     beside = _said_beside(path)
     if beside.by_objective:
         arrays |= read_arrays(path, _OBJECTIVE)
     rows, count = len(arrays["positions"]), len(arrays["mode"])
     offsets = arrays["offsets"].tolist()
-    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
+    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE, *_REASON) if name in arrays]
     if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
         raise UsageError(f"{path}: its columns differ in length")
     if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
@@ -211,14 +215,19 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
                 arrays["car"][first:last],
                 float(arrays["impact_time"][row]),
                 float(arrays["impact_speed"][row]),
-                # Old files have no reasons; who wrote them only aborted what had one.
-                reason="aborted" if arrays["outcome"][row] == Outcome.ABORTED else "",
+                reason=_reason(arrays, row),
             )
             for row, (first, last) in enumerate(itertools.pairwise(offsets))
             if arrays["mode"][row] != Mode.SAFE
         ]
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def _reason(arrays: Mapping[str, Array], row: int) -> str:
+    """Return why an episode was aborted; old files have no reasons, and who wrote them only aborted what had one."""
+    said = str(arrays["reason"][row]) if "reason" in arrays else ""
+    return said or ("aborted" if arrays["outcome"][row] == Outcome.ABORTED else "")
 
 
 def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:

@@ -157,13 +157,14 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
     margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
     if asked.equivalent:
         cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
-    return replace(
+    searched = replace(
         cell,
         margin=margins.mean,
         margins=tuple(margins.values.tolist()),
         beyond=margins.beyond,
         converged=margins.converged,
     )
+    return replace(searched, margin_is=searched.bound)
 
 
 def _with_equivalent(

@@ -23,6 +23,7 @@ from skd_evaluator.ncap.matrices import CRITERIA, Criterion
 RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
 VERSION: Final = 1
 STANDARD, EXTENDED = RANGES = ("standard", "extended")
+AT_LEAST, AT_MOST = "at least", "at most"
 _SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
 _ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
 
@@ -50,6 +51,8 @@ class Cell:
         margins: that of each attempt, m; η_max where nobody could have been.
         beyond: attempts in which nobody could have been hit within η_max, as far as was found.
         converged: whether the search for the margin has converged.
+        margin_is: `at least` where attempts without a hit count as η_max in the margin, `at most` where the search has
+            not converged; empty: neither. A file of an older version does not say it.
         margin_why: why there is no margin.
         deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
         equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.
@@ -70,10 +73,18 @@ class Cell:
     margins: tuple[Metres, ...] = ()
     beyond: Count = 0
     converged: bool = True
+    margin_is: Annotated[str, Choice(("", AT_LEAST, AT_MOST))] = ""
     margin_why: str = ""
     deformation: Metres | None = None
     equivalent: Annotated[float, Range(0.0, 100.0, "times the braking distance")] | None = None
     equivalent_text: str = ""
+
+    @property
+    def bound(self) -> str:
+        """What the margin is a bound of, as `margin_is` has it, whatever a file says."""
+        if self.margin is None:
+            return ""
+        return AT_MOST if not self.converged else AT_LEAST if self.beyond else ""
 
     def is_narrow(self, room: float) -> bool:
         """Return whether it is passed with less room (m) than wanted; not of one that is green though it hits."""
@@ -257,6 +268,8 @@ def _check_margin(cell: Cell, attempts: int, where: str) -> None:
     # Attempts without a hit count as η_max, and none counts more.
     if cell.beyond > attempts or sorted(cell.margins)[attempts - cell.beyond :] != [max(cell.margins)] * cell.beyond:
         raise UsageError(f"{where}: says that {cell.beyond} attempts have no hit, which its margins do not")
+    if cell.margin_is not in ("", cell.bound):
+        raise UsageError(f"{where}: its margin is {cell.margin_is} what it says, which does not follow from its search")
 
 
 def write_table(path: Path, found: Ncap) -> None:

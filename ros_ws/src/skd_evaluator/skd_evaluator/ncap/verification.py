@@ -9,7 +9,7 @@ from skd_sim.inputs.outside import read_json, read_text
 
 from skd_evaluator.campaign.store.verification import Verified
 from skd_evaluator.ncap.points import points_of, with_calculator
-from skd_evaluator.ncap.result import RESULT, TABLE, checked, ncap_of, table_of
+from skd_evaluator.ncap.result import AT_LEAST, AT_MOST, RESULT, TABLE, Ncap, checked, ncap_of, table_of
 
 
 def with_regulator(found: Verified) -> Verified:
@@ -33,5 +33,19 @@ def with_regulator(found: Verified) -> Verified:
             problems.append(f"{path}: its points are not those of its colours, by Euro NCAP's calculator")
     elif said.points:
         remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
+    remarks += _bounds(said)
     remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
     return replace(found, problems=tuple(problems), remarks=tuple(remarks))
+
+
+def _bounds(said: Ncap) -> list[str]:
+    """Return how many margins are bounds of what they say, a line for each kind."""
+    cells = [cell for grid in said.grids for cell in grid.cells if cell.margin is not None]
+    lines = []
+    for bound, why in (
+        (AT_LEAST, "lower bounds: no hit was found in some of their attempts, which count as η_max"),
+        (AT_MOST, "upper bounds: the search has not converged"),
+    ):
+        if count := sum(cell.bound == bound for cell in cells):
+            lines.append(f"{count} of {len(cells)} margins are {why}")
+    return lines

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import types
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from skd_sim.choices.suggestion import did_you_mean
@@ -25,7 +26,7 @@ def build(kind: type[Section], data: Any, where: str, path: str) -> Section:
     if unknown:
         key, known = name_of_key(unknown[0]), [*fields, *getattr(kind, "also", ())]
         raise UsageError(f"{where}: unknown key {prefix}{key}; allowed: {', '.join(known)}{did_you_mean(key, known)}")
-    hints = get_type_hints(kind, include_extras=True)
+    hints = _hints_of(cast(Hashable, kind))
     values: dict[str, Any] = {}
     for name in fields:
         if name not in data:
@@ -34,6 +35,12 @@ def build(kind: type[Section], data: Any, where: str, path: str) -> Section:
             raise UsageError(f"{where}: missing key {prefix}{name}")
         values[name] = _value(hints[name], data[name], where, f"{prefix}{name}")
     return kind(**values)
+
+
+@functools.cache
+def _hints_of(kind: type[Any]) -> dict[str, Any]:
+    """Return the types of a dataclass's fields, which are evaluated from texts: that takes longer than all the rest."""
+    return get_type_hints(kind, include_extras=True)
 
 
 def _value(kind: Any, value: Any, where: str, key: str) -> Any:

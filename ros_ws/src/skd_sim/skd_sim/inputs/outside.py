@@ -7,10 +7,12 @@ not made in this process asks here: for its bytes, its text, or the plain data o
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import os
 import stat
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -136,14 +138,23 @@ def parse_json(content: bytes | str, where: str) -> Any:
 
     Raises:
         UsageError: it is no JSON; is nested deeper than `DEEPEST`; has more than some million values, a number that is
-            not finite or has more than 64 bits, or a text that is none.
+            not finite or has more than 64 bits, a text that is none, or a key that stands twice in an object: one
+            reader takes the first value, another the last.
     """
     try:
-        text = content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass")
-        if sum(map(text.count, (b",", b"[", b"{"))) > _MOST:
+        text = content.decode("utf-8-sig") if isinstance(content, bytes) else content
+        if not text.isascii():
+            text.encode("utf-8")  # of half a character
+        if sum(map(text.count, ",[{")) > _MOST:
             raise ValueError(f"it has more than {_MOST} values")
-        data = json.loads(content, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole)
-        _look_through(data)
+        data = json.loads(
+            text,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+            parse_int=_whole,
+            object_pairs_hook=_each_once,
+        )
+        _look_through(data, texts="\\u" in text)
     except RecursionError as error:
         raise UsageError(f"{where}: not JSON that SKD reads: it is nested deeper than {DEEPEST} levels") from error
     except ValueError as error:
@@ -153,6 +164,14 @@ def parse_json(content: bytes | str, where: str) -> Any:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no number in JSON")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"{twice[:60]!r} stands twice in one object")
+    return found
 
 
 def _finite(text: str) -> float:
@@ -169,18 +188,25 @@ def _whole(text: str) -> int:
     return value
 
 
-def _look_through(data: Any) -> None:
-    """Refuse data that are nested too deeply, and texts with half a character, which cannot be written."""
+def _look_through(data: Any, *, texts: bool) -> None:
+    """Refuse data that are nested too deeply, and texts with half a character, which cannot be written.
+
+    Args:
+        data: what JSON says.
+        texts: whether there can be such texts: only escapes make them.
+    """
     level = [data]
     for _ in range(DEEPEST + 1):
-        for one in level:
-            texts = (one,) if isinstance(one, str) else one if isinstance(one, dict) else ()
-            for text in texts:
-                if not text.isascii():
-                    text.encode("utf-8")
+        if texts:
+            for text in itertools.chain.from_iterable(
+                (one,) if isinstance(one, str) else one if isinstance(one, dict) else () for one in level
+            ):
+                text.encode("utf-8")
         inside = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
-        level = [one for part in inside for one in part]
-        if not level:
+        # Numbers, of which there are most, are left out at once.
+        kept = (dict, list, str) if texts else (dict, list)
+        level = [one for part in inside for one in part if type(one) in kept]
+        if not inside:
             return
     raise ValueError(f"it is nested deeper than {DEEPEST} levels")
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.scenario import scenario_from_dict
 
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
@@ -332,7 +331,7 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
 
 def _encounter(result: StoredResult) -> dict[str, Any]:
     """Return a result's scenario with every key of today, except for those that are compared separately."""
-    scenario = scenario_from_dict(result.figures["scenario"], str(result.folder)).as_dict()
+    scenario = result.encounter
     collision = {key: value for key, value in scenario["collision"].items() if key != "hit_speed"}
     return {**{key: value for key, value in scenario.items() if key != "eta_max"}, "collision": collision}
 

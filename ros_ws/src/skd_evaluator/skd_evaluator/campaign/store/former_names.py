@@ -38,6 +38,13 @@ _DROPPED_AT_THE_TOP = (
     "deformation_closeness_ci95",
 )
 _EQUIVALENT = ("", "_text", "_ci95", "_ci95_text", "_ci95_these_phi", "_ci95_these_phi_text")
+_NEEDED = ("objectives", "measures", "probability_bound")
+_NEEDED_OF_OBJECTIVES = ("plans_deformation", "measures", "probability_bound")
+"""Keys without which a result of before the margin is of the first versions, which this one cannot read."""
+
+
+class OlderResultError(ValueError):
+    """A result is of a version whose figures this one cannot tell; the message says which, and what to do."""
 
 
 def of_today(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -51,6 +58,7 @@ def of_today(figures: Mapping[str, Any]) -> dict[str, Any]:
         figures: content of the file; it is not changed.
 
     Raises:
+        OlderResultError: it is of a version that cannot be translated.
         ValueError: it has keys of both, or only some of today's: nobody can tell what its intervals are.
     """
     present = [name for name in TODAYS if name in figures]
@@ -82,6 +90,16 @@ def knowledge_of(figures: Mapping[str, Any]) -> Knowledge:
 
 def _translated(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result of before under the keys of today."""
+    lacking = [name for name in _NEEDED if name not in figures]
+    for one in figures.get("objectives", {}).values():
+        lacking += [name for name in _NEEDED_OF_OBJECTIVES if name not in one]
+    if lacking and "scenario" in figures:
+        git = (figures.get("provenance") or {}).get("git") or {}
+        by = f" at revision {git['revision'][:7]}" if git.get("revision") else ""
+        raise OlderResultError(
+            f"was written by an early SKD {figures.get('version', '')}{by}, when results had no {lacking[0]}: this "
+            "version cannot read its figures; run the assessment again, or read it with the SKD that wrote it"
+        )
     objectives = {name: _planned(one) for name, one in figures["objectives"].items()}
     of_skd = objectives[first_of(SKD_OBJECTIVES, figures["objectives"])]
     top = {name: value for name, value in figures.items() if name not in _DROPPED_AT_THE_TOP}

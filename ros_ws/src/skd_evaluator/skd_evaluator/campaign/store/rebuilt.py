@@ -85,11 +85,13 @@ class Recomputed:
         agree: names of those that follow.
         contradict: those that do not.
         unknown: names of those of which the folder does not say enough.
+        rating: what its episodes give.
     """
 
     agree: tuple[str, ...]
     contradict: tuple[Contradiction, ...]
     unknown: tuple[str, ...]
+    rating: Rating
 
 
 def can_be_rebuilt(stored: StoredEpisodes) -> bool:
@@ -274,7 +276,7 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
         elif name not in agree:
             agree.append(name)
     contradict += [*_margins_that_cannot_be(rating, stored), *_floors_that_cannot_be(stored)]
-    return Recomputed(tuple(agree), tuple(contradict), tuple(unknown))
+    return Recomputed(tuple(agree), tuple(contradict), tuple(unknown), rating)
 
 
 def _margins_that_cannot_be(rating: Rating, stored: StoredEpisodes) -> Iterator[Contradiction]:
@@ -295,8 +297,9 @@ def _margins_that_cannot_be(rating: Rating, stored: StoredEpisodes) -> Iterator[
                 yield Contradiction(name, way.impact_speed, f"hits from {stored.hit_speed:g} m/s on")
     if margins.how:
         return
+    successes = [one.successes_by_phi for one in rating.assessments]
     for index, ways in enumerate(margins.ways):  # of each attempt that was wanted, of which no more can have succeeded
-        reached = max(one.successes_by_phi[index] for one in rating.assessments)
+        reached = max(counts[index] for counts in successes)
         if len(ways) < reached:
             yield Contradiction(f"number of margins of safe trajectory {index}", len(ways), f"at least {reached}")
     for number in np.flatnonzero(stored.hit & (stored.mode == Mode.KAMIKAZE)).tolist():
@@ -350,7 +353,13 @@ def _above(name: str) -> list[str]:
 
 def _branches(leaves: Mapping[str, Any]) -> set[str]:
     """Return the names of all that has something inside."""
-    return {above for name in leaves for above in _above(name)}
+    found: set[str] = set()
+    for name in leaves:
+        above = name.rpartition(".")[0]
+        while above and above not in found:  # of one that is there all above it are
+            found.add(above)
+            above = above.rpartition(".")[0]
+    return found
 
 
 def _is_of_an_unknown_measure(name: str, branches: set[str]) -> bool:

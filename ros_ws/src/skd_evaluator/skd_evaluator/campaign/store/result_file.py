@@ -15,7 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.former_names import TODAYS, of_today
+from skd_evaluator.campaign.store.former_names import TODAYS, OlderResultError, of_today
 from skd_evaluator.campaign.store.schema import assessment_schema
 
 ASSESSMENT = "assessment.json"
@@ -50,12 +50,15 @@ def understood(path: Path) -> Iterator[None]:
     """Say in one line that a file is no assessment of ours, where that is found while it is used.
 
     Raises:
-        UsageError: a key or an item is not there, or of a kind that nothing can be done with.
+        UsageError: it is of a version that cannot be read; or a key or an item is not there, or of a kind that nothing
+            can be done with.
     """
     try:
         yield
     except UsageError:
         raise
+    except OlderResultError as error:
+        raise UsageError(f"{path}: {error}") from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         said = " ".join(str(error).split())[:120]
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {said})") from error

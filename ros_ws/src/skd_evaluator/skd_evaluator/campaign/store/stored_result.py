@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
@@ -57,6 +59,15 @@ class StoredResult:
 
     def _repr_html_(self) -> str:
         return figures_html(self.figures, in_doubt(self.figures.get("warnings") or ()))
+
+    @cached_property
+    def encounter(self) -> dict[str, Any]:
+        """Its scenario with every key of today, as plain data.
+
+        Raises:
+            UsageError: it is none.
+        """
+        return scenario_from_dict(self.figures["scenario"], str(self.folder)).as_dict()
 
     @property
     def margin_curve(self) -> VulnerabilityCurve | None:

@@ -17,9 +17,9 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, rebuilt, recompute
+from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 from skd_evaluator.measure.doubt import in_doubt
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ class Verified:
         problems: whatever else is wrong, a line each.
         remarks: remarks for the reader, a line each.
         decisions: result of planning its kamikazes' decisions again, as JSON has it; None if nobody asked for it.
+        read: its figures, whether they are of before the margin, and its episodes, for whoever looks at them further;
+            None if they could not be read.
     """
 
     folder: Path
@@ -53,6 +55,7 @@ class Verified:
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     decisions: Mapping[str, Any] | None = None
+    read: tuple[Mapping[str, Any], bool, StoredEpisodes] | None = None
 
     @property
     def fine(self) -> bool:
@@ -135,14 +138,15 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         remarks += in_doubt(figures.get("warnings") or ())
         if former or not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
-            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
+            read = figures, former, stored
+            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks), read=read)
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
             starts = starts_that_differ(folder, figures, stored)
             if starts is not None:
                 (problems if starts.refused else remarks).append(starts.line)
             if (folder / SURROGATES).exists():  # older results have none
-                problems += _surrogates_that_differ(folder / SURROGATES, rebuilt(figures, stored).surrogates)
+                problems += _surrogates_that_differ(folder / SURROGATES, found.rating.surrogates)
     except UsageError as error:
         return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
     unknown: dict[str, tuple[str, ...]] = {}
@@ -150,7 +154,14 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
         reason = _why_unknown(name)
         unknown[reason] = (*unknown.get(reason, ()), name)
     return Verified(
-        folder, files, found.agree, tuple(map(str, found.contradict)), unknown, tuple(problems), tuple(remarks)
+        folder,
+        files,
+        found.agree,
+        tuple(map(str, found.contradict)),
+        unknown,
+        tuple(problems),
+        tuple(remarks),
+        read=(figures, former, stored),
     )
 
 

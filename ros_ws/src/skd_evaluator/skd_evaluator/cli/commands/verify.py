@@ -17,9 +17,9 @@ from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, stored_verification
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.campaign.store.signature import PublicKey
-from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.margin.again import Again, margins_again
@@ -54,14 +54,13 @@ def with_episodes(found: Verified) -> Verified:
 
     See `skd_evaluator.bags.validation` and `skd_evaluator.margin.again`.
     """
-    if found.problems or not (found.folder / ASSESSMENT).exists():
+    read, found = found.read, replace(found, read=None)  # which of many results would take much memory
+    if found.problems or read is None:
         return found
-    damage = Damage(skip=True)
+    damage, (figures, former, stored) = Damage(skip=True), read
     try:
         with understood(found.folder / ASSESSMENT):
             count = look_through(found.folder / EPISODES, damage)
-            figures, former = read_figures(found.folder)
-            stored = read_episodes(found.folder)
             margins = Again() if former else margins_again(found.folder, figures, stored)
             missing = _missing(stored)
     except UsageError as error:

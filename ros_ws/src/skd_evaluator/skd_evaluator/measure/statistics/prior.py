@@ -37,8 +37,13 @@ else:
     special = on_demand("scipy.special")
 
 FREEDOM = 3.0
-RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 401))
+_PER_DECADE = 40
+RATIOS = np.exp(np.linspace(math.log(1e-4), math.log(1e6), 10 * _PER_DECADE + 1))
 """ρ over which the posterior is added up."""
+_CUT_OFF = 1e-3
+"""Share of the posterior at the greatest ρ, in units of the largest, from which on there have to be greater ones."""
+_BEYOND = 6
+"""Decades that ρ reaches beyond what the φ show."""
 _LEAST = 1e-280  # m²: below it squares become 0
 _NEGLIGIBLE = 1e-10  # of the largest share of the posterior
 EXACT = 0.0
@@ -85,7 +90,7 @@ class Prior:
         Returns:
             None where no φ has two values that differ: then there is nothing to measure the φ's differences by.
         """
-        if not _LEAST < inside < math.inf:
+        if not self.can_tell(inside):
             return None
         half = _half_width(self, tuple(means.tolist()), tuple(counts.tolist()), inside, confidence, precision)
         normal = float(special.ndtri(0.5 + confidence / 2.0))
@@ -95,24 +100,21 @@ class Prior:
         moved = skewness * (1.0 + 2.0 * normal**2) / (6.0 * math.sqrt(len(means))) * half / normal
         return half - min(0.0, moved), half + max(0.0, moved)
 
+    def can_tell(self, inside: float) -> bool:
+        """Return whether there is an interval: the φ's differences are measured by the sum of squares within them."""
+        return _LEAST < inside < math.inf
+
     def half_width(
         self, means: FloatArray, counts: FloatArray, inside: float, confidence: float, precision: float = EXACT
     ) -> float:
         """Return half the width of the interval before it is moved for skewness; arguments as of `interval`."""
-        spreads = RATIOS[:, None] + 1.0 / counts  # variance of each mean, in units of σ²
-        precisions = 1.0 / spreads
-        together = precisions.sum(axis=1)
-        centres = (precisions @ means) / together
-        squares = inside + (precisions * (means - centres[:, None]) ** 2).sum(axis=1)
         freedom = float(counts.sum()) - 1.0
-        steps = (np.log(RATIOS) - math.log(self.ratio)) / self.spread
-        logarithms = -0.5 * (
-            np.log(spreads).sum(axis=1)
-            + np.log(together)
-            + freedom * np.log(squares)
-            + (FREEDOM + 1.0) * np.log1p(steps**2 / FREEDOM)
-        )
-        shares = np.exp(logarithms - logarithms.max())
+        shares, spreads, squares = self._posterior(RATIOS, means, counts, inside)
+        if shares[-1] > _CUT_OFF:  # the values of one φ hardly vary: what they show of ρ lies beyond
+            shown = math.log10(means.var(ddof=1)) - math.log10(inside / freedom)
+            decades = max(1, math.ceil(shown) + _BEYOND - 6)
+            further = 1e6 * 10.0 ** (np.arange(1, decades * _PER_DECADE + 1) / _PER_DECADE)
+            shares, spreads, squares = self._posterior(np.concatenate([RATIOS, further]), means, counts, inside)
         kept = shares > max(_NEGLIGIBLE, precision)
         weights = counts / counts.sum()
         errors = np.sqrt(squares / freedom * (spreads @ weights**2))[kept]
@@ -126,6 +128,25 @@ class Prior:
         return float(
             optimize.brentq(beyond, low, high, xtol=max(2e-12, precision * low), rtol=max(_LEAST_RTOL, precision))
         )
+
+    def _posterior(
+        self, ratios: FloatArray, means: FloatArray, counts: FloatArray, inside: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return for each ρ its share of the posterior, in units of the largest, and what its error follows from."""
+        spreads = ratios[:, None] + 1.0 / counts  # variance of each mean, in units of σ²
+        precisions = 1.0 / spreads
+        together = precisions.sum(axis=1)
+        centres = (precisions @ means) / together
+        squares = inside + (precisions * (means - centres[:, None]) ** 2).sum(axis=1)
+        freedom = float(counts.sum()) - 1.0
+        steps = (np.log(ratios) - math.log(self.ratio)) / self.spread
+        logarithms = -0.5 * (
+            np.log(spreads).sum(axis=1)
+            + np.log(together)
+            + freedom * np.log(squares)
+            + (FREEDOM + 1.0) * np.log1p(steps**2 / FREEDOM)
+        )
+        return np.exp(logarithms - logarithms.max()), spreads, squares
 
 
 DISTANCES = Prior(ratio=0.02, spread=3.0, skewness=1.25)
@@ -152,5 +173,5 @@ def _half_width(
 def sample_skewness(values: FloatArray) -> float:
     """Return the skewness of a sample, the third moment over the second's power of 3/2; 0 where all are the same."""
     deviations = values - values.mean()
-    spread = float((deviations**2).mean())
-    return float((deviations**3).mean()) / spread**1.5 if spread > 0.0 else 0.0
+    cube = float((deviations**2).mean()) ** 1.5
+    return float((deviations**3).mean()) / cube if cube > 0.0 else 0.0

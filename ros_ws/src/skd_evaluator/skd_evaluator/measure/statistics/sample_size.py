@@ -70,8 +70,8 @@ def expected_width(
         prior: what the interval takes as known beforehand. With many φ it makes no difference, and is left out.
         confidence: two-sided, in (0, 1).
     """
-    error = math.sqrt((between + within / attempts) / safe)
-    if prior is None or attempts < 2 or within <= 0.0 or safe > _MANY:
+    error, inside = math.sqrt((between + within / attempts) / safe), within * safe * (attempts - 1.0)
+    if prior is None or not prior.can_tell(inside) or safe > _MANY:
         return 2.0 * student_quantile(safe - 1.0, confidence) * error * _mean_of_root(safe - 1.0)
     counts = np.full(safe, float(attempts))
     # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
@@ -79,7 +79,6 @@ def expected_width(
     means /= means.std(ddof=1)
     freedom = safe - 1.0
     scales = np.sqrt(safe * special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
-    inside = within * safe * (attempts - 1.0)
     reaches = [prior.interval(scale * means, counts, inside, confidence, _PRECISION) for scale in scales]
     widths = np.array([sum(reach) for reach in reaches if reach is not None])
     return float(0.5 * _FEW_WEIGHTS @ widths)

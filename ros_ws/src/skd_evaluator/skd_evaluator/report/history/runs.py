@@ -18,6 +18,8 @@ from skd_evaluator.report.terminal import car_name
 from skd_evaluator.temporary_folders import PREFIX
 
 SHORT = 7  # digits of a commit
+_LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "clustering", "measures")
+"""Entries that no row is of, and nine tenths of a file: of thousands of results they are not kept."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Run:
 
     Attributes:
         folder: its folder.
-        figures: content of its assessment.json, under the keys of today.
+        figures: content of its assessment.json, under the keys of today, without its largest entries.
         remark: what is wrong with its files, in a few words; empty: nothing.
     """
 
@@ -109,7 +111,8 @@ def read_run(folder: Path) -> Run:
     try:
         content = read_json(path)
         with understood(path):
-            run = Run(folder, of_today(content))
+            figures = of_today(content)
+            run = Run(folder, {key: value for key, value in figures.items() if key not in _LARGE})
             run.as_dict()  # it is found here that something is missing
     except UsageError as error:
         return Run(folder, {}, str(error).removeprefix(f"{path}: "))

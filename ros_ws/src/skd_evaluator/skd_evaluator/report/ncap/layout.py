@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from skd_evaluator.ncap.colours import GREEN
-from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.ncap.result import AT_LEAST, Cell, Grid, Ncap
 from skd_evaluator.report.formats import counted
 
 NOTHING = "–"
@@ -14,7 +14,10 @@ COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown"
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""
 LIGHT = ("yellow", "orange")
 """Colours on which words are black."""
-LEGEND = "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m)"
+LEGEND = (
+    "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m; "
+    "≥ is a lower bound: no hit was found in some attempt)"
+)
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def margin_text(cell: Cell) -> str:
     """
     if cell.margin is None:
         return NOTHING
-    return f"{'≥' if cell.beyond and cell.converged else ''}{cell.margin:.2f}"
+    return f"{'≥' if cell.bound == AT_LEAST else ''}{cell.margin:.2f}"
 
 
 def equivalent_text(cell: Cell) -> str:

@@ -1,0 +1,28 @@
+"""What stands in a file twice is refused: one reader takes the first, another the last, and both have a figure."""
+
+from __future__ import annotations
+
+import zipfile
+
+import numpy as np
+import pytest
+from skd_evaluator.arrays import Column, read_arrays
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import parse_json
+
+
+@pytest.mark.parametrize("text", ['{"margin": 9.9, "margin": 0.6}', '[{"a": {"b": 1, "margin": 2, "margin": 2}}]'])
+def test_an_entry_of_json_is_there_once(text):
+    """The last had counted."""
+    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads: 'margin' stands twice in one object"):
+        parse_json(text, "here")
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_an_array_is_in_a_file_once(tmp_path):
+    """The last had counted."""
+    np.savez(tmp_path / "a.npz", margin=np.zeros(3))
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("margin.npy", archive.read("margin.npy"))
+    with pytest.raises(UsageError, match=r"a\.npz: 'margin\.npy' is in it twice"):
+        read_arrays(tmp_path / "a.npz", {"margin": Column(np.float64, (-1,))})
