@@ -12,7 +12,6 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
@@ -24,6 +23,7 @@ from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.errors import UsageError
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp
+from skd_sim.messages.read_message import read_message
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.messages.to_messages import episode_to_message, scenario_text
@@ -72,7 +72,7 @@ _LOST = 10.0  # s: how long after an episode its last states may come, from the 
 
 
 def _read_result(data: bytes) -> tuple[int, Any]:
-    message = deserialize_message(data, EpisodeResult)
+    message = read_message(data, EpisodeResult)
     return from_stamp(message.header.stamp), message
 
 

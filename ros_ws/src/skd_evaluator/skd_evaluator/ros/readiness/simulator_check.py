@@ -40,7 +40,7 @@ class OneSimulator:
         for subscription in self._states:
             topic = subscription.topic_name
             if subscription.get_publisher_count() > 1 and len(living_publishers(self._node, topic)) > 1:
-                names = publisher_names(self._node, topic)
+                names = publisher_names(self._node, topic, least=2)
                 raise AssessmentError(
                     f"{len(names)} nodes publish {topic}, which is the simulator's alone: "
                     f"{' and '.join(names)}; end all but one"
@@ -57,7 +57,7 @@ class OneSimulator:
         alone = len(said) == 1 and len(simulator) == 1 and said[0].same_node(simulator[0])
         self._known = one and alone and said[0].named and simulator[0].named
         if len(said) > 1:
-            names = publisher_names(self._node, topic)
+            names = publisher_names(self._node, topic, least=2)
             return abort_reason(
                 AbortKind.SECOND_SENDER,
                 f"{len(names)} nodes publish {topic}, which is the simulator's alone: {' and '.join(names)}",
