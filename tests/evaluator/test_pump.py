@@ -159,6 +159,24 @@ def test_last_words_of_a_killed_worker_come_out(capfd: pytest.CaptureFixture[str
     assert capfd.readouterr().err == "pump_cars:Dies | last words\n"
 
 
+def test_a_pool_whose_end_was_interrupted_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python ends it once more at its own end, where a descriptor that was closed twice was a traceback."""
+    pool = WorkerPool(1)
+    close = os.close
+
+    def interrupted(one: int) -> None:
+        close(one)
+        if one == mine:
+            raise KeyboardInterrupt
+
+    mine = pool._listen
+    monkeypatch.setattr(os, "close", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pool.shutdown(wait=False)
+    monkeypatch.undo()
+    pool.shutdown(wait=False)
+
+
 def test_a_controller_goes_on_where_nobody_reads_what_it_prints(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(

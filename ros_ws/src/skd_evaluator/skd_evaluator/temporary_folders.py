@@ -43,6 +43,15 @@ def remove_stale(parent: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
+def remove(folder: Path) -> None:
+    """Remove a folder, wholly also where an interrupt comes meanwhile; what cannot be removed stays."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
 def exchange(one: Path, other: Path) -> bool:
     """Exchange two folders at once, so that whoever is killed meanwhile leaves both; tell whether that could be done.
 

@@ -386,9 +386,9 @@ class WorkerPool(Executor):
             worker.end(latest)
         self._give_up(BrokenExecutor("the workers have ended"))
         self._workers = []
-        os.close(self._listen)
-        os.close(self._wake)
-        self._wake = -1
+        ends, self._listen, self._wake = (self._listen, self._wake), -1, -1
+        for one in ends:  # each is closed once, also where an interrupt comes in between
+            os.close(one)
         atexit.unregister(self.shutdown)
 
     def _give_up(self, error: Exception) -> None:

@@ -24,7 +24,7 @@ from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.files import note_in_place
-from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary
+from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary, remove
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class ResultFolder:
         finally:
             if shown.is_symlink():
                 shown.unlink()
-            shutil.rmtree(temporary, ignore_errors=True)
+            remove(temporary)
 
     def write(self, fill: Callable[[Path], None]) -> None:
         """Let `fill` write into a temporary folder beside the target and put it in the target's place.
@@ -152,7 +152,7 @@ class ResultFolder:
     def _remove(self, folder: Path, whole: os.stat_result) -> None:
         """Remove what has not come into its place, or was replaced there; what is somebody else's goes nowhere."""
         if self._is_ours(folder) or _is(folder, whole):
-            shutil.rmtree(folder, ignore_errors=True)
+            remove(folder)
 
     def _exchange(self, temporary: Path, replaced: Path) -> None:
         """Put what is complete in the target's place, and what is to be replaced, if anything, out of the way."""

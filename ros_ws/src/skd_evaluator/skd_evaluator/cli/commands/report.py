@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import shutil
+import os
 import sys
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from skd_evaluator.files import note_in_place
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.terminal import counted
-from skd_evaluator.temporary_folders import make_temporary
+from skd_evaluator.temporary_folders import make_temporary, remove
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -27,7 +27,6 @@ def run(arguments: argparse.Namespace) -> int:
     with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):
         page = render(subjects)
     _write(out, page, overwrite=arguments.overwrite)
-    note_in_place(out)
     size = len(page.encode())
     for line in (line for one in subjects for line in one.remarks):
         print(f"skd report: warning: {line}", file=sys.stderr)
@@ -68,9 +67,14 @@ def _write(out: Path, page: str, *, overwrite: bool) -> None:
         try:
             temporary = folder / out.name
             temporary.write_text(page, encoding="utf-8")
-            _put(temporary, out, overwrite=overwrite)
+            whole = temporary.stat()
+            try:
+                _put(temporary, out, overwrite=overwrite)
+            finally:  # an interrupt may come when it is done
+                if out.exists() and os.path.samestat(out.stat(), whole):
+                    note_in_place(out)
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove(folder)
     except OSError as error:
         raise AssessmentError(f"--out {out}: nothing was written: {error.strerror}") from error
 
