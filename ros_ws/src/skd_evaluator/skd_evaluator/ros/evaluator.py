@@ -48,7 +48,6 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.live_figures import LiveFigures
@@ -226,8 +225,7 @@ class Evaluator(ComposableNode):
             try:
                 self._samples.add_car(stamp, car.x, car.y, car.speed)
             except UsageError as error:
-                self._simulator.require()
-                raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
+                raise self._simulator.contradiction("car", EGO_ODOMETRY, stamp - self._key.start) from error
             self._figures.take_car(stamp, car)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(
@@ -239,8 +237,7 @@ class Evaluator(ComposableNode):
             try:
                 self._samples.add_adversary(stamp, adversary.x, adversary.y)
             except UsageError as error:
-                self._simulator.require()
-                raise AssessmentError(f"two different states of the adversary came for one tick: {error}") from error
+                raise self._simulator.contradiction("adversary", ADVERSARY_ODOMETRY, stamp - self._key.start) from error
             self._figures.take_adversary(stamp, adversary)
 
     def _on_result(self, stamp: int, message: Any) -> None:

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.episode.stamps import NANOSECONDS
 from skd_sim.nodes.publishers import living_publishers, publisher_names
 
 from skd_evaluator.bags.validation import examine
@@ -45,6 +46,18 @@ class OneSimulator:
                     f"{len(names)} nodes publish {topic}, which is the simulator's alone: "
                     f"{' and '.join(names)}; end all but one"
                 )
+
+    def contradiction(self, whose: str, topic: str, at: int) -> AssessmentError:
+        """Return what is wrong where two different states came, `at` ns after the begin of the episode.
+
+        Raises:
+            AssessmentError: two nodes publish them, who are named.
+        """
+        self.require()
+        return AssessmentError(
+            f"two different states of the {whose} came for {at / NANOSECONDS:.3f} s of the episode: another node, "
+            f"which is gone, has published {self._node.resolve_topic_name(topic)}, or the simulator contradicts itself"
+        )
 
     def foreign_sender(self) -> str | None:
         """Return, as the reason of an abort, who else publishes results; none where only the simulator does."""
