@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_evaluator.cli.arguments import whole_number
-from skd_sim.apart.apart import ApartCar, apart, close_all
+from skd_sim.apart.apart import apart, close_all, made_in
+from skd_sim.apart.car_process import ApartCar
 from skd_sim.apart.guard import guard
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
@@ -76,7 +77,7 @@ def start(controller: str, repeats: int) -> Cost:
     for _ in range(repeats):
         begin, before = time.perf_counter(), os.times()
         process = ApartCar(CarUnderTest(controller))
-        process.make()
+        made_in(process)
         wall = time.perf_counter() - begin
         process.close()
         after = os.times()

@@ -23,8 +23,8 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.search import search_margin
-from skd_sim.apart import apart as apart_module
-from skd_sim.apart.apart import ApartCar, apart, close_all
+from skd_sim.apart.apart import apart, close_all, made_in, pids
+from skd_sim.apart.car_process import ApartCar, Call
 from skd_sim.apart.guard import guard
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import make_controller
@@ -405,7 +405,7 @@ def test_a_generator_says_nothing_of_seed_and_episode() -> None:
 
 def test_a_car_ends_with_its_pipe(tmp_path: Path) -> None:
     car = ApartCar(car_of("Honest"))
-    car.make()
+    made_in(car)
     assert Path(f"/proc/{car.pid}").exists()
     car.close()
     assert not Path(f"/proc/{car.pid}").exists()
@@ -485,11 +485,11 @@ def test_a_call_that_takes_long_is_seen(cars: Path) -> None:
     begin = time.monotonic()
     asking = threading.Thread(target=controller.reset, args=(CROSSING, controller_generator(bytes(32))))
     asking.start()
-    wait_until(lambda: apart_module.Call.since is not None, "the call")
-    assert apart_module.Call.since >= begin
+    wait_until(lambda: Call.since is not None, "the call")
+    assert Call.since >= begin
     asking.join()
-    assert apart_module.Call.since is None
-    assert os.getpid() not in apart_module.pids()
+    assert Call.since is None
+    assert os.getpid() not in pids()
 
 
 def test_nothing_of_a_controllers_folder_runs_before_its_process_is_secluded(

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import itertools
 import os
+import re
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -15,8 +20,9 @@ import pytest
 from common import PATIENCE, wait_until
 from skd_evaluator.campaign.run.worker_pool import LostWorkerError, WorkerPool
 from skd_sim import load_scenario
+from skd_sim.apart import pump as pump_module
 from skd_sim.apart.apart import apart, close_all, pids
-from skd_sim.apart.pump import Pump, _Lines, _pieces
+from skd_sim.apart.pump import Pump, _Lines, pieces
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.randomness import controller_generator
 from skd_sim.errors import AssessmentError
@@ -153,6 +159,24 @@ def test_last_words_of_a_killed_worker_come_out(capfd: pytest.CaptureFixture[str
     assert capfd.readouterr().err == "pump_cars:Dies | last words\n"
 
 
+def test_a_pool_whose_end_was_interrupted_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python ends it once more at its own end, where a descriptor that was closed twice was a traceback."""
+    pool = WorkerPool(1)
+    close = os.close
+
+    def interrupted(one: int) -> None:
+        close(one)
+        if one == mine:
+            raise KeyboardInterrupt
+
+    mine = pool._listen
+    monkeypatch.setattr(os, "close", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        pool.shutdown(wait=False)
+    monkeypatch.undo()
+    pool.shutdown(wait=False)
+
+
 def test_a_controller_goes_on_where_nobody_reads_what_it_prints(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(
@@ -201,7 +225,7 @@ def has_gone(pid: int) -> bool:
         return True
 
 
-def test_lines_are_made_of_pieces() -> None:
+def test_lines_are_made_ofpieces() -> None:
     lines = _Lines("a:B", "utf-8")
     assert list(lines.take("é".encode()[:1])) == []
     assert list(lines.take("é".encode()[1:] + b"\r")) == []
@@ -219,11 +243,68 @@ def test_lines_are_made_of_pieces() -> None:
 def test_no_piece_is_wider_than_there_is_room() -> None:
     """Or a terminal would break it, and lead the rest by nothing."""
     text = "ab" + "漢字" * 30 + "c" * 50
-    pieces = list(_pieces(text, 20))
-    assert "".join(pieces) == text
-    assert all(sum(1 if one.isascii() else 2 for one in piece) <= 20 for piece in pieces)
-    assert list(_pieces("", 20)) == [""]
-    assert list(_pieces("a" * 41, 20)) == ["a" * 20, "a" * 20, "a"]
+    some = list(pieces(text, 20))
+    assert "".join(some) == text
+    assert all(sum(1 if one.isascii() else 2 for one in piece) <= 20 for piece in some)
+    assert list(pieces("", 20)) == [""]
+    assert list(pieces("a" * 41, 20)) == ["a" * 20, "a" * 20, "a"]
+
+
+class Screen:
+    """What a terminal shows of what it is sent, in rows of so many columns."""
+
+    def __init__(self, columns: int) -> None:
+        self._columns, self._column = columns, 0
+        self.rows = [""]
+
+    def feed(self, text: str) -> None:
+        for one in re.findall(r"\x1b\[K|[\r\n]|[^\x1b]", text):
+            row = self.rows[-1]
+            if one == "\x1b[K":
+                self.rows[-1] = row[: self._column]
+            elif one == "\r":
+                self._column = 0
+            elif one == "\n":
+                self._newline()
+            else:
+                wide = 1 if one.isascii() else 2
+                if self._column + wide > self._columns:
+                    self._newline()
+                    row = ""
+                self.rows[-1] = row[: self._column] + one * wide + row[self._column + wide :]
+                self._column += wide
+
+    def _newline(self) -> None:
+        self.rows.append("")
+        self._column = 0
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Yield one in place of standard error."""
+    ours, theirs = os.openpty()
+    monkeypatch.setattr(pump_module, "_STDERR", theirs)
+    monkeypatch.setenv("TERM", "xterm")
+    yield theirs
+    os.close(ours)
+    os.close(theirs)
+
+
+@pytest.mark.parametrize(
+    "name", ["cars:Car", "of_a_long_name." * 5 + "m:C", "名前:Car" * 9], ids=["short", "long", "wide"]
+)
+def test_on_a_terminal_no_row_is_led_by_nothing(terminal: int, name: str) -> None:
+    """Whatever stands there already: SKD's bar ends in the middle of a row. Nor where the name is as long as a row."""
+    said = "skd assess: warning: all is well "
+    for columns in (30, 80):
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+        for bar, padding in itertools.product((0, columns - 3), range(0, columns, 3)):
+            screen, lines = Screen(columns), _Lines(name, "utf-8")
+            screen.feed("#" * bar)
+            for one in (*lines.take((" " * padding + said * 3 + "\n").encode()), *lines.rest(last=True)):
+                screen.feed(one.decode())
+            assert not [row for row in screen.rows if row and " |" not in row], screen.rows
+            assert screen.rows[-1] == ""
 
 
 def test_a_pump_is_deaf_to_what_the_terminal_sends() -> None:

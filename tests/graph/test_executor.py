@@ -12,10 +12,19 @@ from typing import Any
 import pytest
 import rclpy
 from common import new_domain, wait_until
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.ros.readiness.one_evaluator import OneEvaluator
+from skd_msgs.msg import Episode, EpisodeResult
+from skd_sim.messages.read_message import read_message
 from skd_sim.nodes.executor import LockstepExecutor
+from skd_sim.nodes.publishers import publisher_names
+from skd_sim.nodes.support import STREAM, listen
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
@@ -203,3 +212,42 @@ def test_a_spin_ends_when_it_is_over(executor: LockstepExecutor) -> None:
     end = time.monotonic() + 0.2
     executor.spin(lambda: time.monotonic() > end)
     assert time.monotonic() > end
+
+
+def test_what_a_stranger_asks_ends_no_node(context: Any, node: Node, executor: LockstepExecutor) -> None:
+    """rclpy's own service raises at a parameter of no known type, and with that the evaluator ended in a traceback."""
+    asked = node.create_client(SetParameters, "/node/set_parameters")
+    spin_until(executor, asked.service_is_ready)
+    odd = asked.call_async(SetParameters.Request(parameters=[Parameter(name="a", value=ParameterValue(type=99))]))
+    usual = asked.call_async(SetParameters.Request(parameters=[Parameter(name="a", value=ParameterValue(type=1))]))
+    spin_until(executor, usual.done)
+    assert not odd.done()
+
+
+def test_bytes_that_are_no_message_are_left_out(node: Node, executor: LockstepExecutor) -> None:
+    """Of an episode's result they ended the assessment with a traceback."""
+    heard: list[Any] = []
+    publisher = node.create_publisher(EpisodeResult, "/result", STREAM)
+    listen(node, EpisodeResult, "/result", lambda data: (read_message(data, EpisodeResult),), heard.append)
+    spin_until(executor, publisher.get_subscription_count)
+    publisher.publish(b"\0\1\0\0" + b"\xff" * 40)
+    publisher.publish(EpisodeResult(campaign="c"))
+    spin_until(executor, lambda: heard)
+    assert [message.campaign for message in heard] == ["c"]
+
+
+def test_bytes_that_are_no_episode_announce_none(node: Node) -> None:
+    announcer = OneEvaluator(node, "c")
+    announcer._on_episode(b"\0\1\0\0" + b"\xff" * 40)
+    announcer._on_episode(bytes(serialize_message(Episode(campaign="another"))))
+    announcer.require()
+    announcer._on_episode(bytes(serialize_message(Episode(campaign="c", episode_id=7))))
+    with pytest.raises(AssessmentError, match=r"a node that is gone has published /skd/episode, .* of episode 7; end"):
+        announcer.require()
+
+
+def test_of_two_publishers_of_whom_one_is_gone_meanwhile_both_are_counted(node: Node) -> None:
+    """A line said that 1 nodes publish what one may."""
+    node.create_publisher(Int32, "numbers", 1)
+    wait_until(lambda: publisher_names(node, "numbers"))
+    assert publisher_names(node, "numbers", least=2) == ["/node", "one that is gone"]

@@ -15,6 +15,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.readiness.simulator_check import refuted
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.state import CarState
 
 
 def run(
@@ -66,6 +67,19 @@ def test_a_simulator_that_lies(
     recorded = read_episodes([tmp_path / "bags"])[0].log
     assert recorded.reason == log.reason
     assert_same_log(recorded, log)
+
+
+def test_states_of_a_node_that_is_gone(domain: int, tmp_path: Path) -> None:
+    """Who publishes them is not listed any more; the line spoke of recordings, of which there is none."""
+    with evaluator(tmp_path / "bags", own_world=True) as node:
+        node._on_car(600_000_000, CarState(0.0, 1.0, 1.5, 8.0))
+        node._on_car(600_000_000, CarState(0.0, 1.0, 1.5, 8.0))
+        with pytest.raises(AssessmentError) as error:
+            node._on_car(600_000_000, CarState(0.0, 1.0, 1.5, 0.0))
+    assert str(error.value) == (
+        "two different states of the car came for 0.600 s of the episode: another node, which is gone, has published "
+        "/ego/odometry, or the simulator contradicts itself"
+    )
 
 
 def test_two_simulators(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:

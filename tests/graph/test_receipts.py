@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.readiness import receipts
+from skd_evaluator.ros.readiness.failures import Failures
 from skd_msgs.msg import EpisodeReceipt
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
@@ -64,8 +67,11 @@ class Listener:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *publishers: str) -> None:
         self.refused: list[str] = []
         self.publishers = list(publishers)
+        self.kinds: dict[str, str] = {}
         monkeypatch.setattr(
-            receipts, "living_publishers", lambda *_: [SimpleNamespace(name=n) for n in self.publishers]
+            receipts,
+            "living_publishers",
+            lambda *_: [SimpleNamespace(name=n, kind=self.kinds.get(n, receipts._KIND)) for n in self.publishers],
         )
         self.received = receipts.ReceivedReceipts(self, ("adversary",), self.refused.append, Seal())  # type: ignore[arg-type]
 
@@ -133,3 +139,26 @@ def test_who_runs_other_code(listener: Listener) -> None:
     listener.hear("/adversary", EPISODE, code=f"skd_adversary:0123456789ab {software(('skd_sim',))}")
     (reason,) = listener.refused
     assert reason.startswith("not as asked: /adversary runs another version of skd_adversary:")
+
+
+def test_who_publishes_something_else_on_the_topic_is_not_waited_for(listener: Listener) -> None:
+    listener.publishers.append("/stranger")
+    listener.kinds["/stranger"] = "std_msgs/msg/String"
+    for name in ("/adversary", "/vehicle_simulator"):
+        listener.hear(name, EPISODE)
+    assert listener.received.awaited() == []
+    listener.kinds.clear()
+    assert listener.received.awaited() == ["/stranger"]
+
+
+def test_episodes_that_nobody_runs_as_asked_end_the_campaign() -> None:
+    """Each is waited for: an assessment of a thousand took hours, and said nothing of the car."""
+    said: list[str] = []
+    failures = Failures(said.append)
+    unasked = aborted(EPISODE, "not as asked: /stranger did not say what it took the episode for")
+    whole = replace(unasked, adversary=np.zeros((5, 2)))
+    for one in (whole, whole, aborted(EPISODE, "refuted: by its states"), whole, whole):
+        failures.note(one)
+    with pytest.raises(AssessmentError, match="3 episodes in a row were not as asked: /stranger did not say"):
+        failures.note(whole)
+    assert len(said) == 2

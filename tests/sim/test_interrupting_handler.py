@@ -6,12 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from common import PATIENCE
-from skd_sim.program.interruption import Interruption
+from skd_sim.program.interruption import Interrupted, Interruption
 
 PROGRAM = """
 import os, signal, sys, time
@@ -136,3 +137,19 @@ def test_a_signal_in_the_moment_in_which_it_begins_to_be_ignored_says_nothing(mo
         sys.unraisablehook(at_the_end)  # type: ignore[arg-type]
         sys.unraisablehook(other)  # type: ignore[arg-type]
     assert said == [at_the_end, other]
+
+
+def test_a_second_signal_does_not_break_off_what_the_first_one_cleans_up() -> None:
+    """Who presses Ctrl-C twice left temporary folders, and a traceback of a pool that was closed twice."""
+    cleaned = False
+    with Interruption(cleaning=0.1) as interruption:
+        with pytest.raises(Interrupted):
+            signal.raise_signal(signal.SIGINT)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+        cleaned = True
+        time.sleep(0.1)
+        with pytest.raises(Interrupted):  # what hangs can be ended all the same
+            signal.raise_signal(signal.SIGINT)
+    assert cleaned
+    assert interruption.came

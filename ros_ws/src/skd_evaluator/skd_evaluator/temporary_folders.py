@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import shutil
@@ -12,6 +13,8 @@ from contextlib import suppress
 from pathlib import Path
 
 PREFIX = ".skd-"
+_EXCHANGE, _HERE = 1 << 1, -100
+"""Of renameat2(2): RENAME_EXCHANGE, and AT_FDCWD."""
 _NAME = re.compile(r"\.skd-([0-9a-f]{8})-([0-9]{1,10})-([0-9]{1,20})-[^.]+")
 
 
@@ -38,6 +41,26 @@ def remove_stale(parent: Path) -> None:
             found = _NAME.fullmatch(folder.name)
             if found and found[1] == _machine() and not folder.is_symlink() and found[3] != _started(int(found[2])):
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove(folder: Path) -> None:
+    """Remove a folder, wholly also where an interrupt comes meanwhile; what cannot be removed stays."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def exchange(one: Path, other: Path) -> bool:
+    """Exchange two folders at once, so that whoever is killed meanwhile leaves both; tell whether that could be done.
+
+    It takes Linux and a file system that can do so (renameat2(2)).
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(library, "renameat2"):
+        return False
+    return bool(library.renameat2(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0)
 
 
 def _machine() -> str:

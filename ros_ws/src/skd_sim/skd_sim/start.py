@@ -18,7 +18,7 @@ from skd_sim.program.places import places_put_off
 from skd_sim.program.secret import handed_secret
 
 
-def start(module: str, interrupted: int = 0) -> int:
+def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
     """Import a module, run its `main`, and return the process's exit code.
 
     A package that is missing or too old is one line, and exit code 2.
@@ -26,10 +26,11 @@ def start(module: str, interrupted: int = 0) -> int:
     Args:
         module: name of the module, whose `main` takes its arguments from the command line.
         interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
+        cleaning: s after a signal in which another one does nothing, see `Interruption`.
     """
     open_closed()
     places_put_off()
-    interruption = Interruption()
+    interruption = Interruption(cleaning)
     interruption.listen()
     code = interrupted
     try:

@@ -17,6 +17,7 @@ from skd_sim.program.lasting import import_lasting
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import begin_command, what_is_in_place
 from skd_evaluator.verbosity import be_verbose, is_verbose
 
 EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
@@ -43,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     arguments = parse(make_parser(), words)
     arguments.command_line = ["skd", *words]
+    begin_command()
     be_verbose(getattr(arguments, "verbose", False))
     behind = own(sys.stdout)
     if isinstance(behind, io.TextIOWrapper):
@@ -75,7 +77,7 @@ def _run(words: list[str]) -> int:
         print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
-        print(f"skd {arguments.command}: interrupted; nothing was written", file=sys.stderr)
+        print(f"skd {arguments.command}: interrupted; {one_line(what_is_in_place())}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         give_up()

@@ -12,7 +12,6 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
@@ -24,6 +23,7 @@ from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.errors import UsageError
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp
+from skd_sim.messages.read_message import read_message
 from skd_sim.messages.seal import Seal
 from skd_sim.messages.stream_cdr import read_adversary, read_car, read_clock, read_linear
 from skd_sim.messages.to_messages import episode_to_message, scenario_text
@@ -48,7 +48,6 @@ from visualization_msgs.msg import MarkerArray
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.composed import Composed
 from skd_evaluator.ros.live_figures import LiveFigures
@@ -72,7 +71,7 @@ _LOST = 10.0  # s: how long after an episode its last states may come, from the 
 
 
 def _read_result(data: bytes) -> tuple[int, Any]:
-    message = deserialize_message(data, EpisodeResult)
+    message = read_message(data, EpisodeResult)
     return from_stamp(message.header.stamp), message
 
 
@@ -226,8 +225,7 @@ class Evaluator(ComposableNode):
             try:
                 self._samples.add_car(stamp, car.x, car.y, car.speed)
             except UsageError as error:
-                self._simulator.require()
-                raise AssessmentError(f"two different states of the car came for one tick: {error}") from error
+                raise self._simulator.contradiction("car", EGO_ODOMETRY, stamp - self._key.start) from error
             self._figures.take_car(stamp, car)
             if self._marker_publisher.get_subscription_count() > 0:
                 self._marker_publisher.publish(
@@ -239,8 +237,7 @@ class Evaluator(ComposableNode):
             try:
                 self._samples.add_adversary(stamp, adversary.x, adversary.y)
             except UsageError as error:
-                self._simulator.require()
-                raise AssessmentError(f"two different states of the adversary came for one tick: {error}") from error
+                raise self._simulator.contradiction("adversary", ADVERSARY_ODOMETRY, stamp - self._key.start) from error
             self._figures.take_adversary(stamp, adversary)
 
     def _on_result(self, stamp: int, message: Any) -> None:

@@ -1,239 +1,33 @@
 """A user's controller in a process of its own, and copies of it there: to whoever asks them they are controllers.
 
-That process is a new Python, not a fork: it has nothing of this one but its environment and its working folder. What it
-is told is the controller's name, and what `reset`, `sense` and `command` are given. A call takes some ten microseconds
-more than in this process. What it prints comes to standard error through another one, see `skd_sim.apart.pump`.
+The process is `skd_sim.apart.car_process`; those that this process keeps are closed by `close_all`.
 """
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import os
-import pickle
-import select
 import struct
-import subprocess
-import sys
-import time
-from collections.abc import Callable
 from math import isfinite
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from skd_sim.apart.beginning import Beginning, SentModule, SentModules
-from skd_sim.apart.pump import Pump
-from skd_sim.apart.wire import (
-    COMMAND,
-    COMMANDS,
-    COPY,
-    HEADER,
-    LOADED,
-    OF_ONE,
-    SCENE,
-    SENSE,
-    ClosedError,
-    Op,
-    read_answer,
-    write_all,
-)
+from skd_sim.apart.beginning import SentModule, SentModules
+from skd_sim.apart.car_process import ApartCar, loaded
+from skd_sim.apart.wire import COMMAND, COMMANDS, OF_ONE, SCENE, SENSE, Op
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.definition import CONTROL_PERIODS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError
-from skd_sim.program.places import PUT_OFF, users_first
 from skd_sim.sensors.scan import Scan
 from skd_sim.state import AdversaryState, CarState, Scene
 
 _MOST: Final = 4  # processes of different controllers that are kept
-_PATIENCE: Final = 2.0  # s for a process whose pipe is closed to end
 _LARGEST: Final = 2**63 - 1
 _MOST_GENERATORS: Final = 1_000_000  # that one keeps
-_COMMAND, _COPY, _FORGET = Op.COMMAND.value, Op.COPY.value, Op.FORGET.value
-_HERE: Final = str(Path(__file__).parents[2])
-_PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.car import main; main()"
-
-
-class Call:
-    """The call of a controller that has not come back yet.
-
-    Attributes:
-        since: when it began (time.monotonic); None outside of calls.
-    """
-
-    since: float | None = None
-
-
-class ApartCar:
-    """The process of a user's controller.
-
-    Attributes:
-        pid: of it.
-    """
-
-    def __init__(self, car: CarUnderTest, modules: SentModules | None = None) -> None:
-        """Start it.
-
-        Args:
-            car: whose controller it is to load, when one is made.
-            modules: that it finds in memory.
-        """
-        self.name = car.controller
-        theirs, self._out = os.pipe()
-        self._in, their_answers = os.pipe()
-        printed, their_prints = os.pipe()
-        command = [sys.executable, "-P", "-c", _PROGRAM, _HERE, str(theirs), str(their_answers)]
-        # Who goes by the order of a set of names is the same car in each process.
-        variables = {"PYTHONHASHSEED": "0", **os.environ}
-        # Nothing of a controller's folder, as a sitecustomize.py, is to run before the process is secluded.
-        variables[PUT_OFF] = variables.pop("PYTHONPATH", "")
-        self._pid_file = -1
-        try:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=their_prints,
-                stderr=their_prints,
-                pass_fds=(theirs, their_answers),
-                env=variables,
-            )
-            self.pid = self._process.pid
-            try:
-                if hasattr(os, "pidfd_open"):  # Linux
-                    self._pid_file = os.pidfd_open(self.pid)
-                self._pump = Pump(car.controller, printed, self._pid_file)
-            except BaseException:  # no process or descriptor is left for it
-                self._process.kill()
-                self._process.wait()
-                raise
-        finally:
-            for file in (theirs, their_answers, printed, their_prints):
-                os.close(file)
-        self._ending: select.poll | None = None
-        if self._pid_file >= 0:
-            self._ending = select.poll()
-            self._ending.register(self._in, select.POLLIN)
-            self._ending.register(self._pid_file, select.POLLIN)
-        self._numbers = itertools.count()
-        self._later = bytearray()
-        self._can_copy = False
-        main = getattr(sys.modules["__main__"], "__file__", "") if car.controller.startswith("__main__:") else ""
-        self.add(_loaded(Op.BEGIN, 0, Beginning(users_first(), car.controller, car.multiplier, modules, main)))
-
-    @property
-    def pids(self) -> tuple[int, int]:
-        """Ids of its two processes."""
-        return self.pid, self._pump.pid
-
-    def make(self) -> ApartController:
-        """Make a controller there.
-
-        Raises:
-            UsageError: it cannot be loaded.
-            AssessmentError: a controller before it has changed what its process says.
-        """
-        number = next(self._numbers)
-        told = self.ask(OF_ONE.pack(Op.MAKE, number), timed=False)
-        try:
-            sensing, scene, batches, period = (told[name] for name in ("sensing", "scene", "batches", "control_period"))
-            kind = ApartSensingController if sensing else ApartController
-            period = None if period is None else float(period)
-            if period is not None and not CONTROL_PERIODS.low <= period <= CONTROL_PERIODS.high:
-                raise ValueError(period)
-        except (KeyError, TypeError, ValueError, OverflowError):
-            raise AssessmentError(f"controller {self.name}: its process does not say what it is") from None
-        return kind(self, number, period, takes_scene=bool(scene), takes_batches=bool(batches))
-
-    def ask(self, operation: bytes, *, timed: bool = True) -> Any:
-        """Send an operation, and what was put off until now; return the answer.
-
-        Args:
-            operation: see `skd_sim.apart.wire`.
-            timed: whether it is a call of the controller, which may take only so long.
-
-        Raises:
-            AssessmentError: the controller fails, or its process has ended.
-        """
-        later = self._later
-        Call.since = time.monotonic() if timed else None
-        try:
-            if later:
-                operation = bytes(later) + operation
-                later.clear()
-            write_all(self._out, HEADER.pack(len(operation)) + operation)
-            self._wait_for_answer()
-            return read_answer(self._in)
-        except ClosedError:
-            when_lost(self._ended(), self.name)
-            raise
-        finally:
-            Call.since = None
-
-    def _wait_for_answer(self) -> None:
-        """Wait until something comes, or the process has ended: children of its own may hold its end of the pipe.
-
-        Raises:
-            ClosedError: it has ended, and said nothing.
-        """
-        if self._ending is not None and not any(file == self._in for file, _ in self._ending.poll()):
-            raise ClosedError
-
-    def add(self, operation: bytes) -> None:
-        """Put off an operation that has no answer of its own until the next question."""
-        self._later += operation
-
-    def copy(self, number: int) -> int:
-        """Copy a controller; return the number of the copy.
-
-        Raises:
-            AssessmentError: it cannot be copied. Once one could be, the next question says so.
-        """
-        again = next(self._numbers)
-        operation = COPY.pack(_COPY, again, number)
-        if self._can_copy:
-            self.add(operation)
-        else:
-            self.ask(operation)
-            self._can_copy = True
-        return again
-
-    def close(self) -> None:
-        """End it; what it has printed comes out before this returns, if it does not take long."""
-        for file in (self._out, self._in, self._pid_file):
-            with contextlib.suppress(OSError):
-                os.close(file)
-        self._out = self._in = self._pid_file = -1
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_PATIENCE)
-        self._end()
-
-    def _end(self) -> int:
-        self._process.kill()
-        code = self._process.wait()
-        self._pump.finish(_PATIENCE)
-        return code
-
-    def _ended(self) -> int:
-        """Return with what exit code it has ended, whose pipe is closed; negative: by which signal."""
-        try:
-            code = self._process.wait(_PATIENCE)
-        except subprocess.TimeoutExpired:
-            code = 1
-        self._end()  # what it has printed comes before what is said of it
-        return code
-
-
-def _say_lost(code: int, name: str) -> None:
-    how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
-    raise AssessmentError(f"controller {name}: its process {how}")
-
-
-when_lost: Callable[[int, str], None] = _say_lost
-"""What happens when the process of a controller has ended by itself, with an exit code as subprocess has it."""
+_COMMAND, _FORGET = Op.COMMAND.value, Op.FORGET.value
 
 
 class ApartController:
@@ -260,7 +54,7 @@ class ApartController:
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on; see `Controller.reset`. It gets copies of both."""
-        self._car.ask(_loaded(Op.RESET, self._number, (scenario, rng)))
+        self._car.ask(loaded(Op.RESET, self._number, (scenario, rng)))
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on; see `Controller.command`.
@@ -317,7 +111,7 @@ class ApartController:
             raise AssessmentError(f"controller {self._car.name}: its process does not say what it draws from")
         if count:
             seeds = [int(rng.integers(_LARGEST)) for _ in range(int(count))]
-            self._car.ask(_loaded(Op.SEED, self._number, seeds))
+            self._car.ask(loaded(Op.SEED, self._number, seeds))
 
     def drawn(self) -> str:
         """Return a digest of the random generators that everybody in its process has."""
@@ -352,9 +146,24 @@ class ApartSensingController(ApartController):
         self._car.add(SENSE.pack(Op.SENSE, self._number, *numbers, len(ranges)) + ranges)
 
 
-def _loaded(operation: Op, number: int, content: object) -> bytes:
-    pickled = pickle.dumps(content, protocol=pickle.HIGHEST_PROTOCOL)
-    return LOADED.pack(operation, number, len(pickled)) + pickled
+def made_in(process: ApartCar) -> ApartController:
+    """Make a controller in a process.
+
+    Raises:
+        UsageError: it cannot be loaded.
+        AssessmentError: a controller before it has changed what its process says.
+    """
+    number = process.new_number()
+    told = process.ask(OF_ONE.pack(Op.MAKE, number), timed=False)
+    try:
+        sensing, scene, batches, period = (told[name] for name in ("sensing", "scene", "batches", "control_period"))
+        kind = ApartSensingController if sensing else ApartController
+        period = None if period is None else float(period)
+        if period is not None and not CONTROL_PERIODS.low <= period <= CONTROL_PERIODS.high:
+            raise ValueError(period)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise AssessmentError(f"controller {process.name}: its process does not say what it is") from None
+    return kind(process, number, period, takes_scene=bool(scene), takes_batches=bool(batches))
 
 
 class _Kept:
@@ -392,7 +201,7 @@ def apart(car: CarUnderTest, *, confirming: bool = False) -> ApartController:
             cars.pop(next(iter(cars))).close()
         process = ApartCar(car, SentModules(_Kept.modules) if _Kept.modules else None)
     cars[car.controller, confirming] = process
-    return process.make()
+    return made_in(process)
 
 
 def controller_of(car: CarUnderTest) -> Controller:

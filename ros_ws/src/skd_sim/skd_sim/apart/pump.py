@@ -22,7 +22,7 @@ import sys
 import termios
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from skd_sim.inputs.printable import one_line, printable
 
@@ -31,7 +31,13 @@ _DEAF: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _BLOCK: Final = 65536  # bytes read at once: as many as a pipe holds
 _WHOLE: Final = 4096  # bytes that a pipe takes whole (PIPE_BUF), so that lines of several pumps do not mix
 _LONGEST: Final = 800  # characters of a line; what is longer goes on in the next one
-_NARROWEST: Final = 20  # characters beside the name on a terminal of whatever width
+_NARROWEST: Final = 20  # columns beside the name on a terminal; a longer name loses its beginning
+_LINE_ANEW: Final = "\r\x1b[K"
+"""To a terminal (ECMA-48): go to the begin of the line, and erase it.
+
+SKD's bar ends in the middle of one. What is printed behind it would come to the terminal's edge early, and go on in a
+line of its own that is led by no name.
+"""
 _LONGEST_NAME: Final = 80
 _PAUSE: Final = 0.5  # s until a line without an end is shown
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv.pop(1)); from skd_sim.apart.pump import main; main()"
@@ -80,12 +86,26 @@ class Pump:
             self._process.wait()
 
 
+class _Place(NamedTuple):
+    """Where lines are written to.
+
+    Attributes:
+        begin: with what each write begins.
+        lead: with what each line begins.
+        room: for so many columns behind that.
+    """
+
+    begin: str
+    lead: str
+    room: int
+
+
 class _Lines:
     """Makes lines of what comes in pieces."""
 
     def __init__(self, name: str, encoding: str) -> None:
         """Lead each with a name."""
-        self._lead = f"{one_line(name)[-_LONGEST_NAME:]} | "
+        self._name = one_line(name)[-_LONGEST_NAME:]
         self._encoding = encoding
         decoder = codecs.getincrementaldecoder(encoding)("backslashreplace")
         self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
@@ -95,12 +115,12 @@ class _Lines:
     def take(self, data: bytes) -> Iterator[bytes]:
         """Take bytes that were printed; yield what is to be written, a line or several."""
         *lines, self._begun = (self._begun + self._decoder.decode(data)).split("\n")
-        room = self._room()
-        while len(self._begun) > room:
-            lines.append(self._begun[:room])
-            self._begun = self._begun[room:]
+        place = self._place()
+        while len(self._begun) > place.room:
+            lines.append(self._begun[: place.room])
+            self._begun = self._begun[place.room :]
         self.begun = bool(self._begun)
-        yield from self._shown(lines, room)
+        yield from self._shown(lines, place)
 
     def rest(self, *, last: bool = False) -> Iterator[bytes]:
         """Yield the line that has no end yet; with `last` also the bytes that are no whole character."""
@@ -108,31 +128,44 @@ class _Lines:
         if last:
             begun += self._decoder.decode(b"", final=True).rstrip("\n")
         if begun:
-            yield from self._shown(begun.split("\n"), self._room())
+            yield from self._shown(begun.split("\n"), self._place())
 
-    def _room(self) -> int:
-        """Return how many characters have room in a line: a terminal would break a longer one, and lead it by none."""
+    def _place(self) -> _Place:
+        """Return where lines are written to: a terminal would break a longer one, and lead its rest by no name."""
         try:
             width = os.get_terminal_size(_STDERR).columns if os.isatty(_STDERR) else 0
         except OSError:
             width = 0
-        return min(_LONGEST, max(_NARROWEST, width - len(self._lead))) if width else _LONGEST
+        name = self._name
+        if width:
+            while len(name) > 1 and _columns(name) > width - len(" | ") - _NARROWEST:
+                name = name[1:]
+        lead = f"{name} | "
+        draws = width and os.environ.get("TERM", "dumb") != "dumb"
+        room = min(_LONGEST, max(1, width - _columns(lead))) if width else _LONGEST
+        return _Place(_LINE_ANEW if draws else "", lead, room)
 
-    def _shown(self, lines: list[str], room: int) -> Iterator[bytes]:
+    def _shown(self, lines: list[str], place: _Place) -> Iterator[bytes]:
+        begin = place.begin.encode()
         whole = b""
         for line in lines:
-            for piece in _pieces(printable(line.expandtabs()), room):
-                shown = f"{self._lead}{piece}".rstrip() + "\n"
+            for piece in pieces(printable(line.expandtabs()), place.room):
+                shown = f"{place.lead}{piece}".rstrip() + "\n"
                 data = shown.encode(self._encoding, "backslashreplace")
-                if whole and len(whole) + len(data) > _WHOLE:
-                    yield whole
+                if whole and len(begin) + len(whole) + len(data) > _WHOLE:
+                    yield begin + whole
                     whole = b""
                 whole += data
         if whole:
-            yield whole
+            yield begin + whole
 
 
-def _pieces(text: str, room: int) -> Iterator[str]:
+def _columns(text: str) -> int:
+    """Return how many columns of a terminal a text takes at most."""
+    return sum(1 if one.isascii() else 2 for one in text)
+
+
+def pieces(text: str, room: int) -> Iterator[str]:
     """Divide a text into pieces that are no wider than so many letters."""
     if text.isascii():
         yield text[:room]

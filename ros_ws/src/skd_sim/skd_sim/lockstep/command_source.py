@@ -89,6 +89,7 @@ class Source:
         if self.senders.count() < 2 or self.senders.living() < 2:
             return None
         names = self.senders.names()
+        names += ["one that is gone"] * (2 - len(names))
         return abort_reason(
             AbortKind.SECOND_SENDER, f"{len(names)} nodes publish {self.topic}, one may: {', '.join(names)}"
         )

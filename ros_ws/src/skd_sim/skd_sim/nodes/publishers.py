@@ -64,13 +64,20 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
     return [one for one in publishers if one.participant[:4] != ours[:4] or _process(one.participant) in processes]
 
 
-def publisher_names(node: Node, topic: str) -> list[str]:
-    """Return the names of the nodes that publish on a topic, sorted; waits a moment for those that have not come."""
+def publisher_names(node: Node, topic: str, *, least: int = 0) -> list[str]:
+    """Return the names of the nodes that publish on a topic, sorted; waits a moment for those that have not come.
+
+    Args:
+        node: node through which the graph is seen.
+        topic: name of the topic as the node would write it, before remapping.
+        least: how many there were a moment ago.
+    """
     latest = time.monotonic() + _NAMING
     while True:
         publishers = living_publishers(node, topic)
         if all(one.named for one in publishers) or time.monotonic() > latest:
-            return [one.name for one in publishers]
+            names = [one.name for one in publishers]
+            return names + ["one that is gone"] * (least - len(names))
         time.sleep(0.01)
 
 

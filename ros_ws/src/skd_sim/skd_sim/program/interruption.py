@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 
@@ -45,9 +46,15 @@ class Interruption:
         held: if set, further signals are only remembered, while there is something to clean up.
     """
 
-    def __init__(self) -> None:
-        """Begin to listen with `listen` or a `with` statement."""
+    def __init__(self, cleaning: float = 0.0) -> None:
+        """Begin to listen with `listen` or a `with` statement.
+
+        Args:
+            cleaning: s after one has come in which another does nothing: who presses Ctrl-C twice, or is ended by
+                SIGINT and SIGTERM, would break off what the first one has to clean up. Later another one does.
+        """
         self.came = False
+        self._cleaning, self._cleans_until = cleaning, 0.0
         self.held = False
         self._last: int = signal.SIGTERM
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
@@ -65,12 +72,13 @@ class Interruption:
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.came = True
-        if self.held:
+        if self.held or time.monotonic() < self._cleans_until:
             return
         self._last = number
         if _called_by_machine_code(frame):
             self._send_again()
             return
+        self._cleans_until = time.monotonic() + self._cleaning
         raise Interrupted
 
     def _send_again(self) -> None:
@@ -92,6 +100,7 @@ class Interruption:
             if not (self.held and _NOBODY_LISTENS in str(error.exc_value)):
                 self._say_lost(error)
         elif not self.held:
+            self._cleans_until = 0.0
             self._send_again()
 
     def leave(self, code: int) -> None:

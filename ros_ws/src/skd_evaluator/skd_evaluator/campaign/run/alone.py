@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.apart.apart import ApartCar, ApartController
+from skd_sim.apart.apart import ApartController, made_in
+from skd_sim.apart.car_process import ApartCar
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, SensingController
 from skd_sim.controllers.wrapped import WrappedController
@@ -140,12 +141,12 @@ class _Here:
 
 def _begin(car: CarUnderTest) -> None:
     """Load a controller: in a worker."""
-    _Here.controller = ApartCar(car).make()
+    _Here.controller = made_in(ApartCar(car))
 
 
 def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
     """Return the answers of the controller: in a worker, which has loaded it, or took the place of one that had."""
-    controller = _Here.controller or ApartCar(car).make()
+    controller = _Here.controller or made_in(ApartCar(car))
     found = []
     for one in conversations:
         assert one.scenario is not None

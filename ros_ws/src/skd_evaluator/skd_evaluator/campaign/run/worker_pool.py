@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from skd_sim.apart import apart
+from skd_sim.apart import apart, car_process
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 from skd_sim.program.interruption import SIGNALS
@@ -103,7 +103,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     _Here.signs = signs
     signs[_PID] = os.getpid()
     before = limits()
-    apart.when_lost = lambda code, _name: end_alike(code)
+    car_process.when_lost = lambda code, _name: end_alike(code)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -128,7 +128,7 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
 def _beat(parent: int, signs: Any, answer_limit: float) -> None:
     """Show that this worker lives, unless a controller does not answer; end it when its parent has been killed."""
     while os.getppid() == parent:
-        since = apart.Call.since
+        since = car_process.Call.since
         signs[_CALLED] = since is not None
         signs[_HALTED] = since is not None and any(is_stopped(pid) for pid in apart.pids())
         if not signs[_HALTED] and (since is None or time.monotonic() - since < answer_limit):
@@ -387,9 +387,9 @@ class WorkerPool(Executor):
             worker.end(latest)
         self._give_up(BrokenExecutor("the workers have ended"))
         self._workers = []
-        os.close(self._listen)
-        os.close(self._wake)
-        self._wake = -1
+        ends, self._listen, self._wake = (self._listen, self._wake), -1, -1
+        for one in ends:  # each is closed once, also where an interrupt comes in between
+            os.close(one)
         atexit.unregister(self.shutdown)
 
     def _give_up(self, error: Exception) -> None:

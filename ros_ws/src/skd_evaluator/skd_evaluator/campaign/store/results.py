@@ -23,7 +23,8 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.temporary_folders import PREFIX, make_temporary
+from skd_evaluator.files import note_in_place
+from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary, remove
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ class ResultFolder:
         finally:
             if shown.is_symlink():
                 shown.unlink()
-            shutil.rmtree(temporary, ignore_errors=True)
+            remove(temporary)
 
     def write(self, fill: Callable[[Path], None]) -> None:
         """Let `fill` write into a temporary folder beside the target and put it in the target's place.
@@ -129,19 +130,29 @@ class ResultFolder:
         """
         temporary = self._temporary()
         replaced = temporary.with_name(temporary.name + ".old")
+        whole = temporary.stat()
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
             write_manifests(temporary, self._signer)
             self._exchange(temporary, replaced)
         except BaseException as error:
-            if replaced.exists() and not self._target.exists():
+            if _is(self._target, whole):  # an interrupt came after all was done
+                note_in_place(self.path)
+            elif replaced.exists() and not self._target.exists():
                 replaced.rename(self._target)
-            shutil.rmtree(temporary, ignore_errors=True)
+            self._remove(temporary, whole)
             if isinstance(error, ElsewhereError):
-                shutil.rmtree(replaced, ignore_errors=True)
+                self._remove(replaced, whole)
             raise
-        shutil.rmtree(replaced, ignore_errors=True)
+        note_in_place(self.path)
+        self._remove(temporary, whole)
+        self._remove(replaced, whole)
+
+    def _remove(self, folder: Path, whole: os.stat_result) -> None:
+        """Remove what has not come into its place, or was replaced there; what is somebody else's goes nowhere."""
+        if self._is_ours(folder) or _is(folder, whole):
+            remove(folder)
 
     def _exchange(self, temporary: Path, replaced: Path) -> None:
         """Put what is complete in the target's place, and what is to be replaced, if anything, out of the way."""
@@ -150,6 +161,11 @@ class ResultFolder:
         if not self._replaces and self._target.exists():
             _remove_left(self._target)
         if self._replaces and self._target.exists():
+            if exchange(temporary, self._target):
+                if self._is_ours(temporary):
+                    return
+                exchange(temporary, self._target)  # it had been exchanged a moment before
+                self._put_beside(temporary)
             self._target.rename(replaced)
             if not self._is_ours(replaced):  # it was exchanged a moment ago
                 replaced.rename(self._target)
@@ -176,10 +192,7 @@ class ResultFolder:
 
     def _is_ours(self, folder: Path) -> bool:
         """Return whether this is the folder that was taken, not another that bears its name now."""
-        try:
-            return os.path.samestat(folder.lstat(), os.fstat(self._descriptor))
-        except FileNotFoundError:
-            return False
+        return _is(folder, os.fstat(self._descriptor))
 
     def _put_beside(self, temporary: Path) -> NoReturn:
         """Move the results to the first free name beside the target, and say so."""
@@ -190,6 +203,7 @@ class ResultFolder:
                 break
         temporary.rename(other)
         asked, self.path = self.path, other
+        note_in_place(other)
         raise ElsewhereError(
             f"--out {asked}: somebody else has put something there meanwhile; the results are in {other}"
         )
@@ -295,6 +309,14 @@ def _free(path: Path) -> Path:
     """Return a path where nothing is: this one, or with a number behind it."""
     names = itertools.chain([path.name], (f"{path.name}-{number}" for number in itertools.count(2)))
     return next(one for one in map(path.with_name, names) if not (one.exists() or one.is_symlink()))
+
+
+def _is(folder: Path, known: os.stat_result) -> bool:
+    """Return whether a folder is there, and the one that is known, not another that bears its name now."""
+    try:
+        return os.path.samestat(folder.lstat(), known)
+    except FileNotFoundError:
+        return False
 
 
 def _umask() -> int:

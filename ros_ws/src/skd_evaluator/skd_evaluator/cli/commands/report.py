@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import shutil
+import os
 import sys
 from pathlib import Path
 
@@ -13,10 +13,11 @@ from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import note_in_place
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.terminal import counted
-from skd_evaluator.temporary_folders import make_temporary
+from skd_evaluator.temporary_folders import make_temporary, remove
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -25,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     subjects = read_subjects(arguments.paths)
     with understood(arguments.paths[0] if len(subjects) == 1 else Path("a result")):
         page = render(subjects)
-    _write(out, page)
+    _write(out, page, overwrite=arguments.overwrite)
     size = len(page.encode())
     for line in (line for one in subjects for line in one.remarks):
         print(f"skd report: warning: {line}", file=sys.stderr)
@@ -54,7 +55,7 @@ def _target(out: Path, *, overwrite: bool) -> Path:
     return out
 
 
-def _write(out: Path, page: str) -> None:
+def _write(out: Path, page: str, *, overwrite: bool) -> None:
     """Write the file elsewhere and rename it, so that it is there whole or not at all.
 
     Raises:
@@ -66,8 +67,27 @@ def _write(out: Path, page: str) -> None:
         try:
             temporary = folder / out.name
             temporary.write_text(page, encoding="utf-8")
-            temporary.replace(out)
+            whole = temporary.stat()
+            try:
+                _put(temporary, out, overwrite=overwrite)
+            finally:  # an interrupt may come when it is done
+                if out.exists() and os.path.samestat(out.stat(), whole):
+                    note_in_place(out)
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove(folder)
     except OSError as error:
         raise AssessmentError(f"--out {out}: nothing was written: {error.strerror}") from error
+
+
+def _put(temporary: Path, out: Path, *, overwrite: bool) -> None:
+    """Put a file in its place; without `overwrite`, not over what somebody has put there since we looked."""
+    if not overwrite:
+        try:
+            out.hardlink_to(temporary)
+        except FileExistsError:
+            raise
+        except OSError:  # some file systems have no links
+            pass
+        else:
+            return
+    temporary.replace(out)

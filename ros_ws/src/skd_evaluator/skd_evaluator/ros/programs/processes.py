@@ -9,20 +9,23 @@ import contextlib
 import json
 import mmap
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from skd_sim.apart.pump import pieces
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import printable
 from skd_sim.program.secret import FROM_INPUT
 from skd_sim.ros_environment import is_sourced
 
@@ -41,6 +44,8 @@ _LACKS = ("ModuleNotFoundError: ", "ImportError: ")
 _KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
 _STOPPED_LIMIT = 1.0
 """Seconds after which a process that was stopped is replaced."""
+_LEAD = "\n  | "
+"""What the lines of a process begin with, which are not SKD's."""
 _LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
 """How much is shown of what a process that has ended printed."""
 
@@ -200,7 +205,7 @@ class Supervisor:
             self._end([process])
             if code is not None and not process.said:
                 process.said = True
-                self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *_last_lines(process)]))
+                self._say(_LEAD.join([f"{problem}; the end of {process.log}:", *_led(_last_lines(process))]))
             process.restarts += 1
             last_words = _last_lines(process)[-1]
             certain = code in _CANNOT_START or last_words.startswith(_LACKS)
@@ -300,3 +305,11 @@ def _last_lines(process: _Process) -> list[str]:
         text = ""
     lines = [line.rstrip()[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
     return lines[-_LAST_LINES:] or ["(it has printed nothing)"]
+
+
+def _led(lines: Sequence[str]) -> Iterator[str]:
+    """Yield lines in pieces that a terminal does not break: it would lead the rest by nothing, as if SKD said it."""
+    width = shutil.get_terminal_size().columns if sys.stderr.isatty() else _LONGEST_LINE
+    room = max(1, width - len(_LEAD))
+    for line in lines:
+        yield from pieces(printable(line.expandtabs()), room)

@@ -11,8 +11,10 @@ from collections import deque
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from skd_msgs.msg import Episode as EpisodeMsg
+from skd_sim.messages.read_message import read_message
+from skd_sim.messages.stream_cdr import CdrError
 from skd_sim.nodes.publishers import living_publishers, publisher_names
 from skd_sim.nodes.support import EPISODE, LATCHED
 
@@ -54,7 +56,10 @@ class OneEvaluator:
     def _on_episode(self, data: bytes) -> None:
         if bytes(data) in self._own_bytes:
             return
-        message = deserialize_message(data, EpisodeMsg)
+        try:
+            message = read_message(data, EpisodeMsg)
+        except CdrError:
+            return  # nobody can take it for an episode; who has sent it is seen as a second publisher
         if message.campaign == self._campaign and message not in self._own:
             self._foreign.append(message)
 
@@ -68,7 +73,7 @@ class OneEvaluator:
         several = self._node.count_publishers(topic) > 1 and len(living_publishers(self._node, EPISODE)) > 1
         if not several and not self._foreign:
             return
-        names = publisher_names(self._node, EPISODE)
+        names = publisher_names(self._node, EPISODE, least=2)
         if several:
             said = f"{len(names)} nodes publish {topic}, which is the evaluator's alone: {' and '.join(names)}"
         else:

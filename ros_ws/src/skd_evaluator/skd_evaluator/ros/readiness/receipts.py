@@ -21,6 +21,7 @@ from skd_sim.nodes.publishers import living_publishers
 from skd_sim.nodes.support import EPISODE_RECEIPT
 from skd_sim.program.sources import sources_digest
 
+_KIND = "skd_msgs/msg/EpisodeReceipt"
 _REMEMBERED = 16  # episodes of before, of which a receipt may come late
 _EVERY_RECEIPT = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -74,7 +75,8 @@ class ReceivedReceipts:
         missing = sorted(self._required - said)
         if missing or self.subscription.get_publisher_count() <= len(self._taken):
             return missing
-        names = {one.name for one in living_publishers(self._node, EPISODE_RECEIPT)}
+        there = living_publishers(self._node, EPISODE_RECEIPT)
+        names = {one.name for one in there if one.kind == _KIND}  # of another type nobody can be heard
         return sorted(names - self._taken)
 
 

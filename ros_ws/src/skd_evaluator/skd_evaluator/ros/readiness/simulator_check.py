@@ -9,6 +9,7 @@ from rclpy.node import Node
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.episode.stamps import NANOSECONDS
 from skd_sim.nodes.publishers import living_publishers, publisher_names
 
 from skd_evaluator.bags.validation import examine
@@ -40,11 +41,23 @@ class OneSimulator:
         for subscription in self._states:
             topic = subscription.topic_name
             if subscription.get_publisher_count() > 1 and len(living_publishers(self._node, topic)) > 1:
-                names = publisher_names(self._node, topic)
+                names = publisher_names(self._node, topic, least=2)
                 raise AssessmentError(
                     f"{len(names)} nodes publish {topic}, which is the simulator's alone: "
                     f"{' and '.join(names)}; end all but one"
                 )
+
+    def contradiction(self, whose: str, topic: str, at: int) -> AssessmentError:
+        """Return what is wrong where two different states came, `at` ns after the begin of the episode.
+
+        Raises:
+            AssessmentError: two nodes publish them, who are named.
+        """
+        self.require()
+        return AssessmentError(
+            f"two different states of the {whose} came for {at / NANOSECONDS:.3f} s of the episode: another node, "
+            f"which is gone, has published {self._node.resolve_topic_name(topic)}, or the simulator contradicts itself"
+        )
 
     def foreign_sender(self) -> str | None:
         """Return, as the reason of an abort, who else publishes results; none where only the simulator does."""
@@ -57,7 +70,7 @@ class OneSimulator:
         alone = len(said) == 1 and len(simulator) == 1 and said[0].same_node(simulator[0])
         self._known = one and alone and said[0].named and simulator[0].named
         if len(said) > 1:
-            names = publisher_names(self._node, topic)
+            names = publisher_names(self._node, topic, least=2)
             return abort_reason(
                 AbortKind.SECOND_SENDER,
                 f"{len(names)} nodes publish {topic}, which is the simulator's alone: {' and '.join(names)}",
