@@ -29,10 +29,10 @@ ROOMS = {  # of the evaluator: which others each may import
     "exchange": {"measure", "campaign", "bags", "fusion", "report"},
     "learning": {"campaign", "bags", "measure"},
     "risk": {"campaign", "bags", "margin", "measure"},
-    "assessing": {"campaign", "floor", "margin", "report", "learning", "risk"},
+    "assessing": {"measure", "campaign", "floor", "margin", "report", "learning", "risk"},
     "driving": {"campaign", "measure"},
     "ros": {"campaign", "bags", "learning", "assessing", "driving"},
-    "campaigns": {"campaign", "floor", "margin", "ros", "assessing", "risk"},
+    "campaigns": {"measure", "campaign", "floor", "margin", "ros", "assessing", "risk"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
