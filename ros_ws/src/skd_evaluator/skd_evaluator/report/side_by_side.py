@@ -20,8 +20,11 @@ _BARS = 6  # lines that are left for bars
 
 def _doubt(row: Mapping[str, Any]) -> str:
     """Return what stands behind the name of a car whose figures may be those of another one."""
-    said = in_short([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-    return f", [red]{said}[/]" if said else ""
+    return f", [red]{said}[/]" if (said := _worth(row)) else ""
+
+
+def _worth(row: Mapping[str, Any]) -> str:
+    return in_short([*(row.get("warnings") or ()), *(row.get("problems") or ())])
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -74,7 +77,7 @@ def cell_line(row: Mapping[str, Any]) -> str:
     figures.append(f"hit along φ {TERMINAL.share(row['hit_rate'])}")
     if row["deformation"] is not None:
         figures.append(f"planned {number(row['deformation'])} m")
-    said = in_short([*row["warnings"], *row["problems"]])
+    said = _worth(row)
     return f"{row['name']}{f' ({said})' if said else ''}: {', '.join(figures)}"
 
 
