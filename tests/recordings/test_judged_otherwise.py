@@ -13,6 +13,8 @@ from bag_forge import EPISODE, Sent, changed
 from forging import each
 from skd_evaluator.bags.logs import look_through
 from skd_evaluator.bags.validation import Damage
+from skd_evaluator.campaign.store.verification import verify
+from skd_evaluator.cli.commands.verify import with_episodes
 from skd_sim.episode.episode import Mode, Outcome
 
 
@@ -33,6 +35,7 @@ def test_a_scenario_of_ours_that_judges_otherwise_is_named(
         "the scenario is called crossing, but judges otherwise than SKD's: η_max (m) is 10 and not 5"
     )
     assert "collision.hit_speed (m/s) is" in line
+    assert line in with_episodes(verify(done.path)).remarks  # of the result, too
 
 
 def test_a_hit_of_a_result_that_is_called_aborted_is_found_by_its_states(

@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
+from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.bags.completeness import missing_episodes
 from skd_evaluator.bags.logs import look_through
+from skd_evaluator.bags.replay import judged_otherwise
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, stored_verification
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
@@ -63,12 +65,13 @@ def with_episodes(found: Verified) -> Verified:
             count = look_through(found.folder / EPISODES, damage)
             margins = Again() if former else margins_again(found.folder, figures, stored)
             missing = _missing(stored)
+            judged = judged_otherwise(scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}"))
     except UsageError as error:
         return replace(found, problems=(*found.problems, str(error)))
     remarks = [*found.remarks, f"{counted(count, 'episode')} can have happened: what follows from the seed is so"]
     if count:
         remarks += damage.warnings
-    remarks += missing
+    remarks += [*missing, *judged]
     if margins.remark and not margins.problems:
         remarks.append(margins.remark)
     problems = (*found.problems, *damage.left_out, *margins.problems)
