@@ -14,6 +14,7 @@ import termios
 import threading
 import time
 from collections.abc import Iterator
+from multiprocessing import heap
 from pathlib import Path
 
 import pytest
@@ -157,6 +158,20 @@ def test_last_words_of_a_killed_worker_come_out(capfd: pytest.CaptureFixture[str
         pool.submit(begin, "Dies").result(PATIENCE)
     pool.shutdown(wait=False)
     assert capfd.readouterr().err == "pump_cars:Dies | last words\n"
+
+
+def test_a_pool_needs_no_shared_memory_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where /dev/shm is full or read-only, as in a container, no assessment began."""
+
+    def full(_size: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(heap, "BufferWrapper", full)
+    pool = WorkerPool(1)
+    try:
+        assert pool.submit(abs, -3).result(PATIENCE) == 3
+    finally:
+        pool.shutdown(wait=False)
 
 
 def test_a_pool_whose_end_was_interrupted_ends(monkeypatch: pytest.MonkeyPatch) -> None:

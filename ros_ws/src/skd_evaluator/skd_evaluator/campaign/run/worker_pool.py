@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import mmap
 import multiprocessing
 import os
 import pickle
@@ -20,7 +21,6 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from concurrent.futures import wait as wait_for
 from multiprocessing.connection import Connection, wait
-from multiprocessing.sharedctypes import RawArray
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 from skd_sim.apart import apart, car_process
@@ -155,7 +155,8 @@ class _Worker:
     def __init__(self, answer_limit: float) -> None:
         context = multiprocessing.get_context("fork")
         self.connection, theirs = context.Pipe()
-        self.signs = RawArray("q", _SIGNS)
+        # Memory of no file: multiprocessing's own arrays lie in /dev/shm, which may be full, or not be there.
+        self.signs = memoryview(mmap.mmap(-1, 8 * _SIGNS)).cast("q")
         self.process = context.Process(target=_serve, args=(theirs, self.signs, answer_limit))
         # Until the worker has settled what a signal means to it, it would do what it means to its parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
