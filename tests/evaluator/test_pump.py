@@ -23,10 +23,11 @@ from skd_evaluator.campaign.run.worker_pool import LostWorkerError, WorkerPool
 from skd_sim import load_scenario
 from skd_sim.apart import pump as pump_module
 from skd_sim.apart.apart import apart, close_all, pids
-from skd_sim.apart.pump import Pump, _Lines, pieces
+from skd_sim.apart.pump import Pump, _Lines
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.randomness import controller_generator
 from skd_sim.errors import AssessmentError
+from skd_sim.inputs.printable import pieces
 
 CARS = """
 import ctypes, os, subprocess, sys, time

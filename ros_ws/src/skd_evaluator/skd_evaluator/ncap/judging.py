@@ -19,7 +19,7 @@ from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import led_otherwise
+from skd_evaluator.campaign.run.led import led_again
 from skd_evaluator.campaign.run.static_test import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
@@ -145,7 +145,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
             return [[log.trajectory.positions for log in found] for found in hits]
 
         found = least_ways(episodes, planned, runner, lambda *_told: None, asked.margin_limit)
-        otherwise = sum(runner.map(led_otherwise, found.led))
+        otherwise = sum(one.otherwise for one in runner.map(led_again, found.led))
         ways, _ = with_planned_hits(episodes, found.ways, by_id)
     except OutOfReachError:
         raise

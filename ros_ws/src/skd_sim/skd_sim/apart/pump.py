@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from skd_sim.inputs.printable import one_line, printable
+from skd_sim.inputs.printable import columns, one_line, pieces, printable
 
 _STDERR: Final = 2  # its descriptor
 _DEAF: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
@@ -138,11 +138,11 @@ class _Lines:
             width = 0
         name = self._name
         if width:
-            while len(name) > 1 and _columns(name) > width - len(" | ") - _NARROWEST:
+            while len(name) > 1 and columns(name) > width - len(" | ") - _NARROWEST:
                 name = name[1:]
         lead = f"{name} | "
         draws = width and os.environ.get("TERM", "dumb") != "dumb"
-        room = min(_LONGEST, max(1, width - _columns(lead))) if width else _LONGEST
+        room = min(_LONGEST, max(1, width - columns(lead))) if width else _LONGEST
         return _Place(_LINE_ANEW if draws else "", lead, room)
 
     def _shown(self, lines: list[str], place: _Place) -> Iterator[bytes]:
@@ -158,28 +158,6 @@ class _Lines:
                 whole += data
         if whole:
             yield begin + whole
-
-
-def _columns(text: str) -> int:
-    """Return how many columns of a terminal a text takes at most."""
-    return sum(1 if one.isascii() else 2 for one in text)
-
-
-def pieces(text: str, room: int) -> Iterator[str]:
-    """Divide a text into pieces that are no wider than so many letters."""
-    if text.isascii():
-        yield text[:room]
-        for begin in range(room, len(text), room):
-            yield text[begin : begin + room]
-        return
-    begin, width = 0, 0
-    for place, one in enumerate(text):
-        wide = 1 if one.isascii() else 2  # at most
-        if width + wide > room:
-            yield text[begin:place]
-            begin, width = place, 0
-        width += wide
-    yield text[begin:]
 
 
 class _Output:

@@ -59,15 +59,15 @@ def seclude() -> bool:
         os.close(rules)
 
 
-def _forbid_limits() -> bool:
-    """Forbid to set or read the limits of another process (prlimit(2)), for good; tell whether it could be done.
+def _forbid_limits() -> None:
+    """Forbid to set or read the limits of another process (prlimit(2)), for good, where that can be done.
 
     Limits of its own stay its own, by process 0 or by its number. Where a process of the same user may have
     its limits taken, it fails in ways that name nobody, and keeps what another one has counted in them.
     """
     kind, number = _PRLIMIT.get(platform.machine(), (0, 0))
     if not kind:
-        return False
+        return
     steps = (
         (_LOAD, 0, 0, _KIND),
         (_EQUALS, 0, 7, kind),  # else refused: a call of 32 bits
@@ -83,7 +83,7 @@ def _forbid_limits() -> bool:
     program = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *step) for step in steps))
     _LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
     told = struct.pack("@HP", len(steps), ctypes.addressof(program))
-    return bool(_LIBC.prctl(_PR_SET_SECCOMP, _FILTER, told, 0, 0) == 0)
+    _LIBC.prctl(_PR_SET_SECCOMP, _FILTER, told, 0, 0)
 
 
 def _open_ones() -> Iterator[Path]:

@@ -38,6 +38,28 @@ def printable_json(text: str) -> str:
     return "".join(one if one.isprintable() or one in _BLANKS else _in_json(one) for one in text)
 
 
+def columns(text: str) -> int:
+    """Return how many columns of a terminal a text takes at most."""
+    return len(text) if text.isascii() else sum(1 if one.isascii() else 2 for one in text)
+
+
+def pieces(text: str, room: int) -> Iterator[str]:
+    """Divide a text into pieces that take no more than so many columns of a terminal."""
+    if text.isascii():
+        yield text[:room]
+        for begin in range(room, len(text), room):
+            yield text[begin : begin + room]
+        return
+    begin, width = 0, 0
+    for place, one in enumerate(text):
+        wide = columns(one)
+        if width + wide > room:
+            yield text[begin:place]
+            begin, width = place, 0
+        width += wide
+    yield text[begin:]
+
+
 def _escape(one: str) -> str:
     return one.encode("unicode_escape").decode("ascii")
 

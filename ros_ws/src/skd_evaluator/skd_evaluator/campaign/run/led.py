@@ -82,8 +82,3 @@ def led_again(way: LedWay) -> LedAgain:
             return LedAgain(True, True)
         otherwise |= float(np.max(np.abs(np.subtract(branch.world.car, car)))) > most
     return LedAgain(otherwise, False)
-
-
-def led_otherwise(way: LedWay) -> bool:
-    """Tell whether the car goes otherwise on a way when it is led on it anew."""
-    return led_again(way).otherwise

@@ -22,10 +22,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from skd_sim.apart.pump import pieces
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import printable
+from skd_sim.inputs.printable import pieces, printable
 from skd_sim.program.secret import FROM_INPUT
 from skd_sim.ros_environment import is_sourced
 
