@@ -161,6 +161,8 @@ FOUND_OTHERWISE: dict[str, str] = {
     "simulations of all": "`--verify`",
     "another multiplier": "nothing, where that car would have done the same in every episode",
     "another value at the top": "`--verify`, where only plans follow from the value",
+    "another option": "nothing: a maximum distance, by which nobody plans, is one that the result states",
+    "cut and closed": "the manifest, or assessment.json beside the bags, where whole φ come after the cut",
     "a φ left out": "the manifest, or assessment.json beside the bags, where it is the last φ",
     "the last left out": "the manifest, or assessment.json beside the bags",
     "one topic a tick off": "`--verify`, where a kamikaze that waits for a tick meets the car all the same",

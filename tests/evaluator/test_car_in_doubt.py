@@ -13,14 +13,13 @@ import pytest
 from skd_evaluator.assessing import again
 from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
-from skd_evaluator.campaign.plan.lot import spread_by_lot
+from skd_evaluator.campaign.plan.lot import Kept, spread_by_lot
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.alone import Alone
 from skd_evaluator.campaign.run.led import LedAdversary, LedAgain, LedWay
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
-from skd_evaluator.risk.any_car import Kept
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller, make_controller

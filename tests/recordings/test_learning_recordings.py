@@ -14,6 +14,7 @@ from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.learning.attempts import own_attempts
 from skd_evaluator.ros.recording.recording import bag_name
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog
@@ -49,4 +50,17 @@ def test_they_are_no_contradiction(
     learned = replay(recorded(campaign_messages([*map(run_episode, _trials(logs[0])), *logs])))
     assert (alone.code, learned.code) == (0, 0), learned.err
     assert learned.episodes == alone.episodes
-    assert not learned.result["warnings"]
+    # The kamikazes of this campaign carry no model that came of them.
+    (line,) = learned.result["warnings"]
+    assert line.startswith("4 of 15 episodes belong to no figure")
+
+
+def test_those_of_a_campaign_that_learned_belong_there(
+    logs: list[EpisodeLog], replay: Callable[..., Replayed], recorded: Callable[[Sequence[Sequence[Sent]]], Path]
+) -> None:
+    trials = _trials(logs[0])
+    learned = {"car_model": trials[0].car_model, "knowledge": Knowledge.LEARNED}
+    episodes = [*trials, *(replace(log.episode, **learned) for log in logs)]
+    done = replay(recorded(campaign_messages([*map(run_episode, episodes)])))
+    assert done.code == 0, done.err
+    assert not done.result["warnings"]

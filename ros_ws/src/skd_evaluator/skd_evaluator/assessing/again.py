@@ -7,7 +7,6 @@ what no car can see, whether somebody tries to be hit, say.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -18,29 +17,24 @@ from skd_sim.apart.apart import apart
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.simulators import is_own_world
-from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessing.otherwise import further_of, is_same, named, some_of, went_otherwise
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import shuffled, spread_by_lot
-from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import ALIKE, NEARLY, LedAdversary, LedWay, led_again
+from skd_evaluator.campaign.run.led import ALIKE, LedAdversary, LedWay, led_again
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 
-EPISODES = 12
-"""So many are run again as they were, one by lot of each of as many parts of all."""
-FURTHER, SHARE = 48, 20
-"""So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
 WAYS = 96
 """So many of the ways on which the search for the margin has led the car are gone again, spread over all."""
 _LEARNED_FROM = "of those by which the adversary learned the car, "
 _SLOWER = 3.0  # times as long the answers may take as the episodes did
 _HITS, _OF_WAYS = 5, 0.05  # on so many ways, and on such a share of them, a car is hit that had not been
-_BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
 
 Fresh = Callable[[], AbstractContextManager[ExecutorRunner]]
 """Makes a runner with a process of its own, into which no controller has been loaded."""
@@ -129,11 +123,14 @@ def doubts_of_episodes(
         fresh: makes a new process in which episodes are run again; see `Fresh`.
         besides: further episodes, of which as many are run again.
     """
-    some = [*_some(besides)[::-1], *_some(logs)[::-1]]
+    some = [*some_of(besides)[::-1], *some_of(logs)[::-1]]
     if not some:
         return ()
     with Alone(car) as alone:  # begins while another process runs the episodes again
-        further = shuffled([*_further(besides, some), *_further(logs, some)])
+        own = [
+            [log for log in group if is_own_world(log.episode.simulator)] for group in (besides, logs)
+        ]  # others are slow
+        further = shuffled([one for group in own for one in further_of(group, some)])
         return _doubts(car, some, further, spread_by_lot(led, WAYS), fresh, alone)
 
 
@@ -164,9 +161,9 @@ def _doubts(
         f"on {otherwise} of {len(led)} ways that the search for the margin tried, {name} answered otherwise when "
         "nobody made copies of it"
     )
-    changed = [(log, other) for log, other in zip(every, again, strict=True) if not _same(log, other)]
+    changed = [(log, other) for log, other in zip(every, again, strict=True) if not is_same(log, other)]
     if changed:
-        found: tuple[str, ...] = (_changed(name, changed, len(every)),)
+        found: tuple[str, ...] = (went_otherwise(name, changed, len(every)),)
         if otherwise:  # which may come of the same; but no margin is right on whose ways others are hit
             sure = touched >= _HITS and touched >= _OF_WAYS * len(led)
             hits = f", and hit on {touched} of them where it had not" if touched else ""
@@ -179,28 +176,6 @@ def _doubts(
     if otherwise:
         doubts += (f"{DISBELIEF}{copies}: the margin is that of another car",)
     return doubts
-
-
-def _changed(name: str, changed: Sequence[tuple[EpisodeLog, EpisodeLog]], count: int) -> str:
-    """Return in a line what it means that some of `count` episodes, the first and second run of each, went otherwise.
-
-    It is more than a doubt where the first runs had surely fewer collisions: the rating flatters the car.
-    """
-    collided = [tuple(log.outcome == Outcome.COLLISION for log in both) for both in changed]
-    come, gone = collided.count((False, True)), collided.count((True, False))
-    flatters = come > gone and _at_least(come, come + gone) < _BY_CHANCE
-    said = f"; {come} of them collided then alone, {gone} before alone" if come or gone else ""
-    return (
-        f"{DISBELIEF if flatters else DOUBT}{len(changed)} of {count} episodes went otherwise when they were run "
-        f"again, in a new process and in another order (the first is {_named(changed[0][0])}{said}): {name} answers "
-        "by more than what reset gave it and what it saw since, as by what it keeps from one episode to the next; so "
-        "its figures depend on the order of the episodes and on --workers"
-    )
-
-
-def _at_least(come: int, count: int) -> float:
-    """Return how likely at least `come` of `count` are where each is as likely to come as to go."""
-    return float(sum(math.comb(count, one) for one in range(come, count + 1))) / 2.0**count
 
 
 def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:
@@ -220,39 +195,5 @@ def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float)
     return (
         f"{DISBELIEF}in {len(wrong)} of {len(heard)} episodes {name} answered otherwise "
         "when it was asked the same alone, in a process that knows nothing of the test (the first is "
-        f"{_named(heard[wrong[0]].log)}; by up to {max(far):.3g} m/s²). It answers by something that no car sees",
+        f"{named(heard[wrong[0]].log)}; by up to {max(far):.3g} m/s²). It answers by something that no car sees",
     )
-
-
-def _some(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
-    """Return a few episodes, spread over all."""
-    return spread_by_lot([log for log in logs if log.outcome != Outcome.ABORTED], EPISODES)
-
-
-def _further(logs: Sequence[EpisodeLog], but: Sequence[EpisodeLog]) -> list[EpisodeLog]:
-    """Return some more of them, which cost little as nobody plans in them again; none of another simulator, slow."""
-    taken = set(map(id, but))
-    left = [log for log in logs if log.outcome != Outcome.ABORTED and id(log) not in taken]
-    left = [log for log in left if is_own_world(log.episode.simulator)]
-    return spread_by_lot(left, min(FURTHER, max(EPISODES, len(logs) // SHARE)))
-
-
-def _same(first: EpisodeLog, second: EpisodeLog) -> bool:
-    """Whether two logs of an episode tell the same."""
-    if _stage(first) == Stage.RISK:  # which `commands` may have answered, by a little otherwise than `command`
-        count = min(len(first.car), len(second.car))
-        return np.allclose(first.car[:count], second.car[:count], rtol=0.0, atol=NEARLY)
-    if first.outcome != second.outcome or first.adversary.shape != second.adversary.shape:
-        return False
-    pairs = ((first.adversary, second.adversary), (first.car, second.car))
-    return all(np.allclose(one, other, rtol=0.0, atol=ALIKE) for one, other in pairs)
-
-
-def _stage(log: EpisodeLog) -> Stage:
-    return split_episode_id(log.episode.episode_id)[0]
-
-
-def _named(log: EpisodeLog) -> str:
-    kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
-    kind = {Stage.RISK: "a crossing of the risk", Stage.SAFE: "a static test"}.get(_stage(log), kind)
-    return f"{kind}, episode {log.episode.episode_id}"

@@ -112,14 +112,16 @@ class Runners:
     fresh: Fresh | None = None
 
     @classmethod
-    def of_graph(cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None) -> Runners:
+    def of_graph(
+        cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None, fresh: Fresh | None = None
+    ) -> Runners:
         """Return the runners of an assessment through the node graph.
 
         Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. Margins
         and floors are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
-        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways)
+        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh)
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,7 @@ def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[st
     found: tuple[str, ...] = doubts_of_standing_off(plan.controller, rating.replays)
     if runners.fresh is not None and not plan.car.is_external:
         found += doubts_of_the_controller(rating, runners.fresh)
-    alone = runners.ways if runners.fresh is None else runners.here
+    alone = runners.here if runners.ways is None and runners.fresh is not None else runners.ways
     if alone is not None and is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes:
         found += doubts_of_driving(plan, alone)
     return found

@@ -65,6 +65,14 @@ def _counts(spec: Episode) -> bool:
     return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
 
 
+def _strays(specs: Sequence[Episode]) -> int:
+    """Return how many episodes stand beside an assessment whose kamikazes were planned without what such ones show."""
+    counted = [spec for spec in specs if _counts(spec)]
+    learned = any(spec.car_model for spec in counted)
+    left = [spec for spec in specs if not _counts(spec) and spec.mode != Mode.SAFE]
+    return sum(walks_a_way(spec) or not learned for spec in left)
+
+
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
     """Return how many kamikaze trajectories were wanted for each φ.
 
@@ -95,10 +103,17 @@ def rating_from(
     Raises:
         UsageError: no kamikaze or replay episode, several campaigns, or one campaign with different cars or scenarios.
     """
-    chosen = [episode for episode in _select(recorded.episodes, campaign) if _counts(episode.log.episode)]
+    selected = _select(recorded.episodes, campaign)
+    chosen = [episode for episode in selected if _counts(episode.log.episode)]
     if not chosen:
         raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
     first = chosen[0].log.episode
+    specs = [episode.log.episode for episode in selected]
+    if damage is not None and (strays := _strays(specs)):
+        damage.warn(
+            f"{strays} of {len(specs)} episodes belong to no figure: they are probes of a car, or ways that a search "
+            "tried, and whoever recorded an assessment would not have them here"
+        )
     groups: dict[int, _Group] = {}
     for episode in chosen:
         spec = episode.log.episode

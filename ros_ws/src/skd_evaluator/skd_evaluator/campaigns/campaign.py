@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.graph_options import LOCKSTEP
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
@@ -41,7 +40,7 @@ from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, St
 from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
-from skd_evaluator.ros.session import campaign_name, graphs_session
+from skd_evaluator.ros.rated import rated_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FRESH = partial(InProcessRunner, 1, isolated=True)
@@ -51,6 +50,10 @@ _FAREWELL = 10.0  # s for cells to notice that they are to stop
 def _command_of(cell: Cell) -> str:
     """Return the command that starts the car's own node; empty if it has none."""
     return (cell.graph.controller_command if cell.graph else None) or ""
+
+
+def _say(cell: Cell, line: str) -> None:
+    print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
 
 
 class Campaign:
@@ -239,35 +242,26 @@ class Campaign:
         self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         assert cell.graph is not None
-        begin, graph = time.perf_counter(), cell.graph
+        begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
-            session = graphs_session(
-                replace(graph, graphs=graphs),
-                controller=cell.plan.controller,
-                simulator=cell.plan.simulator,
-                campaign=campaign_name(cell.plan.car),
+            rating = rated_through_graph(
+                cell.plan,
+                cell.objectives,
+                replace(cell.graph, graphs=graphs),
+                _further(cell),
                 log_folder=logs,
                 record_to=None,
+                progress=progress,
+                say=partial(_say, cell),
+                kept_by=partial(self._storing, cell),
             )
-            with session as evaluator:
-                cell = self._informed(cell, evaluator, DoubtsOfLearning(cell.plan.car, None))
-                storing = self._storing(cell, evaluator)
-                # Only nodes that wait for one another can walk a way again; ways are not stored.
-                runners = Runners.of_graph(cell.plan, storing, evaluator if graph.pacing == LOCKSTEP else None)
-                rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
-                evaluator.publish_assessment(rating)
-            origin = self._provenance(cell)
+            origin = self._provenance(replace(cell, plan=rating.plan))
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
     def _informed(self, cell: Cell, runner: EpisodeRunner, doubts: DoubtsOfLearning) -> Cell:
         """Return the cell after its adversary has learned the car, if it has to; the cell's identity stays the same."""
-
-        def say(line: str) -> None:
-            print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
-
-        return replace(
-            cell, plan=learned_plan(cell.plan, runner, lambda *_told: None, say, cell.graph, doubts.believed)
-        )
+        plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph, doubts.believed)
+        return replace(cell, plan=plan)
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None

@@ -21,6 +21,7 @@ from skd_sim.errors import UsageError
 from skd_sim.simulation.named_simulator import repeats_itself
 
 from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.plan.lot import SampledRunner
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.led import LedWay
@@ -253,8 +254,10 @@ def with_margins(
             assert graph is not None
             most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
             led = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            walked = walked_margins(led, logs_of(rating), graph, progress, limit=most)
+            sampled = SampledRunner(graph)
+            walked = walked_margins(led, logs_of(rating), sampled, progress, limit=most)
             ways = walked.ways
+            rating = replace(rating, besides=(*rating.besides, *sampled.kept.logs))
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
             unfound = walked.unfound
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
@@ -17,7 +16,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
 from skd_sim.state import AdversaryState
 
-from skd_evaluator.campaign.plan.lot import one_of
+from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.behaviour.walking import walked
 from skd_evaluator.measure.risks import Touch
@@ -25,41 +24,6 @@ from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import in_car_frame, missed_by, side_touched
 
 _TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
-_ONE_IN: Final = 20  # crossings of which one is kept, to be run again
-_MOST: Final = 240
-
-
-class Kept:
-    """Some crossings, spread over all that there are: of each so many, one by lot.
-
-    Attributes:
-        logs: what happened in them.
-    """
-
-    def __init__(self) -> None:
-        """Begin with none."""
-        self.logs: list[EpisodeLog] = []
-        self._one_in = _ONE_IN
-        self._next = one_of(_ONE_IN)  # counted from the next crossing
-        self._left = _ONE_IN  # crossings of the part in which that is
-
-    def wants(self, count: int) -> list[int]:
-        """Return which of the next `count` crossings are to be added."""
-        found, at = [], 0
-        while at < count:
-            here = min(self._left, count - at)
-            if 0 <= self._next < here:
-                found.append(at + self._next)
-            self._next, self._left, at = self._next - here, self._left - here, at + here
-            if not self._left:
-                self._next, self._left = one_of(self._one_in), self._one_in
-        return found
-
-    def add(self, logs: Iterable[EpisodeLog]) -> None:
-        """Keep what happened; of so many that it takes much room, every other one."""
-        self.logs.extend(logs)
-        while len(self.logs) > _MOST:
-            self.logs, self._one_in = self.logs[::2], 2 * self._one_in
 
 
 class AnyCar:

@@ -10,9 +10,10 @@ from skd_sim.apart.apart import apart, takes_batches
 from skd_sim.encounter.road import road_pose
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
+from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.side_by_side import replayed, why_not_side_by_side
-from skd_evaluator.risk.any_car import AnyCar, Kept, ended
+from skd_evaluator.risk.any_car import AnyCar, ended
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 
 BLOCK: Final = 250

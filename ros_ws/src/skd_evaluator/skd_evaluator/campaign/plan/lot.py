@@ -7,10 +7,16 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, TypeVar
+
+from skd_sim.episode.episode import Episode, EpisodeLog
+
+from skd_evaluator.campaign.plan.plan import EpisodeRunner
 
 _Item = TypeVar("_Item")
+_ONE_IN: Final = 20  # episodes of which one is kept, to be run again
+_MOST: Final = 240
 _CHANCE = random.SystemRandom()
 
 
@@ -30,3 +36,55 @@ def one_of(count: int) -> int:
 def shuffled(items: Sequence[_Item]) -> list[_Item]:
     """Return items in any order."""
     return _CHANCE.sample(items, len(items))
+
+
+class Kept:
+    """Some episodes, spread over all that there are: of each so many, one by lot.
+
+    Attributes:
+        logs: what happened in them.
+    """
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.logs: list[EpisodeLog] = []
+        self._one_in = _ONE_IN
+        self._next = one_of(_ONE_IN)  # counted from the next episode
+        self._left = _ONE_IN  # episodes of the part in which that is
+
+    def wants(self, count: int) -> list[int]:
+        """Return which of the next `count` episodes are to be added."""
+        found, at = [], 0
+        while at < count:
+            here = min(self._left, count - at)
+            if 0 <= self._next < here:
+                found.append(at + self._next)
+            self._next, self._left, at = self._next - here, self._left - here, at + here
+            if not self._left:
+                self._next, self._left = one_of(self._one_in), self._one_in
+        return found
+
+    def add(self, logs: Iterable[EpisodeLog]) -> None:
+        """Keep what happened; of so many that it takes much room, every other one."""
+        self.logs.extend(logs)
+        while len(self.logs) > _MOST:
+            self.logs, self._one_in = self.logs[::2], 2 * self._one_in
+
+
+class SampledRunner:
+    """A runner of whose episodes some are kept.
+
+    Attributes:
+        kept: some of all.
+    """
+
+    def __init__(self, runner: EpisodeRunner) -> None:
+        """Let `runner` do the work."""
+        self._runner = runner
+        self.kept = Kept()
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`; see `EpisodeRunner`."""
+        for log in self._runner.run(episodes):
+            self.kept.add([log] * len(self.kept.wants(1)))
+            yield log

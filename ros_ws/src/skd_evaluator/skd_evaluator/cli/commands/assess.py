@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.graph_options import LOCKSTEP
 from skd_sim.choices.objective import Objective, objectives_named
 from skd_sim.choices.options import values_of
 from skd_sim.episode.aborts import counts_in_words
@@ -27,9 +26,7 @@ from skd_evaluator.assessing.pipeline import (
     Further,
     Runners,
     assess_in_process,
-    assessed,
     compile_for_graph,
-    learned_plan,
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
@@ -58,7 +55,8 @@ from skd_evaluator.report.terminal import (
 )
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.ros.programs.node_logs import log_of
-from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
+from skd_evaluator.ros.rated import rated_through_graph
+from skd_evaluator.ros.session import prepare_ros
 
 EXIT_INTERRUPTED = 130
 
@@ -250,21 +248,17 @@ def _assess_graph(
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:
-        session = graphs_session(
-            graph_options(arguments),
-            controller=plan.controller,
-            simulator=plan.simulator,
-            campaign=campaign_name(plan.car),
-            log_folder=scratch.logs,
-            record_to=scratch.folder / "bags" if arguments.record else None,
-        )
-        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
-            graph = graph_options(arguments)
-            plan = learned_plan(plan, evaluator, progress, partial(say, arguments.command), graph)
-            # Only nodes that wait for one another can walk a way again.
-            runners = Runners.of_graph(plan, evaluator, evaluator if graph.pacing == LOCKSTEP else None)
-            rating = assessed(plan, objectives, runners, progress, further)
-            evaluator.publish_assessment(rating)
-        rating = replace(rating, provenance=origin_of(arguments, plan), seconds=time.perf_counter() - begin)
+        with progress_bar(quiet=arguments.quiet) as progress:
+            rating = rated_through_graph(
+                plan,
+                objectives,
+                graph_options(arguments),
+                further,
+                log_folder=scratch.logs,
+                record_to=scratch.folder / "bags" if arguments.record else None,
+                progress=progress,
+                say=partial(say, arguments.command),
+            )
+        rating = replace(rating, provenance=origin_of(arguments, rating.plan), seconds=time.perf_counter() - begin)
         problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, rating, arguments))
     return rating, problem

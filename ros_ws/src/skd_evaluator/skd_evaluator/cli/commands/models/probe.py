@@ -18,6 +18,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.again import doubts_of_episodes
+from skd_evaluator.assessing.again_graph import doubts_of_the_stack
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.bags.logs import EPISODES, write_logs
@@ -30,6 +31,7 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, s
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.ros.rated import fresh_process, graph_anew, graph_there_is, repeats
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.version import version
 
@@ -54,9 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
     problem: str | None = None
     doubts: tuple[str, ...] = ()
     if arguments.graph:
-        logs = _through_graph(arguments, episodes, out)
+        logs, doubts = _through_graph(arguments, episodes, out)
     else:
-        car = CarUnderTest(arguments.controller, arguments.multiplier)
+        car = _car(arguments)
         workers = arguments.workers or available_workers()
         runner = InProcessRunner(workers, isolated=not car.is_own, answer_limit=arguments.startup_timeout)
         recorder = Recorder(runner)
@@ -95,6 +97,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _car(arguments: argparse.Namespace) -> CarUnderTest:
+    return CarUnderTest(arguments.controller, arguments.multiplier)
+
+
 def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
     logs = []
     for log in runner.run(episodes):
@@ -103,21 +109,34 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
     return logs
 
 
-def _through_graph(arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder) -> list[EpisodeLog]:
-    car = CarUnderTest(arguments.controller, arguments.multiplier)
-    with out.scratch() as scratch:
+def _through_graph(
+    arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder
+) -> tuple[list[EpisodeLog], tuple[str, ...]]:
+    car, simulator, options = _car(arguments), arguments.simulator, graph_options(arguments)
+    fresh = fresh_process(car, simulator, options)
+    run_again = car.is_external and repeats(simulator, options)
+    doubts: tuple[str, ...] = ()
+    with out.scratch() as scratch, progress_bar(quiet=arguments.quiet) as progress:
         session = graphs_session(
-            graph_options(arguments),
+            options,
             controller=car.controller,
-            simulator=arguments.simulator,
+            simulator=simulator,
             campaign=f"probe-{campaign_name(car)}",
             log_folder=scratch.logs,
             record_to=scratch.folder / "bags",
         )
-        with session as evaluator, progress_bar(quiet=arguments.quiet) as progress:
+        with session as evaluator:
             logs = _collect(evaluator, episodes, progress)
-        write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs))
-    return logs
+            if run_again and not options.controller_command:
+                graph = graph_there_is(evaluator)
+                doubts = doubts_of_the_stack(car.controller, [logs], graph, progress, anew=False)
+        if fresh is not None:
+            doubts = doubts_of_episodes(car, logs, (), fresh)
+        elif run_again and options.controller_command:
+            graph = graph_anew(car, simulator, options, scratch.logs)
+            doubts = doubts_of_the_stack(car.controller, [logs], graph, progress, anew=True)
+        write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs, doubts))
+    return logs, doubts
 
 
 def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: Sequence[str] = ()) -> dict[str, Any]:
@@ -126,7 +145,7 @@ def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: 
         "ticks": sum(len(log.adversary) - 1 for log in logs),
         "outcomes": dict(sorted(Counter(log.outcome.name.lower() for log in logs).items())),
         "controller": arguments.controller,
-        "multiplier": CarUnderTest(arguments.controller, arguments.multiplier).stated_multiplier,
+        "multiplier": _car(arguments).stated_multiplier,
         "seed": arguments.seed,
         "scenario": logs[0].episode.scenario.as_dict(),
         "version": version(),

@@ -1,0 +1,108 @@
+"""Episodes that are run again: which of all, whether they went as before, and what it means that they did not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+
+from skd_evaluator.campaign.plan.lot import spread_by_lot
+from skd_evaluator.campaign.plan.plan import Stage, split_episode_id, walks_a_way
+from skd_evaluator.campaign.run.led import ALIKE, NEARLY
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
+
+EPISODES = 12
+"""So many are run again as they were, one by lot of each of as many parts of all."""
+FURTHER, SHARE = 48, 20
+"""So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
+_BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
+
+Pair = tuple[EpisodeLog, EpisodeLog]
+"""The first and the second run of an episode."""
+
+
+def some_of(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
+    """Return a few episodes, spread over all."""
+    return spread_by_lot([log for log in logs if log.outcome != Outcome.ABORTED], EPISODES)
+
+
+def further_of(logs: Sequence[EpisodeLog], but: Sequence[EpisodeLog]) -> list[EpisodeLog]:
+    """Return some more of them, which cost little as nobody plans in them again."""
+    taken = set(map(id, but))
+    left = [log for log in logs if log.outcome != Outcome.ABORTED and id(log) not in taken]
+    return spread_by_lot(left, min(FURTHER, max(EPISODES, len(logs) // SHARE)))
+
+
+def is_same(first: EpisodeLog, second: EpisodeLog) -> bool:
+    """Whether two logs of an episode tell the same."""
+    if _stage(first) == Stage.RISK:  # which `commands` may have answered, by a little otherwise than `command`
+        count = min(len(first.car), len(second.car))
+        return np.allclose(first.car[:count], second.car[:count], rtol=0.0, atol=NEARLY)
+    if first.outcome != second.outcome or first.adversary.shape != second.adversary.shape:
+        return False
+    pairs = ((first.adversary, second.adversary), (first.car, second.car))
+    return all(np.allclose(one, other, rtol=0.0, atol=ALIKE) for one, other in pairs)
+
+
+def collisions(changed: Sequence[Pair]) -> tuple[int, int]:
+    """Return how many episodes collided in their second run alone, and how many in their first alone."""
+    collided = [tuple(log.outcome == Outcome.COLLISION for log in both) for both in changed]
+    return collided.count((False, True)), collided.count((True, False))
+
+
+def flatters(changed: Sequence[Pair]) -> bool:
+    """Whether the first runs had surely fewer collisions than the second ones: a sign test."""
+    come, gone = collisions(changed)
+    return come > gone and _at_least(come, come + gone) < _BY_CHANCE
+
+
+def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process") -> str:
+    """Return in a line what it means that some of `count` episodes of a car that can repeat itself went otherwise.
+
+    It is more than a doubt where the first runs had surely fewer collisions: the rating flatters the car.
+
+    Args:
+        name: name of the car.
+        changed: the episodes that went otherwise.
+        count: how many were run again.
+        where: what was new in their second run.
+    """
+    if where == "process":
+        more, orders = "what reset gave it and what it saw since", "the order of the episodes and on --workers"
+    else:
+        more, orders = "what it hears in an episode", "the order of the episodes"
+    return (
+        f"{DISBELIEF if flatters(changed) else DOUBT}{told(changed, count, where)}: {name} answers by more than "
+        f"{more}, as by what it keeps from one episode to the next; so its figures depend on {orders}"
+    )
+
+
+def told(changed: Sequence[Pair], count: int, where: str) -> str:
+    """Return in words how many of `count` episodes went otherwise, which one was the first, and who collided when."""
+    come, gone = collisions(changed)
+    said = f"; {come} of them collided then alone, {gone} before alone" if come or gone else ""
+    new = f"in a new {where} and " if where else ""
+    return (
+        f"{len(changed)} of {count} episodes went otherwise when they were run again, {new}in another order (the first "
+        f"is {named(changed[0][0])}{said})"
+    )
+
+
+def named(log: EpisodeLog) -> str:
+    """Return in words which episode a log is of."""
+    kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
+    kind = {Stage.RISK: "a crossing of the risk", Stage.SAFE: "a static test"}.get(_stage(log), kind)
+    if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
+        kind = "a way of the margin's search"
+    return f"{kind}, episode {log.episode.episode_id}"
+
+
+def _at_least(come: int, count: int) -> float:
+    """Return how likely at least `come` of `count` are where each is as likely to come as to go."""
+    return float(sum(math.comb(count, one) for one in range(come, count + 1))) / 2.0**count
+
+
+def _stage(log: EpisodeLog) -> Stage:
+    return split_episode_id(log.episode.episode_id)[0]
