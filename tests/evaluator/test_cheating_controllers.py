@@ -55,6 +55,13 @@ class Looking(Honest):
     def command(self, car, adversary):
         return super().command(car, adversary) - 0.01 * self.nearest
 
+class Forgetful(Honest):
+    "Keeps something that its reset leaves as it is: every episode has one of its own, so nothing comes of it."
+    asked = 0
+    def command(self, car, adversary):
+        self.asked += 1
+        return super().command(car, adversary) - 0.001 * self.asked
+
 class Stack(Honest):
     "Looks for the episode in the frames of its callers."
     def command(self, car, adversary):
@@ -178,7 +185,7 @@ def assessed(cars: Path, name: str, *further: object) -> tuple[int, str, dict[st
     return done.returncode, done.stderr, json.loads((out / "assessment.json").read_text())
 
 
-@pytest.mark.parametrize("name", ["Honest", "Drawing", "Looking"])
+@pytest.mark.parametrize("name", ["Honest", "Drawing", "Looking", "Forgetful"])
 def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> None:
     code, _, result = assessed(cars, name, "--margin-limit", 64)
     assert (code, result["warnings"]) == (0, [])

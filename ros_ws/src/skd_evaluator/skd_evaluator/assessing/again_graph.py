@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 
 import numpy as np
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -117,8 +118,14 @@ def _run(graph: Graph, episodes: Sequence[Episode], progress: Progress) -> list[
 def _changed(first: Sequence[EpisodeLog], second: Sequence[EpisodeLog]) -> tuple[list[Pair], int]:
     """Return the episodes that went otherwise, and how many can be compared."""
     pairs = [
-        (one, other)
+        (one, _named_alike(one, other))
         for one, other in zip(first, second, strict=True)
         if Outcome.ABORTED not in (one.outcome, other.outcome)
     ]
     return [(one, other) for one, other in pairs if not is_same(one, other)], len(pairs)
+
+
+def _named_alike(one: EpisodeLog, other: EpisodeLog) -> EpisodeLog:
+    """Return the second run with the end of the first if both or neither collided; whoever is led cannot miss."""
+    alike = (one.outcome == Outcome.COLLISION) == (other.outcome == Outcome.COLLISION)
+    return replace(other, outcome=one.outcome) if alike else other

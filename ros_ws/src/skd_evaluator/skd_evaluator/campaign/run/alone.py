@@ -134,23 +134,28 @@ class Alone:
 
 
 class _Here:
-    """What a worker keeps between two tasks: the controller in its process."""
+    """What a worker keeps between two tasks: the process of the controller, and one that was made there."""
 
+    process: ApartCar | None = None
     controller: ApartController | None = None
 
 
 def _begin(car: CarUnderTest) -> None:
     """Load a controller: in a worker."""
-    _Here.controller = made_in(ApartCar(car))
+    _Here.process = ApartCar(car)
+    _Here.controller = made_in(_Here.process)
 
 
 def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
     """Return the answers of the controller: in a worker, which has loaded it, or took the place of one that had."""
-    controller = _Here.controller or made_in(ApartCar(car))
+    if _Here.process is None:
+        _begin(car)
     found = []
     for one in conversations:
         assert one.scenario is not None
         assert one.rng is not None
+        assert _Here.process is not None
+        controller = made_in(_Here.process)  # anew, as for an episode: what one keeps of the last is no cheat
         controller.reset(one.scenario, one.rng)
         answers = []
         for scan, state, adversary in one.asked:
