@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from skd_evaluator.assessing.again_graph import doubts_of_the_stack
+from skd_evaluator.campaign.plan import lot
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
@@ -22,6 +24,12 @@ from skd_sim.state import AdversaryState, CarState
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, controller="external", simulations=5, seed=3)
 PHI = safe_trajectories(Plan(CROSSING, safe_count=2, seed=3), InProcessRunner(1))
+
+
+@pytest.fixture(autouse=True)
+def lots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that are run again are drawn by lot, from no seed; here from one."""
+    monkeypatch.setattr(lot, "_CHANCE", random.Random(1))
 
 
 class Stack:

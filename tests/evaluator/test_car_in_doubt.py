@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -13,6 +14,7 @@ import pytest
 from skd_evaluator.assessing import again
 from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
+from skd_evaluator.campaign.plan import lot
 from skd_evaluator.campaign.plan.lot import Kept, spread_by_lot
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.alone import Alone
@@ -121,8 +123,12 @@ def doubts(
     second: Controller,
     led: Sequence[LedWay] = (),
     count: int = 40,
+    alone: list[list[float]] | None = None,
 ) -> tuple[str, ...]:
-    """Return what is said of a car that was one controller at first, and is another one when it is asked again."""
+    """Return what is said of a car that was one controller at first, and is another one when it is asked again.
+
+    Asked alone it gives the answers `alone` to the first episodes; it ends where there are none.
+    """
 
     def fresh() -> AbstractContextManager[Any]:
         return nullcontext(Here(second))
@@ -131,7 +137,7 @@ def doubts(
     monkeypatch.setattr(again, "led_again", lambda way: LedAgain(True, bool(way.velocities.any())))
     monkeypatch.setattr(Alone, "__init__", lambda *_: None)
     monkeypatch.setattr(Alone, "__exit__", lambda *_: None)
-    monkeypatch.setattr(Alone, "answers", lambda *_: "it ended")
+    monkeypatch.setattr(Alone, "answers", lambda *_: "it ended" if alone is None else alone)
     return doubts_of_episodes(CAR, first if isinstance(first, list) else runs(first, count), led, fresh)
 
 
@@ -144,12 +150,23 @@ def test_a_car_that_was_surely_more_careful_at_first_is_not_believed(monkeypatch
 
 
 def test_a_few_careful_episodes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One in ten: twelve would miss it every third time."""
+    """One in ten: twelve would miss it every third time, 24 do once in twelve; which are looked at is drawn by lot."""
+    monkeypatch.setattr(lot, "_CHANCE", random.Random(3))
     found = [
         doubts(monkeypatch, Careful([number % 10 == 5 for number in range(200)]), Careful(), count=200)
         for _ in range(3)
     ]
     assert sum(any("went otherwise" in line for line in lines) for lines in found) >= 2
+
+
+def test_who_answers_otherwise_alone_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It goes as before when episodes are run again; so it knows, by whatever, that it is in one."""
+    stander = Stander(1000.0, 0.0)
+    logs = runs(stander, 2)
+    answers = [[0.0] * (len(log.car) - 1) for log in logs]
+    (line,) = doubts(monkeypatch, logs, stander, alone=answers)
+    assert line.startswith(f"{DISBELIEF}in 2 of 2 episodes a.b:C answered otherwise when it was asked the same alone")
+    assert "(the first is a run along φ, episode " in line
 
 
 def test_one_fault_does_not_hide_another(monkeypatch: pytest.MonkeyPatch) -> None:

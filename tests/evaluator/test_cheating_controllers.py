@@ -73,15 +73,6 @@ class Stack(Honest):
             frame = frame.f_back
         return super().command(car, adversary)
 
-class Twice(Honest):
-    "Is another car from its second reset on: one object is reset several times only where it is asked alone."
-    resets = 0
-    def reset(self, scenario, rng):
-        super().reset(scenario, rng)
-        self.resets += 1
-    def command(self, car, adversary):
-        return -8.0 if self.resets > 1 else super().command(car, adversary)
-
 class Counting(Honest):
     "Keeps something on its class."
     episodes = 0
@@ -189,15 +180,6 @@ def assessed(cars: Path, name: str, *further: object) -> tuple[int, str, dict[st
 def test_who_answers_by_what_it_was_given_is_believed(cars: Path, name: str) -> None:
     code, _, result = assessed(cars, name, "--margin-limit", 64)
     assert (code, result["warnings"]) == (0, [])
-
-
-def test_who_answers_otherwise_alone_is_not_believed(cars: Path) -> None:
-    code, said, result = assessed(cars, "Twice", "--margin-limit", 0, "--workers", 1)
-    (warning,) = result["warnings"]
-    assert warning.startswith("do not believe these figures: in ")
-    assert "answered otherwise when it was asked the same alone" in warning
-    assert code == 1
-    assert f"skd assess: {warning}" in said.splitlines()
 
 
 @pytest.mark.parametrize("name", ["Counting", "Unseeded"])

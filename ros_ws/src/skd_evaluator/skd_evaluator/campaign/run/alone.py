@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.apart.apart import ApartController, made_in
+from skd_sim.apart.apart import made_in
 from skd_sim.apart.car_process import ApartCar
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller, SensingController
@@ -134,16 +134,15 @@ class Alone:
 
 
 class _Here:
-    """What a worker keeps between two tasks: the process of the controller, and one that was made there."""
+    """What a worker keeps between two tasks: the controller's process."""
 
     process: ApartCar | None = None
-    controller: ApartController | None = None
 
 
 def _begin(car: CarUnderTest) -> None:
     """Load a controller: in a worker."""
     _Here.process = ApartCar(car)
-    _Here.controller = made_in(_Here.process)
+    made_in(_Here.process)
 
 
 def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
