@@ -23,10 +23,10 @@ from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns import campaign as cells
 from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.ros import rated
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Mode
 
@@ -99,7 +99,10 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     assert campaign(here)["planned_refusal"] == ""
     assert names(here / "out") == [".lock", "basic-C0.75", "basic-C1", "campaign.csv", "campaign.json", "cells.json"]
     assert skd_here("report", "out", "--out", "report.html").returncode == 0
-    # What is done is left alone, and a campaign that is done has nothing to do.
+    # What is done is left alone, and a campaign that is done has nothing to do but to remove what was of use till then.
+    (here / "out" / FILE_NAME).write_bytes(b"left by one that was killed after its last cell")
+    assert skd_here("campaign", "campaign.yaml", "--out", "out", "--resume").returncode == 0
+    assert not (here / "out" / FILE_NAME).exists()
     before = (here / "out" / "basic-C1" / "assessment.json").stat().st_mtime_ns
     shutil.rmtree(here / "out" / "basic-C0.75")
     again = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1", "--resume")
@@ -227,7 +230,7 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
         used.append((graphs[len(used)], options.graphs))
         yield used[-1][0]
 
-    monkeypatch.setattr(cells, "graphs_session", session)
+    monkeypatch.setattr(rated, "graphs_session", session)
     monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
     write(here, "cars: [{graph: true}]")
     words = ("campaign", "campaign.yaml", "--graphs", "2", "--out")

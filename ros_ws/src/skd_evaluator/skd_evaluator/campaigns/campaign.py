@@ -36,7 +36,7 @@ from skd_evaluator.campaigns.rows import (
     open_row,
     row_of,
 )
-from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
+from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError, remove_files
 from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
@@ -104,6 +104,8 @@ class Campaign:
         if self._todo:
             self._store = EpisodeStore(folder.path / FILE_NAME)
             self._store.keep_only([cell.key for cell in self._todo])
+        else:  # who was killed after the last cell has left it
+            remove_files(folder.path / FILE_NAME)
         self._save()
 
     @property

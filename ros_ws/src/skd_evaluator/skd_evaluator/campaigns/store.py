@@ -189,8 +189,13 @@ class EpisodeStore:
     def remove(self) -> None:
         """Delete it, once nothing in it is wanted any more."""
         self.close()
-        for suffix in ("-wal", "-shm", "-journal", ""):
-            self._path.with_name(self._path.name + suffix).unlink(missing_ok=True)
+        remove_files(self._path)
+
+
+def remove_files(path: Path) -> None:
+    """Delete a store of which nothing is wanted, if there is one; nobody has it open."""
+    for suffix in ("-wal", "-shm", "-journal", ""):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
 class CellStore:
