@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,7 +115,11 @@ class Gate:
                 )
             except UsageError as error:
                 found.append(Check(name, f"not compared: {error}", error=True))
-        return found
+        if not why:
+            return found
+        # A condition that these figures meet may not be met by the car; one that they do not meet stays so.
+        judged = (replace(one, text=f"not judged: {one.text}", error=True) if one.passed else one for one in found[1:])
+        return [first, *judged]
 
     def write(self, result: Mapping[str, Any], checks: list[Check]) -> str | None:
         """Write the files, and return why that failed, in one line; none where all is well."""
