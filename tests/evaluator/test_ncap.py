@@ -33,6 +33,8 @@ from skd_sim.errors import UsageError
 
 KMH = 1.0 / 3.6
 CARS = """
+import os
+
 class Brakes:
     control_period, sees = 0.05, 500.0
     def reset(self, scenario, rng):
@@ -63,13 +65,14 @@ class Keeps(Brakes):
         super().reset(scenario, rng)
         Keeps.begun += 1  # brakes later from test to test
         self.begins = 1.0 + 0.5 * Keeps.begun
-class Twice(Brakes):
-    begins, ends, deceleration, resets = 1.5, 100.0, 6.0, 0
+class Marks(Brakes):
+    begins, ends, deceleration, mine = 1.5, 100.0, 6.0, None
     def reset(self, scenario, rng):
         super().reset(scenario, rng)
-        self.resets += 1  # twice only where it is asked alone
-    def command(self, car, adversary):
-        return super().command(car, adversary) if self.resets == 1 else -1.0
+        if Marks.mine is None:  # it brakes in the first process that drives, and knows it by a file
+            Marks.mine = not os.path.exists("driven")
+            open("driven", "w").close()
+        self.begins = 1.5 if Marks.mine else 4.4
 class Raises:
     def reset(self, scenario, rng): pass
     def command(self, car, adversary): return 1 / 0
@@ -263,16 +266,16 @@ def test_a_car_that_fails_ends_the_command(cars):
     [
         (
             "Keeps",
-            r"these figures are in doubt: [34] of 4 episodes went otherwise when they were run again, in a new process",
+            r"these figures are in doubt: [5-8] of 8 episodes went otherwise",
             0,
         ),
-        ("Twice", "do not believe these figures: in 3 of 4 episodes ncap_cars:Twice answered otherwise", 1),
+        ("Marks", r"do not believe these figures: [5-8] of 8 episodes went otherwise", 1),
         ("Early", "", 0),
     ],
 )
 def test_tests_are_run_again_and_the_car_is_asked_alone(cars, car, said, code):
     """As of assessments: it may be another car in another order, or where it is not tested."""
-    words = ("--encounters", "cpna-50,cpfa-50", "--speeds", "40:60:20", *NONE, "--out", f"again_{car}")
+    words = ("--encounters", "cpna-50,cpfa-50", "--speeds", "30:60:10", *NONE, "--out", f"again_{car}")
     done = skd("ncap", "--controller", f"ncap_cars:{car}", *words, cwd=cars)
     assert done.returncode == code, done.stderr
     found = read_ncap(cars / f"again_{car}")

@@ -40,3 +40,12 @@ def test_a_bound_that_does_not_follow_from_the_search_is_refused() -> None:
     for cell in (replace(LOWER, margin_is="at most"), replace(MEASURED, margin_is="at least")):
         with pytest.raises(UsageError, match=r"which does not follow from its search"):
             checked(result(cell), Path("x"))
+
+
+def test_a_bound_that_was_removed_wherever_it_stands_is_found(tmp_path: Path) -> None:
+    """By η_max of the encounter, which is one of SKD's own."""
+    found = result(MEASURED, replace(LOWER, beyond=0, margin_is=""))
+    (tmp_path / RESULT).write_text(json.dumps(as_data(found)), encoding="utf-8")
+    write_table(tmp_path / TABLE, found)
+    (problem,) = with_regulator(Verified(tmp_path, None)).problems
+    assert "at 35 km/h says that 0 attempts have no hit, and 1 of its margins are η_max, 5 m" in problem

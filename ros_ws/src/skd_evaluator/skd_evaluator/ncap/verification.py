@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+from skd_sim.encounter.known_scenarios import is_named
+from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json, read_text
 
@@ -33,9 +36,27 @@ def with_regulator(found: Verified) -> Verified:
             problems.append(f"{path}: its points are not those of its colours, by Euro NCAP's calculator")
     elif said.points:
         remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
+    problems += _beyond(said, path)
     remarks += _bounds(said)
     remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
     return replace(found, problems=tuple(problems), remarks=tuple(remarks))
+
+
+def _beyond(said: Ncap, path: Path) -> list[str]:
+    """Return, a line each, in which of SKD's own encounters other attempts than those without a hit count as η_max."""
+    lines = []
+    for grid in said.grids:
+        if not is_named(grid.encounter):
+            continue
+        most = load_scenario(grid.encounter).eta_max
+        for cell in grid.cells:
+            count = sum(margin >= most for margin in cell.margins)
+            if count != cell.beyond or any(margin > most for margin in cell.margins):
+                lines.append(
+                    f"{path}: a cell of {grid.encounter} at {cell.speed:g} km/h says that {cell.beyond} attempts have "
+                    f"no hit, and {count} of its margins are η_max, {most:g} m"
+                )
+    return lines
 
 
 def _bounds(said: Ncap) -> list[str]:
