@@ -149,24 +149,28 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(
         assert "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
 
 
+RESULT = {
+    "controller": "a.b:C",
+    "eta_max": 5.0,
+    "margin": 5.0,
+    "margin_ci95": (5.0, 5.0),
+    "margin_converged": True,
+    "margin_budget": 128,
+    "margin_how": None,
+    "margin_attempts": 12,
+    "margin_beyond": 12,
+    "per_safe_trajectory": [{}] * 3,
+    "closeness": None,
+    "impact_speed": None,
+    "scenario": {"collision": {"hit_speed": 0.556}},
+}
+
+
 @pytest.mark.parametrize(("beyond", "hit", "said"), [(12, 3, True), (12, 0, False), (11, 3, False)])
 def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hit: int, said: bool) -> None:
     """Else it reads: nobody is hit within 5 m, from 5.000 to 5.000 m, beside runs along φ that end in a hit."""
-    result = {
-        "controller": "a.b:C",
-        "eta_max": 5.0,
-        "margin": 5.0,
-        "margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0),
-        "margin_converged": True,
-        "margin_budget": 128,
-        "margin_attempts": 12,
-        "margin_beyond": beyond,
-        "per_safe_trajectory": [{}] * 3,
-        "closeness": None,
-        "impact_speed": None,
-        "hit_rate": 2 / 24 if hit else 0.0,
-        "scenario": {"collision": {"hit_speed": 0.556}},
-    }
+    ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "hit_rate": 2 / 24 if hit else 0.0}
+    result = {**RESULT, **ends, "margin_beyond": beyond}
     found = margin_doubts(result, hit, hit)
     assert ["but 3 other episodes ended in a hit: hits are rarer" in line for line in found] == [True] * said + [
         False
@@ -175,3 +179,12 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
         beyond == 12 and not hit
     )
     assert ("But it hit in 8.3 % of the runs" in headline(result)) == said
+
+
+@pytest.mark.parametrize(
+    ("how", "unit"), [(None, "ticks"), ("by up to 16 whole episodes an attempt", "whole episodes")]
+)
+def test_a_search_that_has_not_converged_says_of_what_it_took_so_many(how: str | None, unit: str) -> None:
+    result = {**RESULT, "margin_converged": False, "margin_budget": 16, "margin_how": how}
+    assert f"it stopped at 16 {unit} an attempt" in headline(result)
+    assert f"had not converged at 16 {unit} an attempt" in margin_doubts(result, 0, 0)[0]

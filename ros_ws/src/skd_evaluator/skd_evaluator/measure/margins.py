@@ -8,7 +8,7 @@ is hit. An attempt in which nobody can be hit within η_max counts as η_max (th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -35,7 +35,8 @@ class Margins:
         ways: for each φ the least way of each attempt, in the order of their numbers; None: nobody can be hit within
             η_max, or no such way was found.
         eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
-        budget: ticks of the car that the search was allowed in an attempt; None: the margins are exact.
+        budget: ticks of the car, or whole episodes where there is a `how`, that the search was allowed in an attempt;
+            None: the margins are exact.
         converged: whether the mean changed by less than 2 % when the budget was doubled; exact ones are.
         confidence: confidence of the intervals over φ.
         how: what was searched, in a few words, if it was not the car itself in this process; else empty.
@@ -121,6 +122,11 @@ class Margins:
             "margin_how": self.how,
             "impact_speed": impact_figures(speeds),
         }
+
+
+def unit_of_search(figures: Mapping[str, Any]) -> str:
+    """Return of what `margin_budget` is a number, from the content of assessment.json."""
+    return "whole episodes" if figures["margin_how"] else "ticks"
 
 
 def impact_figures(speeds: FloatArray) -> dict[str, float] | None:

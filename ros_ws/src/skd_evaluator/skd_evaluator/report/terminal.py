@@ -19,7 +19,7 @@ from skd_sim.inputs.printable import one_line, own
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.doubt import disbelief, in_doubt
-from skd_evaluator.measure.margins import CLOSENESS_WARNING
+from skd_evaluator.measure.margins import CLOSENESS_WARNING, unit_of_search
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
 from skd_evaluator.report.risk.failures import failures_in, how_many
@@ -74,8 +74,8 @@ def _found(result: Mapping[str, Any]) -> str:
         )
     if not result["margin_converged"]:
         found += (
-            f" The search had not converged when it stopped at {result['margin_budget']} ticks an attempt: the margin "
-            "may be less (--margin-limit)."
+            f" The search had not converged when it stopped at {result['margin_budget']} {unit_of_search(result)} an "
+            "attempt: the margin may be less (--margin-limit)."
         )
     return found
 
@@ -211,7 +211,7 @@ def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
     gap, budget = result["margin_gap"], result["margin_budget"]
     if budget is not None:
         stopped = "converged" if result["margin_converged"] else "[red]not converged[/]"
-        table.add_row("margin: ticks of the car searched, per attempt", str(budget), stopped)
+        table.add_row(f"margin: {unit_of_search(result)} searched, per attempt", str(budget), stopped)
     elif gap:
         table.add_row("margin: the least is at most this much less (m)", f"{gap:.4f}", "")
     table.add_row(

@@ -21,6 +21,7 @@ from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_sp
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.doubt import DOUBT, HARDLY_DRIVES, disbelief, in_doubt
+from skd_evaluator.measure.margins import unit_of_search
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 
@@ -248,7 +249,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
             if not one.figures["margin_converged"]:
                 found.append(
                     f"the search for the margin of {one.folder} had not converged at {one.figures['margin_budget']} "
-                    "ticks an attempt: it may be less, and the verdict another (--margin-limit)"
+                    f"{unit_of_search(one.figures)} an attempt: it may be less, and the verdict another "
+                    "(--margin-limit)"
                 )
         ways = [one.figures["margin_how"] or "" for one in both]
         if ways[0] != ways[1]:

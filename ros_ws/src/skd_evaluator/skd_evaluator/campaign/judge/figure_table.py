@@ -209,8 +209,8 @@ FIGURES = (
            details=2, campaign=25, compare=24),
     Figure("margin_converged", FLAG_OR_NULL, "whether doubling the budget of the search changed it by less than 2 %; "
            "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
-    Figure("margin_budget", COUNT_OR_NULL, "ticks of the car that the search was allowed in an attempt; null: it is "
-           "exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
+    Figure("margin_budget", COUNT_OR_NULL, "ticks of the car, or with margin_how whole episodes, that the search was "
+           "allowed in an attempt; null: it is exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
     Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_attempts", COUNT_OR_NULL, of=_MARGIN, compare=6),
     Figure("margin_beyond", COUNT_OR_NULL, "attempts in which nobody is hit within eta_max", _MARGIN,

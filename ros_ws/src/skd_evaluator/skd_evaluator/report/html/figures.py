@@ -99,7 +99,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             of = () if key == "margin" else (one.figures.get("knowledge"), one.ranking_objective)
             groups.setdefault((one.safe_key, one.figures["eta_max"], *of), []).append(one)
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
-    for one in subjects:
+    for one in subjects if len(subjects) > 1 else ():  # of a single one that stands in the sentence about it
         if said := in_short(one.figures["warnings"]):
             found.append(f"What is said of {one.label} is {said}: its warnings say why.")
     left = [one.label for one in subjects if one.figures[key] is None]
