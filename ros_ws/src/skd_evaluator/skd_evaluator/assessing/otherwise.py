@@ -18,6 +18,12 @@ EPISODES = 12
 FURTHER, SHARE = 48, 20
 """So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
 _BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
+_OF_STAGES = {
+    Stage.RISK: "a crossing of the risk",
+    Stage.SAFE: "a static test",
+    Stage.PROBE: "a probe",
+    Stage.LEARNING: "a kamikaze from which the adversary learned",
+}
 
 Pair = tuple[EpisodeLog, EpisodeLog]
 """The first and the second run of an episode."""
@@ -54,8 +60,18 @@ def collisions(changed: Sequence[Pair]) -> tuple[int, int]:
 
 def flatters(changed: Sequence[Pair]) -> bool:
     """Whether the first runs had surely fewer collisions than the second ones: a sign test."""
-    come, gone = collisions(changed)
-    return come > gone and _at_least(come, come + gone) < _BY_CHANCE
+    return surely_more(*collisions(changed))
+
+
+def surely_more(many: int, few: int) -> bool:
+    """Whether so many are more than so few by more than chance, were each as likely to be one of either."""
+    return many > few and _at_least(many, many + few) < _BY_CHANCE
+
+
+def way_apart(first: EpisodeLog, second: EpisodeLog) -> float:
+    """Return how far the car of one log was from that of another at most, as long as both lasted, m and m/s."""
+    count = min(len(first.car), len(second.car))
+    return float(np.max(np.abs(first.car[:count] - second.car[:count]), initial=0.0))
 
 
 def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process") -> str:
@@ -93,7 +109,7 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
 def named(log: EpisodeLog) -> str:
     """Return in words which episode a log is of."""
     kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
-    kind = {Stage.RISK: "a crossing of the risk", Stage.SAFE: "a static test"}.get(_stage(log), kind)
+    kind = _OF_STAGES.get(_stage(log), kind)
     if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
         kind = "a way of the margin's search"
     return f"{kind}, episode {log.episode.episode_id}"
