@@ -90,14 +90,15 @@ def learned_plan(
     return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
 
 
-def forget_learned(plan: Plan, graph: GraphOptions | None = None) -> None:
-    """Remove the model of a car that was learned for a plan, if it is kept: its figures turned out to be in doubt.
+def forget_in_doubt(plan: Plan, warnings: Sequence[str], graph: GraphOptions | None = None) -> None:
+    """Remove the model of a car that was learned for a plan, if it is kept, and the car's figures are in doubt.
 
     Args:
         plan: what was to be rated.
+        warnings: what a reader should know of the figures.
         graph: how the node graph was run; None: episodes were run in process.
     """
-    if (folder := folder_of(plan, *_how(graph))) is not None:
+    if in_doubt(warnings) and (folder := folder_of(plan, *_how(graph))) is not None:
         forget_model(folder)
 
 
@@ -246,6 +247,6 @@ def assess_in_process(
         known = origin(plan)
         rating = assessed(plan, objectives, runners, progress, further, safe)
         warnings = (*rating.warnings, *doubts.found)
-        if doubts.seen and in_doubt(warnings):
-            forget_learned(asked)
+        if doubts.seen:
+            forget_in_doubt(asked, warnings)
         return replace(rating, provenance=known, warnings=warnings)

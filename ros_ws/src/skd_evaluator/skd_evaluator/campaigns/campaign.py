@@ -16,7 +16,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_learned, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
@@ -39,7 +39,6 @@ from skd_evaluator.campaigns.rows import (
 from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.ros.rated import rated_through_graph
 
@@ -237,8 +236,8 @@ class Campaign:
         runners = Runners(storing, storing, runner, fresh=_FRESH)
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
-        if doubts.seen and in_doubt(rating.warnings):
-            forget_learned(asked)
+        if doubts.seen:
+            forget_in_doubt(asked, rating.warnings)
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(

@@ -17,11 +17,10 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack, groups_of
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_learned, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 
@@ -160,6 +159,6 @@ def rated_through_graph(
     if run_again.anew:
         found = run_again.doubts(groups, limit, progress)
     warnings = (*rating.warnings, *learning.found, *found)
-    if learning.seen and in_doubt(warnings):
-        forget_learned(asked, options)
+    if learning.seen:
+        forget_in_doubt(asked, warnings, options)
     return replace(rating, warnings=warnings)
