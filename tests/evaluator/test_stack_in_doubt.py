@@ -13,6 +13,7 @@ import pytest
 from skd_evaluator.assessing import again_graph
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessing.otherwise import flattered, went_otherwise
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
@@ -24,7 +25,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.graph_options import LOCKSTEP, REAL_TIME
 from skd_sim.choices.simulators import WORLD
 from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -183,3 +184,15 @@ def test_a_model_of_a_car_in_doubt_is_forgotten_as_a_whole(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
     forget_model(kept)  # which somebody else has removed
     assert list(tmp_path.iterdir()) == []
+
+
+def test_more_collisions_along_phi_do_not_make_up_for_fewer_crossings_that_hit() -> None:
+    (along,) = [log for log in [run_episode(RUNS[0], Car())] if log.outcome == Outcome.COLLISION]
+    crossing = replace(along, episode=replace(along.episode, episode_id=episode_id(Stage.RISK, 0, 1)))
+    pairs = [(along, replace(along, outcome=Outcome.MISSED))] * 8
+    risk = [(replace(crossing, outcome=Outcome.MISSED), crossing)] * 7
+    assert list(flattered([*pairs, *risk])) == risk
+    assert not flattered([*pairs, *risk[:3]])  # which may be chance
+    line = went_otherwise("external", [*pairs, *risk], 60, "graph")
+    assert line.startswith(DISBELIEF)
+    assert "7 of them collided then alone, 8 before alone, and of crossings of the risk 7 and 0" in line

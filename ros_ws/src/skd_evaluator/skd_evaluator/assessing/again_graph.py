@@ -19,7 +19,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessing.otherwise import (
     Pair,
-    flatters,
+    flattered,
     further_of,
     is_same,
     some_of,
@@ -115,7 +115,7 @@ def doubts_of_the_stack(
             return (_unknown(len(first), why),)
         if not changed:
             return ()
-        if flatters(changed):
+        if flattered(changed):
             return (went_otherwise(name, changed, count, where),)
         once_more = _run(graph, episodes, progress, limit)
     except AssessmentError as error:
