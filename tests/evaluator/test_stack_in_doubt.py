@@ -196,3 +196,27 @@ def test_more_collisions_along_phi_do_not_make_up_for_fewer_crossings_that_hit()
     line = went_otherwise("external", [*pairs, *risk], 60, "graph")
     assert line.startswith(DISBELIEF)
     assert "7 of them collided then alone, 8 before alone, and of crossings of the risk 7 and 0" in line
+
+
+def test_one_of_two_runs_that_collides_more_often_may_be_chance() -> None:
+    """As by a stack that never goes the same way twice."""
+
+    class Drawn(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            for number, log in enumerate(super().run(episodes)):
+                car = log.car + 0.1 * np.sin(number * (1 + self.graphs))[..., None]
+                outcome = Outcome.MISSED if number < 8 and self.graphs != self.collides else Outcome.COLLISION
+                yield replace(log, car=car, outcome=outcome)
+
+        collides = 1
+
+    (line,) = doubts(Drawn(Car))
+    assert not line.startswith((DISBELIEF, DOUBT))
+
+    class Flattered(Drawn):
+        @property
+        def collides(self) -> int:  # type: ignore[override]
+            return max(1, self.graphs)  # in each of the graphs but the first
+
+    (line,) = doubts(Flattered(Car))
+    assert line.startswith(DISBELIEF)

@@ -115,13 +115,13 @@ def doubts_of_the_stack(
             return (_unknown(len(first), why),)
         if not changed:
             return ()
-        if flattered(changed):
-            return (went_otherwise(name, changed, count, where),)
         once_more = _run(graph, episodes, progress, limit)
     except AssessmentError as error:
         return (_unknown(len(first), str(error)),)
     repeated, _ = _changed(again, once_more)
-    if _order_tells(first, again, once_more) or (repeats and len(repeated) <= _OFTEN * len(changed)):
+    flatters = flattered(changed) and flattered(_changed(first, once_more)[0])  # one of the two may be chance
+    keeps = _order_tells(first, again, once_more) or (repeats and len(repeated) <= _OFTEN * len(changed))
+    if flatters or keeps:
         return (went_otherwise(name, changed, count, where),)
     if not repeats:
         return ()
