@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing import again_graph
+from skd_evaluator.assessing import again_graph, pipeline
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.otherwise import flattered, went_otherwise
+from skd_evaluator.assessing.pipeline import forget_in_doubt
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
@@ -220,3 +221,16 @@ def test_one_of_two_runs_that_collides_more_often_may_be_chance() -> None:
 
     (line,) = doubts(Flattered(Car))
     assert line.startswith(DISBELIEF)
+
+
+def test_no_model_is_kept_of_a_car_whose_figures_are_in_doubt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, said = tmp_path / "kept", list[str]()
+    kept.mkdir()
+    monkeypatch.setattr(pipeline, "folder_of", lambda *_how: kept)
+    forget_in_doubt(PLAN, ["harmless"], said.append, GraphOptions())
+    assert kept.is_dir()
+    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions())
+    assert not kept.exists()
+    assert said == ["no model of the car is kept, for its figures are in doubt"]
+    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append)  # of which there was none
+    assert len(said) == 1

@@ -90,16 +90,23 @@ def learned_plan(
     return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
 
 
-def forget_in_doubt(plan: Plan, warnings: Sequence[str], graph: GraphOptions | None = None) -> None:
+def forget_in_doubt(
+    plan: Plan, warnings: Sequence[str], say: Callable[[str], None], graph: GraphOptions | None = None
+) -> None:
     """Remove the model of a car that was learned for a plan, if it is kept, and the car's figures are in doubt.
 
     Args:
         plan: what was to be rated.
         warnings: what a reader should know of the figures.
+        say: called with one line about what was done.
         graph: how the node graph was run; None: episodes were run in process.
     """
-    if in_doubt(warnings) and (folder := folder_of(plan, *_how(graph))) is not None:
+    if not in_doubt(warnings):
+        return
+    folder = folder_of(plan, *_how(graph))
+    if folder is not None and folder.is_dir():
         forget_model(folder)
+        say("no model of the car is kept, for its figures are in doubt")
 
 
 def _how(graph: GraphOptions | None) -> tuple[str | None, dict[str, Any] | None]:
@@ -248,5 +255,5 @@ def assess_in_process(
         rating = assessed(plan, objectives, runners, progress, further, safe)
         warnings = (*rating.warnings, *doubts.found)
         if doubts.seen:
-            forget_in_doubt(asked, warnings)
+            forget_in_doubt(asked, warnings, say)
         return replace(rating, provenance=known, warnings=warnings)

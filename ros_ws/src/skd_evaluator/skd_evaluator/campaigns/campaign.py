@@ -237,7 +237,7 @@ class Campaign:
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
         if doubts.seen:
-            forget_in_doubt(asked, rating.warnings)
+            forget_in_doubt(asked, rating.warnings, partial(_say, cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(

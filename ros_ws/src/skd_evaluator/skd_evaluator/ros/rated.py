@@ -160,5 +160,5 @@ def rated_through_graph(
         found = run_again.doubts(groups, limit, progress)
     warnings = (*rating.warnings, *learning.found, *found)
     if learning.seen:
-        forget_in_doubt(asked, warnings, options)
+        forget_in_doubt(asked, warnings, say, options)
     return replace(rating, warnings=warnings)
