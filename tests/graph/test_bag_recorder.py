@@ -7,15 +7,19 @@ import math
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
+from skd_evaluator.campaign.plan.plan import Stage, episode_id
+from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, aborted
 from skd_evaluator.ros.recording.bag_recorder import BagRecorder
+from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.episode.stamps import period_stamp, tick_stamp
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.messages.command_messages import message_class
 from skd_sim.nodes.support import CLOCK, EGO_ODOMETRY
 
@@ -63,3 +67,28 @@ def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until:
     recorder.settle(Episode(scenario, Mode.SAFE, 0, 0), Result(Outcome.ARRIVED, TICKS, math.nan, math.nan, ""), listen)
     assert not awaited
     assert [kept.stamp for kept in recorder._messages if kept.topic == DRIVE] == stamps
+
+
+def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
+    """It had two of one name where the stack was started by hand, and nothing was written."""
+    written: list[Path] = []
+    recorder = BagRecorder(
+        cast(Node, Names()),
+        tmp_path,
+        DRIVE,
+        WALK,
+        own_world=False,
+        patience=0.0,
+        write=lambda recording: written.append(recording.path),
+    )
+    scenario = load_scenario("crossing")
+    phi = Trajectory(np.zeros((4, 2)), scenario.time_step)
+    episode = Episode(scenario, Mode.REPLAY, 0, episode_id(Stage.COLLISION_RATE, 0, 1), phi)
+    way = dataclasses.replace(episode, episode_id=episode_id(Stage.RISK, 0, 1))
+    assert recorder.takes(episode)
+    assert not recorder.takes(way)
+    log = aborted(episode, "no reason")
+    recorder.begin(EpisodeKey("test", episode.episode_id, START), START)
+    recorder.write(EpisodeMsg(), log, Result(Outcome.ABORTED, 0, math.nan, math.nan, ""), START, unsaid=False)
+    assert len(written) == 1
+    assert not recorder.takes(episode)

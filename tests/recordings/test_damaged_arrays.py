@@ -103,6 +103,8 @@ def test_what_is_in_doubt_is_so_for_who_learns_from_it(
     (tmp_path / "assessment.json").write_text(json.dumps({"warnings": [f"{DOUBT}it counts"]}))
     assert doubts_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [f"{DOUBT}it counts"]
     assert doubts_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
+    (tmp_path / "probe.json").write_text(json.dumps({"warnings": [f"{DOUBT}a probe"]}))  # of skd probe --graph
+    assert doubts_beside([tmp_path / "bags" / "a" / "0.mcap"]) == [f"{DOUBT}a probe", f"{DOUBT}it counts"]
 
 
 @pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])

@@ -59,15 +59,18 @@ class DoubtsOfLearning:
 
     Attributes:
         found: why it is not, a line each.
+        seen: some of the episodes from which it was learned just now.
     """
 
     def __init__(self, car: CarUnderTest, fresh: Fresh | None) -> None:
-        """Run episodes again by what `fresh` makes; None: nobody looks."""
+        """Run episodes again by what `fresh` makes; None: nobody looks yet."""
         self.found: tuple[str, ...] = ()
+        self.seen: tuple[EpisodeLog, ...] = ()
         self._car, self._fresh = car, None if car.is_own or car.is_external else fresh
 
     def believed(self, logs: Sequence[EpisodeLog]) -> bool:
         """Tell whether some of the episodes go as before."""
+        self.seen = tuple(logs)
         if self._fresh is not None:
             found = doubts_of_episodes(self._car, logs, (), self._fresh)
             for line in found:

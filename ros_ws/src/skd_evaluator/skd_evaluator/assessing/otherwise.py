@@ -18,6 +18,18 @@ EPISODES = 12
 FURTHER, SHARE = 48, 20
 """So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
 _BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
+_OF_STAGES = {
+    Stage.RISK: "a crossing of the risk",
+    Stage.SAFE: "a static test",
+    Stage.PROBE: "a probe",
+    Stage.LEARNING: "a kamikaze from which the adversary learned",
+}
+_FIGURES_OF = {
+    Stage.RISK: "crossings of the risk",
+    Stage.SAFE: "static tests",
+    Stage.PROBE: "episodes to learn from",
+    Stage.LEARNING: "episodes to learn from",
+}
 
 Pair = tuple[EpisodeLog, EpisodeLog]
 """The first and the second run of an episode."""
@@ -52,10 +64,30 @@ def collisions(changed: Sequence[Pair]) -> tuple[int, int]:
     return collided.count((False, True)), collided.count((True, False))
 
 
-def flatters(changed: Sequence[Pair]) -> bool:
-    """Whether the first runs had surely fewer collisions than the second ones: a sign test."""
-    come, gone = collisions(changed)
-    return come > gone and _at_least(come, come + gone) < _BY_CHANCE
+def flattered(changed: Sequence[Pair]) -> Sequence[Pair]:
+    """Return those in which the first runs had surely fewer collisions than the second ones: a sign test.
+
+    They are all, or those of which one figure is; empty where chance explains it. A car that is careful in crossings
+    of the risk alone has as many collisions more along φ when all is run in another order.
+    """
+    if surely_more(*collisions(changed)):
+        return changed
+    kinds: dict[str, list[Pair]] = {}
+    for one in changed:
+        kinds.setdefault(_kind(one[0]), []).append(one)
+    chance = _BY_CHANCE / max(1, len(kinds))
+    return next((one for one in kinds.values() if surely_more(*collisions(one), chance)), ())
+
+
+def surely_more(many: int, few: int, chance: float = _BY_CHANCE) -> bool:
+    """Whether so many are more than so few by more than chance, were each as likely to be one of either."""
+    return many > few and _at_least(many, many + few) < chance
+
+
+def way_apart(first: EpisodeLog, second: EpisodeLog) -> float:
+    """Return how far the car of one log was from that of another at most, as long as both lasted, m and m/s."""
+    count = min(len(first.car), len(second.car))
+    return float(np.max(np.abs(first.car[:count] - second.car[:count]), initial=0.0))
 
 
 def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process") -> str:
@@ -74,7 +106,7 @@ def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = 
     else:
         more, orders = "what it hears in an episode", "the order of the episodes"
     return (
-        f"{DISBELIEF if flatters(changed) else DOUBT}{told(changed, count, where)}: {name} answers by more than "
+        f"{DISBELIEF if flattered(changed) else DOUBT}{told(changed, count, where)}: {name} answers by more than "
         f"{more}, as by what it keeps from one episode to the next; so its figures depend on {orders}"
     )
 
@@ -83,6 +115,8 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
     """Return in words how many of `count` episodes went otherwise, which one was the first, and who collided when."""
     come, gone = collisions(changed)
     said = f"; {come} of them collided then alone, {gone} before alone" if come or gone else ""
+    if 0 < len(part := flattered(changed)) < len(changed):
+        said += ", and of {2} {0} and {1}".format(*collisions(part), _kind(part[0][0]))
     new = f"in a new {where} and " if where else ""
     return (
         f"{len(changed)} of {count} episodes went otherwise when they were run again, {new}in another order (the first "
@@ -90,10 +124,17 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
     )
 
 
+def _kind(log: EpisodeLog) -> str:
+    """Return in words of which figure an episode is one."""
+    if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
+        return "ways of the margin's search"
+    return _FIGURES_OF.get(_stage(log), "kamikazes and runs along φ")
+
+
 def named(log: EpisodeLog) -> str:
     """Return in words which episode a log is of."""
     kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
-    kind = {Stage.RISK: "a crossing of the risk", Stage.SAFE: "a static test"}.get(_stage(log), kind)
+    kind = _OF_STAGES.get(_stage(log), kind)
     if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
         kind = "a way of the margin's search"
     return f"{kind}, episode {log.episode.episode_id}"

@@ -28,9 +28,11 @@ from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
+from skd_evaluator.learning.kept_models import folder_of, forget_model
 from skd_evaluator.learning.lesson import Believed, learned, needs_learning
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
 from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
 
@@ -84,11 +86,35 @@ def learned_plan(
         graph: how the node graph is run; None: episodes run in process.
         believed: tells whether the car always is the same in episodes from which it was learned; see `learned`.
     """
-    how = None
-    if graph is not None:
-        how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
-    command = None if graph is None else graph.controller_command
+    command, how = _how(graph)
     return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
+
+
+def forget_in_doubt(
+    plan: Plan, warnings: Sequence[str], say: Callable[[str], None], graph: GraphOptions | None = None
+) -> None:
+    """Remove the model of a car that was learned for a plan, if it is kept, and the car's figures are in doubt.
+
+    Args:
+        plan: what was to be rated.
+        warnings: what a reader should know of the figures.
+        say: called with one line about what was done.
+        graph: how the node graph was run; None: episodes were run in process.
+    """
+    if not in_doubt(warnings):
+        return
+    folder = folder_of(plan, *_how(graph))
+    if folder is not None and folder.is_dir():
+        forget_model(folder)
+        say("no model of the car is kept, for its figures are in doubt")
+
+
+def _how(graph: GraphOptions | None) -> tuple[str | None, dict[str, Any] | None]:
+    """Return the command that starts the car's own node, and how the graph is run, as plain data."""
+    if graph is None:
+        return None, None
+    how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
+    return graph.controller_command, how
 
 
 @dataclass(frozen=True)
@@ -223,8 +249,11 @@ def assess_in_process(
             if further.risk.behaviour is not None:
                 warm_up_risk(plan)
             runner.start(planners_of(plan, objectives), inherited=load_margins)
-        doubts = DoubtsOfLearning(plan.car, runners.fresh)
+        doubts, asked = DoubtsOfLearning(plan.car, runners.fresh), plan
         plan = learned_plan(plan, runner, progress, say, believed=doubts.believed)
         known = origin(plan)
         rating = assessed(plan, objectives, runners, progress, further, safe)
-        return replace(rating, provenance=known, warnings=(*rating.warnings, *doubts.found))
+        warnings = (*rating.warnings, *doubts.found)
+        if doubts.seen:
+            forget_in_doubt(asked, warnings, say)
+        return replace(rating, provenance=known, warnings=warnings)

@@ -17,6 +17,8 @@ from skd_evaluator.bags.validation import is_over
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
 from skd_evaluator.measure.doubt import in_doubt
 
+SUMMARIES = ("probe.json", "assessment.json")
+"""Files that say of which car the episodes beside them are."""
 _NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
 
 
@@ -129,14 +131,15 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
 
 
 def doubts_beside(files: Iterable[Path]) -> list[str]:
-    """Return why the assessments beside recordings say that theirs may be of another car, a line each."""
+    """Return why assessments and probes beside recordings say that theirs may be of another car, a line each."""
     found: list[str] = []
     bags = {file.absolute().parent.parent for file in files}
     for folder in sorted(folder.parent for folder in bags if folder.name == "bags"):
-        try:
-            found += in_doubt(read_json(folder / "assessment.json")["warnings"])
-        except (UsageError, TypeError, KeyError):
-            continue
+        for name in SUMMARIES:
+            try:
+                found += in_doubt(read_json(folder / name)["warnings"])
+            except (UsageError, TypeError, KeyError):
+                continue
     return found
 
 

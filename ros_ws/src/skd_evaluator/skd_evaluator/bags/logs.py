@@ -19,7 +19,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import folders_in, read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
-from skd_evaluator.bags.completeness import aborted_episodes
+from skd_evaluator.bags.completeness import SUMMARIES, aborted_episodes, doubts_beside
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.bags.validation import Damage, Found, accept, is_over
@@ -30,7 +30,6 @@ from skd_evaluator.campaign.store.manifest import check_as_written
 from skd_evaluator.measure.doubt import in_doubt
 
 EPISODES = "episodes.npz"
-_SUMMARIES = ("probe.json", "assessment.json")
 _PER_EPISODE = {
     "mode": Column(np.int8, (-1,)),
     "outcome": Column(np.int8, (-1,)),
@@ -100,6 +99,8 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
         if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
             raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
     if bags:
+        for line in doubts_beside(path.rglob("*.mcap*") if path.is_dir() else [path]):
+            damage.warn(f"{path}: {line}")
         for episode in read_episodes([path], damage):
             log = episode.log
             yield log.episode.car.label, recording_of(log)
@@ -131,7 +132,7 @@ class _Beside:
 
 def _said_beside(path: Path) -> _Beside:
     """Return to which car and scenario an episodes.npz belongs, from the summary in its folder."""
-    for name in _SUMMARIES:
+    for name in SUMMARIES:
         file = path.parent / name
         if file.exists():
             try:
@@ -149,13 +150,13 @@ def _said_beside(path: Path) -> _Beside:
                 )
             except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
-    raise UsageError(f"{path}: has no {' or '.join(_SUMMARIES)} beside it, which says what car it was")
+    raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
 
 
 def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
-        for file in (path, *(path.with_name(name) for name in _SUMMARIES if (path.parent / name).exists())):
+        for file in (path, *(path.with_name(name) for name in SUMMARIES if (path.parent / name).exists())):
             check_as_written(file)
         logs = _logs_in(path)
         for line in _said_beside(path).doubts:

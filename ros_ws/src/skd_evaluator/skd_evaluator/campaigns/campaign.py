@@ -16,7 +16,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
@@ -231,13 +231,15 @@ class Campaign:
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
-        doubts = DoubtsOfLearning(cell.plan.car, _FRESH)
+        doubts, asked = DoubtsOfLearning(cell.plan.car, _FRESH), cell.plan
         cell = self._informed(cell, runner, doubts)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
         runners = Runners(storing, storing, runner, fresh=_FRESH)
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
+        if doubts.seen:
+            forget_in_doubt(asked, rating.warnings, partial(_say, cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(

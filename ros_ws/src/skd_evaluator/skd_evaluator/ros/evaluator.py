@@ -46,7 +46,6 @@ from skd_sim.state import AdversaryState, CarState
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.composed import Composed
@@ -285,8 +284,7 @@ class Evaluator(ComposableNode):
             AssessmentError: there are two simulators or evaluators, or the graph's processes die again and again.
         """
         hindrance = self.readiness.take()
-        # Thousands of ways that were tried would bury the episodes that count.
-        recorder = None if walks_a_way(episode) else self._recorder
+        recorder = self._recorder if self._recorder is not None and self._recorder.takes(episode) else None
         first = recorder is not None and (self._anew or self._next_start == NANOSECONDS)
         patience = max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY
         self.readiness.find_publishers(self._streams, self._spinner.spin_once, patience, anew=self._anew)

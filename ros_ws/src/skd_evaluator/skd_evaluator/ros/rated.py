@@ -12,11 +12,12 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.graph_options import LOCKSTEP
 from skd_sim.choices.objective import Objective
 from skd_sim.choices.simulators import is_own_world
+from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh
-from skd_evaluator.assessing.again_graph import Graph, doubts_of_the_stack, groups_of
+from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack, groups_of
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -41,34 +42,66 @@ def repeats(simulator: str, options: GraphOptions) -> bool:
     return options.pacing == LOCKSTEP and is_own_world(simulator)
 
 
-def graph_anew(car: CarUnderTest, simulator: str, options: GraphOptions, log_folder: Path) -> Graph:
-    """Return what runs a graph of its own, with a stack that is started for it, after another one has ended.
+class RunAgain:
+    """Looks whether a stack is the car that its episodes show, by running some again through a graph.
 
-    Args:
-        car: what is rated.
-        simulator: name of the simulator.
-        options: how the other graph was run.
-        log_folder: folder with the output of that graph's processes; this one's goes below it.
+    A stack is a node of its own, and a class in Python in real time, whose episodes no process repeats.
+
+    Attributes:
+        here: whether they are run in the graph that there is, which goes on with the same stack.
+        anew: whether they are run in one with a stack that is started for it, after that graph has ended.
     """
 
-    def run() -> AbstractContextManager[EpisodeRunner]:
-        folder = log_folder / "again"
+    def __init__(self, car: CarUnderTest, simulator: str, options: GraphOptions, log_folder: Path) -> None:
+        """Look at nothing yet.
+
+        Args:
+            car: what is rated.
+            simulator: name of the simulator.
+            options: how the graph that there is is run.
+            log_folder: folder with the output of its processes; that of further graphs goes below it.
+        """
+        self._car, self._simulator, self._options, self._log_folder = car, simulator, options, log_folder
+        is_stack = not car.is_own and is_own_world(simulator) and fresh_process(car, simulator, options) is None
+        self.anew = is_stack and (not car.is_external or bool(options.controller_command))
+        self.here = is_stack and not self.anew
+
+    def doubts(
+        self,
+        groups: Sequence[Sequence[EpisodeLog]],
+        limit: float,
+        progress: Progress,
+        evaluator: EpisodeRunner | None = None,
+    ) -> tuple[str, ...]:
+        """Return, a line each, why it is not that car; see `doubts_of_the_stack`.
+
+        Args:
+            groups: episodes; some of each group are run again.
+            limit: how long a graph may take to run them again, wall seconds.
+            progress: called with how far the work is.
+            evaluator: runs the graph that there is; None: run graphs anew.
+        """
+        return doubts_of_the_stack(
+            self._car.controller,
+            groups,
+            self._graph_anew if evaluator is None else lambda: nullcontext(evaluator),
+            progress,
+            anew=self.anew,
+            limit=limit,
+            repeats=self._options.pacing == LOCKSTEP,
+        )
+
+    def _graph_anew(self) -> AbstractContextManager[EpisodeRunner]:
+        folder = self._log_folder / "again"
         folder.mkdir(exist_ok=True)
         return graphs_session(
-            replace(options, graphs=1),
-            controller=car.controller,
-            simulator=simulator,
-            campaign=campaign_name(car),
+            replace(self._options, graphs=1),
+            controller=self._car.controller,
+            simulator=self._simulator,
+            campaign=campaign_name(self._car),
             log_folder=folder,
             record_to=None,
         )
-
-    return run
-
-
-def graph_there_is(evaluator: EpisodeRunner) -> Graph:
-    """Return what runs the graph of an evaluator, which goes on with the same stack."""
-    return lambda: nullcontext(evaluator)
 
 
 def rated_through_graph(
@@ -100,9 +133,9 @@ def rated_through_graph(
         UsageError: a process cannot be started.
         AssessmentError: the graph cannot go on; says where the logs are.
     """
-    car, simulator = plan.car, plan.simulator
+    car, simulator, asked = plan.car, plan.simulator, plan
     fresh = fresh_process(car, simulator, options)
-    learning = DoubtsOfLearning(car, fresh)
+    learning, run_again = DoubtsOfLearning(car, fresh), RunAgain(car, simulator, options, log_folder)
     session = graphs_session(
         options,
         controller=car.controller,
@@ -111,20 +144,21 @@ def rated_through_graph(
         log_folder=log_folder,
         record_to=record_to,
     )
-    run_again = car.is_external and repeats(simulator, options)
-    started_here = bool(options.controller_command)
     found: tuple[str, ...] = ()
     with session as evaluator:
-        plan = learned_plan(plan, evaluator, progress, say, options, learning.believed)
+        timed = TimedRunner(evaluator)
+        plan = learned_plan(plan, timed, progress, say, options, learning.believed)
         # Only nodes that wait for one another can walk a way again.
-        ways = evaluator if options.pacing == LOCKSTEP else None
-        runners = Runners.of_graph(plan, kept_by(evaluator), ways, fresh)
+        ways = timed if options.pacing == LOCKSTEP else None
+        runners = Runners.of_graph(plan, kept_by(timed), ways, fresh)
         rating = assessed(plan, objectives, runners, progress, further)
-        if run_again and not started_here:
-            groups, graph = groups_of(rating), graph_there_is(evaluator)
-            found = doubts_of_the_stack(car.controller, groups, graph, progress, anew=False)
+        groups, limit = [*groups_of(rating), learning.seen], timed.limit(rating.episodes)
+        if run_again.here:
+            found = run_again.doubts(groups, limit, progress, evaluator)
         evaluator.publish_assessment(rating)
-    if run_again and started_here:
-        graph = graph_anew(car, simulator, options, log_folder)
-        found = doubts_of_the_stack(car.controller, groups_of(rating), graph, progress, anew=True)
-    return replace(rating, warnings=(*rating.warnings, *learning.found, *found))
+    if run_again.anew:
+        found = run_again.doubts(groups, limit, progress)
+    warnings = (*rating.warnings, *learning.found, *found)
+    if learning.seen:
+        forget_in_doubt(asked, warnings, say, options)
+    return replace(rating, warnings=warnings)

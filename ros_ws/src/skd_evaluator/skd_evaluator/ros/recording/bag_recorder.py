@@ -17,6 +17,7 @@ from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EGO_ODOMETRY, EPISODE, EPISODE_RESULT, MARKERS, TF
 
 from skd_evaluator.bags.writer import RecordedMessage
+from skd_evaluator.campaign.plan.plan import walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
 from skd_evaluator.ros.recording.recording import Recording, bag_name
 from skd_evaluator.ros.recording.scenery import Scenery
@@ -60,10 +61,18 @@ class BagRecorder:
         self._own_world = own_world
         self._patience = patience
         self._write = write
+        self._written: set[str] = set()
         self._messages: list[RecordedMessage] = []
         self._key = EpisodeKey("", -1, 0)
         self._now = self._latest_end = 0
         self.scenery = Scenery(node, self._messages.append, self._foreign_log_time)
+
+    def takes(self, episode: Episode) -> bool:
+        """Whether the bag of an episode is kept: thousands of ways that were tried would bury those that count.
+
+        Nor is one that is run again, to see whether it goes as before.
+        """
+        return not walks_a_way(episode) and bag_name(episode) not in self._written
 
     def begin(self, key: EpisodeKey, latest_end: int) -> None:
         """Forget the last episode.
@@ -168,9 +177,11 @@ class BagRecorder:
             ending.reason = result.reason
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
             messages.append(self._own(EPISODE_RESULT, ending, end))
+        name = bag_name(log.episode)
+        self._written.add(name)
         self._write(
             Recording(
-                self._folder / bag_name(log.episode),
+                self._folder / name,
                 spec.data,
                 self._key.start,
                 {topic: self._node.resolve_topic_name(topic) for topic in (MARKERS, CLEARANCE, DEFORMATION)},

@@ -18,7 +18,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.again import doubts_of_episodes
-from skd_evaluator.assessing.again_graph import doubts_of_the_stack
+from skd_evaluator.assessing.again_graph import TimedRunner
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.bags.logs import EPISODES, write_logs
@@ -31,7 +31,7 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, s
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.ros.rated import fresh_process, graph_anew, graph_there_is, repeats
+from skd_evaluator.ros.rated import RunAgain, fresh_process
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.version import version
 
@@ -114,9 +114,9 @@ def _through_graph(
 ) -> tuple[list[EpisodeLog], tuple[str, ...]]:
     car, simulator, options = _car(arguments), arguments.simulator, graph_options(arguments)
     fresh = fresh_process(car, simulator, options)
-    run_again = car.is_external and repeats(simulator, options)
     doubts: tuple[str, ...] = ()
     with out.scratch() as scratch, progress_bar(quiet=arguments.quiet) as progress:
+        run_again = RunAgain(car, simulator, options, scratch.logs)
         session = graphs_session(
             options,
             controller=car.controller,
@@ -126,15 +126,15 @@ def _through_graph(
             record_to=scratch.folder / "bags",
         )
         with session as evaluator:
-            logs = _collect(evaluator, episodes, progress)
-            if run_again and not options.controller_command:
-                graph = graph_there_is(evaluator)
-                doubts = doubts_of_the_stack(car.controller, [logs], graph, progress, anew=False)
+            timed = TimedRunner(evaluator)
+            logs = _collect(timed, episodes, progress)
+            limit = timed.limit(len(logs))
+            if run_again.here:
+                doubts = run_again.doubts([logs], limit, progress, evaluator)
         if fresh is not None:
             doubts = doubts_of_episodes(car, logs, (), fresh)
-        elif run_again and options.controller_command:
-            graph = graph_anew(car, simulator, options, scratch.logs)
-            doubts = doubts_of_the_stack(car.controller, [logs], graph, progress, anew=True)
+        elif run_again.anew:
+            doubts = run_again.doubts([logs], limit, progress)
         write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs, doubts))
     return logs, doubts
 
