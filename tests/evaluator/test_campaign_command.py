@@ -23,10 +23,10 @@ from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns import campaign as cells
 from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.ros import rated
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Mode
 
@@ -227,7 +227,7 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
         used.append((graphs[len(used)], options.graphs))
         yield used[-1][0]
 
-    monkeypatch.setattr(cells, "graphs_session", session)
+    monkeypatch.setattr(rated, "graphs_session", session)
     monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
     write(here, "cars: [{graph: true}]")
     words = ("campaign", "campaign.yaml", "--graphs", "2", "--out")
