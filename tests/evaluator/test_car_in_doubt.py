@@ -77,17 +77,20 @@ def runs(controller: Controller, count: int = 10) -> list[EpisodeLog]:
 def test_what_is_looked_at_again_is_known_to_nobody() -> None:
     """A car that knew which crossings are kept could be honest in these alone."""
 
-    def kept() -> tuple[int, ...]:
-        some, found, first = Kept(), [], 0
-        for count in (7, 250, 1, 342):
-            found += [first + one for one in some.wants(count)]
+    def kept(*counts: int) -> tuple[int, ...]:
+        some, first = Kept(), 0
+        for count in counts:
+            some.add(first + one for one in some.wants(count))  # type: ignore[misc]  # they are numbers here
             first += count
-        return tuple(found)
+        return tuple(some.logs)  # type: ignore[arg-type]
 
-    drawn = [kept() for _ in range(20)]
+    assert kept(7, 200, 1) == tuple(range(208))  # all of a few
+    drawn = [kept(7, 250, 1, 842) for _ in range(20)]
     assert len(set(drawn)) > 10
     for one in drawn:
-        assert [number // 20 for number in one] == list(range(30))
+        assert 120 <= len(one) <= 240
+        assert [part // 100 for part in range(0, 1100, 100)] == sorted({number // 100 for number in one})
+    assert {number % 16 for one in drawn for number in one} == set(range(16))  # none is always passed over
     chosen = {tuple(spread_by_lot(range(100), 10)) for _ in range(20)}
     assert len(chosen) > 10
     assert all([one // 10 for one in some] == list(range(10)) for some in chosen)

@@ -15,8 +15,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_evaluator.campaign.plan.plan import EpisodeRunner
 
 _Item = TypeVar("_Item")
-_ONE_IN: Final = 20  # episodes of which one is kept, to be run again
-_MOST: Final = 240
+_MOST: Final = 240  # episodes that are kept, to be run again; all of fewer
 _CHANCE = random.SystemRandom()
 
 
@@ -39,7 +38,7 @@ def shuffled(items: Sequence[_Item]) -> list[_Item]:
 
 
 class Kept:
-    """Some episodes, spread over all that there are: of each so many, one by lot.
+    """Some episodes, spread over all that there are: all of a few, else of each so many one by lot.
 
     Attributes:
         logs: what happened in them.
@@ -48,9 +47,9 @@ class Kept:
     def __init__(self) -> None:
         """Begin with none."""
         self.logs: list[EpisodeLog] = []
-        self._one_in = _ONE_IN
-        self._next = one_of(_ONE_IN)  # counted from the next episode
-        self._left = _ONE_IN  # episodes of the part in which that is
+        self._one_in = 1
+        self._next = 0  # counted from the next episode
+        self._left = 1  # episodes of the part in which that is
 
     def wants(self, count: int) -> list[int]:
         """Return which of the next `count` episodes are to be added."""
@@ -65,10 +64,10 @@ class Kept:
         return found
 
     def add(self, logs: Iterable[EpisodeLog]) -> None:
-        """Keep what happened; of so many that it takes much room, every other one."""
+        """Keep what happened; of so many that it takes much room, one of each two."""
         self.logs.extend(logs)
         while len(self.logs) > _MOST:
-            self.logs, self._one_in = self.logs[::2], 2 * self._one_in
+            self.logs, self._one_in = spread_by_lot(self.logs, len(self.logs) // 2), 2 * self._one_in
 
 
 class SampledRunner:
