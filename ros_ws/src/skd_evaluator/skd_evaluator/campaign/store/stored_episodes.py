@@ -276,6 +276,7 @@ def _margins(
     index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
     count = len(said)
     whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
+    whole = whole and not (offsets[1:] < offsets[:-1]).any()
     of_attempts = (index, attempt, arrays["margin_duration"], arrays["margin_impact_speed"])
     if not (whole and all(len(one) == count for one in of_attempts)):
         raise UsageError(f"{path}: the arrays of the margins do not go together")
@@ -342,7 +343,8 @@ def _strange_id(arrays: dict[str, npt.NDArray[Any]]) -> str:
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     """Return why arrays are not those of episodes; empty where they are."""
     offsets, rows = arrays["offsets"], len(arrays["positions"])
-    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (np.diff(offsets) < 1).any():
+    # Differences of numbers near 2⁶³ begin anew at the other end, and `repeat` would write beyond its array.
+    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (offsets[1:] <= offsets[:-1]).any():
         return "its offsets do not cut its positions into trajectories"
     count = len(offsets) - 1
     of_rows = ("car", *(name for name in ("belief",) if name in arrays))
