@@ -103,7 +103,7 @@ TARGETS = (
     Target("skd_evaluator.measure.equivalent_multiplier", (_evaluator("equivalent_multiplier"),)),
     Target("skd_evaluator.measure.margin_figures", (_evaluator("margin_figures"),)),
     Target("skd_evaluator.measure.vulnerability_curve", (_evaluator("vulnerability_curve"),)),
-    Target("skd_evaluator.assessing.otherwise", (_evaluator("again_graph"), _evaluator("car_in_doubt"))),
+    Target("skd_evaluator.assessing.otherwise", (_evaluator("otherwise"),)),
     Target("skd_evaluator.assessing.again_graph", (_evaluator("again_graph"),)),
     Target("skd_evaluator.risk.touching", (_evaluator("touching"),)),
     Target("skd_evaluator.ncap.points", (_evaluator("ncap_calculator"),)),

@@ -1,0 +1,78 @@
+"""Which episodes are run again, when two runs are the same, and when the first ones flatter a car."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+from skd_evaluator.assessing.otherwise import further_of, is_same, named, some_of, surely_more, went_otherwise
+from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+
+PLAN = Plan(load_scenario("crossing"), safe_count=1, simulations=5)
+PHI = safe_trajectories(PLAN, InProcessRunner(1))[0]
+
+
+def log_of(mode: Mode = Mode.REPLAY, stage: Stage | None = None, outcome: Outcome = Outcome.ARRIVED) -> EpisodeLog:
+    """A run along φ, with another number than it would have where a stage is given."""
+    episode = PLAN.episode(mode, 0, 7, PHI)
+    if stage is not None:
+        episode = replace(episode, episode_id=episode_id(stage, 0, 7))
+    return EpisodeLog(episode, outcome, np.zeros((5, 2)), np.ones((5, 3)), 0.5, 1.0)
+
+
+def test_the_sign_test_is_that_of_scipy() -> None:
+    for many in range(25):
+        for few in range(25):
+            sure = many > few and binomtest(many, many + few, alternative="greater").pvalue < 0.05
+            assert surely_more(many, few) == sure
+
+
+def test_how_many_are_run_again() -> None:
+    logs = [log_of() for _ in range(2000)]
+    for count, some, further in ((5, 5, 0), (20, 12, 8), (100, 12, 12), (400, 12, 20), (2000, 12, 48)):
+        first = some_of(logs[:count])
+        second = further_of(logs[:count], first)
+        assert (len(first), len(second)) == (some, further)
+        assert len({*map(id, first), *map(id, second)}) == some + further
+    aborted = [replace(logs[0], outcome=Outcome.ABORTED) for _ in range(30)]
+    assert some_of(aborted) == further_of(aborted, []) == []
+
+
+@pytest.mark.parametrize("outcomes", [(Outcome.ARRIVED, Outcome.COLLISION), (Outcome.COLLISION, Outcome.ARRIVED)])
+def test_another_end_or_way_is_no_same_run(outcomes: tuple[Outcome, Outcome]) -> None:
+    first, second = (log_of(outcome=one) for one in outcomes)
+    assert not is_same(first, second)
+    assert is_same(first, replace(first, car=first.car + 1e-7))
+    assert not is_same(first, replace(first, car=first.car + 1e-5))
+    assert not is_same(first, replace(first, adversary=first.adversary + 1e-5))
+    assert not is_same(first, replace(first, adversary=first.adversary[:-1], car=first.car[:-1]))
+
+
+def test_a_crossing_of_the_risk_may_differ_by_what_commands_may_answer_otherwise() -> None:
+    crossing = log_of(stage=Stage.RISK)
+    assert is_same(crossing, replace(crossing, car=crossing.car[:-1] + 0.02))
+    assert not is_same(crossing, replace(crossing, car=crossing.car + 0.1))
+
+
+def test_an_episode_is_called_what_it_is() -> None:
+    assert named(log_of()).startswith("a run along φ, episode 5629")
+    assert named(log_of(Mode.KAMIKAZE)).startswith("a kamikaze, episode 2814")
+    for stage, name in (
+        (Stage.KAMIKAZE, "a way of the margin's search"),
+        (Stage.RISK, "a crossing of the risk"),
+        (Stage.SAFE, "a static test"),
+        (Stage.PROBE, "a probe"),
+        (Stage.LEARNING, "a kamikaze from which the adversary learned"),
+    ):
+        assert named(log_of(stage=stage)).startswith(f"{name}, episode ")
+
+
+def test_only_in_process_figures_depend_on_the_workers() -> None:
+    pair = (log_of(), replace(log_of(), car=np.zeros((5, 3))))
+    assert went_otherwise("a.b:C", [pair], 12).endswith("the order of the episodes and on --workers")
+    assert went_otherwise("external", [pair], 12, "graph").endswith("its figures depend on the order of the episodes")
