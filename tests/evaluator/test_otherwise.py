@@ -7,9 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binomtest
-from skd_evaluator.assessing.otherwise import further_of, is_same, named, some_of, surely_more, went_otherwise
+from skd_evaluator.assessing.otherwise import (
+    flattered,
+    further_of,
+    is_same,
+    named,
+    some_of,
+    surely_more,
+    way_apart,
+    went_otherwise,
+)
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
@@ -70,6 +80,38 @@ def test_an_episode_is_called_what_it_is() -> None:
         (Stage.LEARNING, "a kamikaze from which the adversary learned"),
     ):
         assert named(log_of(stage=stage)).startswith(f"{name}, episode ")
+
+
+def collided(first: bool, second: bool, stage: Stage | None = None) -> tuple[EpisodeLog, EpisodeLog]:
+    """Two runs, and whether they collided."""
+    ends = [Outcome.COLLISION if one else Outcome.ARRIVED for one in (first, second)]
+    return log_of(stage=stage, outcome=ends[0]), log_of(stage=stage, outcome=ends[1])
+
+
+def test_collisions_that_come_for_sure_are_more_than_a_doubt() -> None:
+    """Five of five come by chance once in 32 times, four of four once in 16."""
+    for count, begin in ((4, DOUBT), (5, DISBELIEF)):
+        line = went_otherwise("a.b:C", [collided(False, True)] * count, 12)
+        assert line.startswith(f"{begin}{count} of 12 episodes went otherwise")
+        assert f"; {count} of them collided then alone, 0 before alone): a.b:C answers" in line
+        assert went_otherwise("a.b:C", [collided(True, False)] * count, 12).startswith(DOUBT)
+
+
+def test_it_is_asked_of_the_episodes_of_each_figure_too() -> None:
+    """With two kinds each may be so by chance half as often."""
+    away = [collided(True, False)] * 6
+    for count, sure in ((5, False), (6, True)):
+        ways = [collided(False, True, Stage.RISK)] * count
+        assert list(flattered([*away, *ways])) == (ways if sure else [])
+    line = went_otherwise("a.b:C", [*away, *ways], 30)
+    assert "; 6 of them collided then alone, 6 before alone, and of crossings of the risk 6 and 0): " in line
+    assert line.startswith(DISBELIEF)
+
+
+def test_how_far_two_ways_are_apart() -> None:
+    first = log_of()
+    assert way_apart(first, replace(first, car=first.car[:3] - 0.25)) == 0.25
+    assert way_apart(first, replace(first, car=np.zeros((0, 3)))) == 0.0
 
 
 def test_only_in_process_figures_depend_on_the_workers() -> None:
