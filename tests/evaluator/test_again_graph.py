@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import random
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import TypeAlias
 
 import numpy as np
 import pytest
 from skd_evaluator.assessing.again_graph import doubts_of_the_stack
-from skd_evaluator.campaign.plan import lot
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.episode_tree import walked
@@ -20,24 +19,22 @@ from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState, CarState
+from test_stack_in_doubt import Graph
 
+Answer: TypeAlias = "Callable[[Stack, CarState, AdversaryState], float]"
+_SEEDS = itertools.count()  # no two stacks draw the same
+pytestmark = pytest.mark.usefixtures("lots")
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, controller="external", simulations=5, seed=3)
 PHI = safe_trajectories(Plan(CROSSING, safe_count=2, seed=3), InProcessRunner(1))
 
 
-@pytest.fixture(autouse=True)
-def lots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that are run again are drawn by lot, from no seed; here from one."""
-    monkeypatch.setattr(lot, "_CHANCE", random.Random(1))
-
-
 class Stack:
     """Drives by what it has kept since it was started: it counts episodes, and draws from a generator of its own."""
 
-    def __init__(self, answer: Callable[[Stack, CarState, AdversaryState], float], seed: int) -> None:
+    def __init__(self, answer: Answer) -> None:
         self._answer = answer
-        self.episodes, self.started, self.rng = 0, seed, np.random.default_rng(seed)
+        self.episodes, self.rng = 0, np.random.default_rng(next(_SEEDS))
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         self.episodes += 1
@@ -49,32 +46,6 @@ class Stack:
 def careful(car: CarState, adversary: AdversaryState) -> float:
     """Brake for whoever is ahead."""
     return -8.0 if 0.0 <= adversary.y - car.y <= 20.0 else 0.0
-
-
-class Graphs:
-    """Starts a stack for each graph, as SKD does where it starts the stack, or keeps the one that there is."""
-
-    def __init__(
-        self, answer: Callable[[Stack, CarState, AdversaryState], float], *, anew: bool = True, dies: bool = False
-    ) -> None:
-        self._answer, self._anew, self._dies = answer, anew, dies
-        self.started = 0
-        self.ran: list[list[Episode]] = []
-
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        self.ran.append(list(episodes))
-        for episode in episodes:
-            if self._dies and self.started > 1:
-                yield aborted(episode, "no answer: it is gone")
-            else:
-                yield run_episode(episode, self._stack)
-
-    @contextmanager
-    def graph(self) -> Iterator[EpisodeRunner]:
-        if self._anew or not self.started:
-            self.started += 1
-            self._stack = Stack(self._answer, self.started)
-        yield self
 
 
 def episodes_of() -> list[list[Episode]]:
@@ -91,18 +62,22 @@ def episodes_of() -> list[list[Episode]]:
     return [rated, ways]
 
 
-def doubts(graphs: Graphs, *, anew: bool = True) -> tuple[str, ...]:
+def graph_of(answer: Answer, *, anew: bool = True) -> Graph:
+    """Return graphs with a stack that answers so."""
+    return Graph(lambda: Stack(answer), anew=anew)
+
+
+def doubts(graph: Graph, *, anew: bool = True) -> tuple[str, ...]:
     """Run everything in a first graph, and say what is found when some of it is run again."""
-    with graphs.graph() as runner:
-        groups = [list(runner.run(group)) for group in episodes_of()]
-    return doubts_of_the_stack("external", groups, graphs.graph, lambda *_told: None, anew=anew, limit=60.0)
+    groups = [list(graph.run(group)) for group in episodes_of()]
+    return doubts_of_the_stack("external", groups, graph, lambda *_told: None, anew=anew, limit=60.0)
 
 
 def test_an_honest_stack_goes_as_before() -> None:
-    graphs = Graphs(lambda _stack, car, adversary: careful(car, adversary))
-    assert doubts(graphs) == ()
-    assert graphs.started == 2
-    first, ways, again = graphs.ran
+    graph = graph_of(lambda _stack, car, adversary: careful(car, adversary))
+    assert doubts(graph) == ()
+    assert graph.graphs == 1
+    first, ways, again = graph.ran
     assert 40 <= len(again) < len(first) + len(ways)
     numbers = [(one.episode_id, one.safe_trajectory) for one in again]
     assert len({(number, id(way)) for number, way in numbers}) == len(numbers)
@@ -116,7 +91,7 @@ def test_one_that_is_careful_later_is_not_believed(anew: bool) -> None:
     def later(stack: Stack, car: CarState, adversary: AdversaryState) -> float:
         return careful(car, adversary) if 60 < stack.episodes <= 132 else 0.0
 
-    (line,) = doubts(Graphs(later, anew=anew), anew=anew)
+    (line,) = doubts(graph_of(later, anew=anew), anew=anew)
     assert line.startswith(DISBELIEF)
     assert "as by what it keeps from one episode to the next" in line
     assert ("in a new graph and in another order" in line) == anew
@@ -126,33 +101,38 @@ def test_one_that_keeps_something_without_effect_on_hits_is_in_doubt() -> None:
     def odd(stack: Stack, car: CarState, adversary: AdversaryState) -> float:
         return -0.1 if stack.episodes % 2 else 0.0
 
-    graphs = Graphs(odd)
-    (line,) = doubts(graphs)
+    graph = graph_of(odd)
+    (line,) = doubts(graph)
     assert line.startswith(DOUBT)
-    assert graphs.started == 3
-    assert [one.episode_id for one in graphs.ran[2]] == [one.episode_id for one in graphs.ran[3]]  # the same again
+    assert graph.graphs == 2
+    assert [one.episode_id for one in graph.ran[2]] == [one.episode_id for one in graph.ran[3]]  # the same again
 
 
 def test_one_that_never_goes_the_same_way_twice_is_told_and_no_more() -> None:
-    (line,) = doubts(Graphs(lambda stack, car, _adversary: float(stack.rng.normal(0.0, 0.1))))
+    (line,) = doubts(graph_of(lambda stack, car, _adversary: float(stack.rng.normal(0.0, 0.1))))
     assert not line.startswith((DISBELIEF, DOUBT))
     assert "does not go the same way twice" in line
 
 
 def test_one_that_fails_when_it_is_run_again_is_in_doubt() -> None:
-    (line,) = doubts(Graphs(lambda _stack, car, adversary: careful(car, adversary), dies=True))
+    class Dying(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            alive = super().run(episodes)
+            return (aborted(one, "no answer: it is gone") for one in episodes) if self.graphs else alive
+
+    (line,) = doubts(Dying(lambda: Stack(lambda _stack, car, adversary: careful(car, adversary))))
     assert line.startswith(DOUBT)
     assert line.endswith("this came of it: no answer: it is gone")
 
 
 def test_a_graph_that_cannot_go_on_is_told() -> None:
-    with Graphs(lambda *_seen: 0.0).graph() as runner:
-        groups = [list(runner.run(group)) for group in episodes_of()]
+    graph = graph_of(lambda *_seen: 0.0)
+    groups = [list(graph.run(group)) for group in episodes_of()]
 
     @contextmanager
     def broken() -> Iterator[EpisodeRunner]:
         raise AssessmentError("3 starts in a row failed")
-        yield runner
+        yield graph
 
     (line,) = doubts_of_the_stack("external", groups, broken, lambda *_told: None, anew=True, limit=60.0)
     assert line.startswith(DOUBT)

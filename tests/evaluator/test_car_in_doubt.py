@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -14,7 +13,6 @@ import pytest
 from skd_evaluator.assessing import again
 from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
-from skd_evaluator.campaign.plan import lot
 from skd_evaluator.campaign.plan.lot import Kept, spread_by_lot
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.alone import Alone
@@ -152,9 +150,9 @@ def test_a_car_that_was_surely_more_careful_at_first_is_not_believed(monkeypatch
     assert line.startswith(DOUBT)
 
 
+@pytest.mark.usefixtures("lots")
 def test_a_few_careful_episodes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """One in ten: twelve would miss it every third time, 24 do once in twelve; which are looked at is drawn by lot."""
-    monkeypatch.setattr(lot, "_CHANCE", random.Random(3))
     found = [
         doubts(monkeypatch, Careful([number % 10 == 5 for number in range(200)]), Careful(), count=200)
         for _ in range(3)

@@ -25,12 +25,14 @@ from skd_evaluator.ros.rated import RunAgain
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.graph_options import LOCKSTEP, REAL_TIME
 from skd_sim.choices.simulators import WORLD
+from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, controller="external", simulations=10)
+pytestmark = pytest.mark.usefixtures("lots")
 PHI = safe_trajectories(Plan(CROSSING, safe_count=2), InProcessRunner(1))
 RUNS = [PLAN.episode(Mode.REPLAY, number % 2, number // 2, PHI[number % 2]) for number in range(24)]
 
@@ -51,11 +53,17 @@ class Car:
 
 
 class Graph:
-    """Runs episodes of a car, which is another object in each graph unless it was started by hand."""
+    """Runs episodes of a car, which is another object in each graph unless it was started by hand.
 
-    def __init__(self, make: Callable[[], Car], *, anew: bool = True) -> None:
+    Attributes:
+        graphs: how many have been begun after the first.
+        ran: all episodes that were given, each time.
+    """
+
+    def __init__(self, make: Callable[[], Controller], *, anew: bool = True) -> None:
         self._make, self._anew, self.car = make, anew, make()
         self.graphs = 0
+        self.ran: list[Sequence[Episode]] = []
 
     def __call__(self) -> AbstractContextManager[Graph]:
         self.graphs += 1
@@ -64,6 +72,7 @@ class Graph:
         return nullcontext(self)
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        self.ran.append(episodes)
         for one in episodes:
             yield run_episode(one, self.car)
 

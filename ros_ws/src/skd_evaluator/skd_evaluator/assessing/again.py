@@ -130,10 +130,9 @@ def doubts_of_episodes(
     if not some:
         return ()
     with Alone(car) as alone:  # begins while another process runs the episodes again
-        own = [
-            [log for log in group if is_own_world(log.episode.simulator)] for group in (besides, logs)
-        ]  # others are slow
-        further = shuffled([one for group in own for one in further_of(group, some)])
+        # None of another simulator, which are slow.
+        own = ([log for log in group if is_own_world(log.episode.simulator)] for group in (besides, logs))
+        further = shuffled([log for group in own for log in further_of(group, some)])
         return _doubts(car, some, further, spread_by_lot(led, WAYS), fresh, alone)
 
 

@@ -20,6 +20,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessing.otherwise import (
     Pair,
+    by_kind,
     flattered,
     further_of,
     is_same,
@@ -31,7 +32,7 @@ from skd_evaluator.assessing.otherwise import (
 )
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import shuffled
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Stage, split_episode_id, walks_a_way
+from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Stage, split_episode_id
 from skd_evaluator.campaign.run.led import ALIKE
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.episode_tree import walked
@@ -44,7 +45,7 @@ _LOST = 60.0  # s that those of the episodes may take which are aborted: a stack
 _SHORT, _LONG, _SLOWER = 60.0, 600.0, 2.0  # s, s, times as long as all episodes of a rating took
 
 Graph = Callable[[], AbstractContextManager[EpisodeRunner]]
-"""Runs a graph; None of what ran in another one is left in it, where SKD starts the stack."""
+"""Runs a graph; where SKD starts the stack, nothing of what ran in another one is left in it."""
 
 
 class TimedRunner:
@@ -80,7 +81,7 @@ class TimedRunner:
 
 def groups_of(rating: Rating) -> list[list[EpisodeLog]]:
     """Return the episodes of a rating of which some are run again, of each kind as many."""
-    return [[*rating.kamikaze_logs, *rating.replays], *_by_kind(rating.besides)]
+    return [[*rating.kamikaze_logs, *rating.replays], *by_kind(rating.besides, lambda log: log)]
 
 
 def doubts_of_the_stack(
@@ -153,14 +154,6 @@ def _chosen(groups: Sequence[Sequence[EpisodeLog]]) -> tuple[list[EpisodeLog], l
     some = [log for group in groups for log in some_of(group)[::-1]]
     further = shuffled([log for group in groups for log in further_of(group, some)])
     return [*some, *further], [*(log.episode for log in some), *map(_led, further)]
-
-
-def _by_kind(logs: Sequence[EpisodeLog]) -> Iterator[list[EpisodeLog]]:
-    for stage in Stage:
-        of_stage = [log for log in logs if split_episode_id(log.episode.episode_id)[0] == stage]
-        for way in (False, True):
-            if group := [log for log in of_stage if walks_a_way(log.episode) == way]:
-                yield group
 
 
 def _led(log: EpisodeLog) -> Episode:

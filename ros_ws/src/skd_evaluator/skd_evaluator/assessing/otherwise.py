@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
@@ -31,6 +32,7 @@ _FIGURES_OF = {
     Stage.LEARNING: "episodes to learn from",
 }
 
+_Item = TypeVar("_Item")
 Pair = tuple[EpisodeLog, EpisodeLog]
 """The first and the second run of an episode."""
 
@@ -72,11 +74,17 @@ def flattered(changed: Sequence[Pair]) -> Sequence[Pair]:
     """
     if surely_more(*collisions(changed)):
         return changed
-    kinds: dict[str, list[Pair]] = {}
-    for one in changed:
-        kinds.setdefault(_kind(one[0]), []).append(one)
+    kinds = by_kind(changed, lambda both: both[0])
     chance = _BY_CHANCE / max(1, len(kinds))
-    return next((one for one in kinds.values() if surely_more(*collisions(one), chance)), ())
+    return next((one for one in kinds if surely_more(*collisions(one), chance)), ())
+
+
+def by_kind(items: Sequence[_Item], log_of: Callable[[_Item], EpisodeLog]) -> list[list[_Item]]:
+    """Return items in groups, of one figure each, by the log of each."""
+    kinds: dict[str, list[_Item]] = {}
+    for one in items:
+        kinds.setdefault(_kind(log_of(one)), []).append(one)
+    return list(kinds.values())
 
 
 def surely_more(many: int, few: int, chance: float = _BY_CHANCE) -> bool:
@@ -126,7 +134,7 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
 
 def _kind(log: EpisodeLog) -> str:
     """Return in words of which figure an episode is one."""
-    if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
+    if _is_way_of_search(log):
         return "ways of the margin's search"
     return _FIGURES_OF.get(_stage(log), "kamikazes and runs along φ")
 
@@ -135,9 +143,13 @@ def named(log: EpisodeLog) -> str:
     """Return in words which episode a log is of."""
     kind = "a kamikaze" if log.episode.mode == Mode.KAMIKAZE else "a run along φ"
     kind = _OF_STAGES.get(_stage(log), kind)
-    if walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE:
+    if _is_way_of_search(log):
         kind = "a way of the margin's search"
     return f"{kind}, episode {log.episode.episode_id}"
+
+
+def _is_way_of_search(log: EpisodeLog) -> bool:
+    return walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE
 
 
 def _at_least(come: int, count: int) -> float:
