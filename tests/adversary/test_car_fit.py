@@ -161,7 +161,7 @@ def test_speeding_up_is_limited():
 
 def test_a_car_with_many_strengths_of_braking_does_not_brake_by_speeding_up():
     """cal brakes for part of a tick and speeds up again: its law is found, and braking slows it down."""
-    car = fit_car(logs_of(CalController(), 200, seed=12))
+    car = fit_car(logs_of(CalController(), 100, seed=12))
     deceleration, noise = estimate(car, "deceleration"), estimate(car, "deceleration_noise")
     assert 0.0 < deceleration * (1.0 - noise) < deceleration * (1.0 + noise) < 1.2 * 3.5
     assert car.gate == "predicted"

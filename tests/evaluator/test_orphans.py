@@ -165,6 +165,33 @@ def test_an_item_whose_worker_is_stopped_is_done_again_but_not_for_ever(tmp_path
     assert [kind_of(reason) for reason in reasons] == [AbortKind.STOPPED] * (stops == 3)
 
 
+def _ended_at_first(item: tuple[Path, int, int]) -> int:
+    folder, number, signal_number = item
+    if number == 7 and not (folder / "ended").exists():
+        (folder / "ended").touch()
+        os.kill(os.getpid(), signal_number)
+        time.sleep(60.0)  # where it is ignored, the test is slow, and fails
+    return 2 * number
+
+
+_OTHERS = ("HUP", "KILL", "QUIT", "TERM", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "IO", "RTMIN")
+_FAULTS = ("SYS", "TRAP", "XCPU")  # those that need no dump of a stack
+
+
+@pytest.mark.parametrize("name", [*_OTHERS, *_FAULTS])
+def test_who_ends_by_a_signal_of_somebody_else_is_run_again_and_who_faults_is_not(tmp_path, name):
+    reasons = []
+    items = [(tmp_path, item, getattr(signal, f"SIG{name}")) for item in range(12)]
+    with InProcessRunner(2) as runner:
+        found = list(runner.map(_ended_at_first, items, lambda item, reason: (reasons.append(reason), -1)[1]))
+    expected = [2 * item for item in range(12)]
+    if name in _FAULTS:
+        expected[7] = -1
+        assert f"SIG{name}" in reasons[0]
+    assert found == expected
+    assert len(reasons) == (name in _FAULTS)
+
+
 STOPS = """
 import os, signal
 class Car:
