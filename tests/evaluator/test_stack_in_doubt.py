@@ -143,6 +143,31 @@ def test_a_stack_that_is_silent_when_it_is_run_again_does_not_keep_anybody_waiti
     assert line.endswith("this came of it: silent")
 
 
+@pytest.mark.parametrize(("ends", "known"), [(4, True), (5, False), (12, False), (24, False)])
+def test_a_stack_that_ends_in_some_of_the_episodes_that_are_run_again_is_in_doubt(ends: int, known: bool) -> None:
+    """Were it silent where it would be found out, nothing else would tell."""
+
+    class Ends(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            for number, one in enumerate(episodes):
+                yield aborted(one, "it ended") if self.graphs and number < ends else run_episode(one, self.car)
+
+    lines = doubts(Ends(Car))
+    assert (lines == ()) == known
+    if not known:
+        assert lines[0].startswith(DOUBT)
+        assert f"{ends} were aborted, the first of them because: it ended" in lines[0]
+
+
+def test_a_stack_that_is_aborted_as_often_as_before_is_not_in_doubt() -> None:
+    class Flaky(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            for number, one in enumerate(episodes):
+                yield aborted(one, "it ended") if number % 3 == 0 else run_episode(one, self.car)
+
+    assert doubts(Flaky(Car)) == ()
+
+
 def test_a_stack_that_is_slow_when_it_is_run_again_does_not_keep_anybody_waiting() -> None:
     class Slow(Graph):
         def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:

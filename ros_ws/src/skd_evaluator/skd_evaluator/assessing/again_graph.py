@@ -112,11 +112,9 @@ def doubts_of_the_stack(
     try:
         again = _run(graph, episodes, progress, limit)
         changed, count = _changed(first, again)
-        if count <= len(first) // 2:
-            why = next(log.reason for log in again if log.outcome == Outcome.ABORTED)
-            return (_unknown(len(first), why),)
-        if not changed:
-            return ()
+        aborted = _aborted_more_often([log for group in groups for log in group], again)
+        if not changed or count <= len(first) // 2:
+            return aborted
         once_more = _run(graph, episodes, progress, limit)
     except AssessmentError as error:
         return (_unknown(len(first), str(error)),)
@@ -124,10 +122,11 @@ def doubts_of_the_stack(
     flatters = flattered(changed) and flattered(_changed(first, once_more)[0])  # one of the two may be chance
     keeps = _order_tells(first, again, once_more) or (repeats and len(repeated) <= _OFTEN * len(changed))
     if flatters or keeps:
-        return (went_otherwise(name, changed, count, where),)
+        return (*aborted, went_otherwise(name, changed, count, where))
     if not repeats:
-        return ()
+        return aborted
     return (
+        *aborted,
         f"{told(changed, count, where)}, and {len(repeated)} when that was done once more in the same order: {name} "
         "does not go the same way twice, as by threads or time limits of its own; so each figure is one of those that "
         "it may have",
@@ -143,6 +142,15 @@ def _order_tells(first: Sequence[EpisodeLog], again: Sequence[EpisodeLog], once_
             far += orders > _FAR * max(same, ALIKE)
             near += same > _FAR * max(orders, ALIKE)
     return surely_more(far, near)
+
+
+def _aborted_more_often(first: Sequence[EpisodeLog], again: Sequence[EpisodeLog]) -> tuple[str, ...]:
+    """Return that surely more episodes were aborted than of all before, or most of them: nobody saw how they went."""
+    reasons = [log.reason for log in again if log.outcome == Outcome.ABORTED]
+    before = sum(log.outcome == Outcome.ABORTED for log in first) * len(again) / len(first)
+    if not surely_more(len(reasons), round(before)) and 2 * len(reasons) < len(again):
+        return ()
+    return (_unknown(len(again), f"{len(reasons)} were aborted, the first of them because: {reasons[0]}"),)
 
 
 def _unknown(count: int, why: str) -> str:
