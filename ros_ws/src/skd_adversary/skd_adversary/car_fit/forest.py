@@ -25,8 +25,6 @@ from skd_adversary.car_forest import (
 TREES: Final = 40
 LEAST_DONORS: Final = 5
 """In a leaf."""
-LEAST_TICKS: Final = 100
-"""Fewer grow no forest."""
 
 
 def kept_ticks(data: Observations) -> npt.NDArray[np.int16]:

@@ -29,8 +29,3 @@ def called(body: Body, where: str) -> str:
     """
     word = ROAD_USERS.find(body.kind).called.get(where) if body.kind in ROAD_USERS else None
     return str(word or ROAD_USERS.find(CAR if body.is_box else "pedestrian").called[where])
-
-
-def kinds_called(word: str, where: str) -> list[str]:
-    """Return the kinds that another simulator, a format or a data set calls by a word."""
-    return [kind for kind in ROAD_USERS if ROAD_USERS.find(kind).called.get(where) == word]
