@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from skd_adversary.car_fit import Recording
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.road import right_and_along
@@ -127,6 +128,7 @@ class _Beside:
     multiplier: float
     seed: int
     by_objective: bool
+    actions: Actions = Actions.LISTED
     doubts: tuple[str, ...] = ()
 
 
@@ -146,6 +148,7 @@ def _said_beside(path: Path) -> _Beside:
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
                     "objectives" in content,
+                    Actions((content.get("options") or {}).get("actions", Actions.LISTED)),
                     tuple(in_doubt(content.get("warnings") or ())),
                 )
             except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -264,6 +267,7 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         multiplier=beside.multiplier,
         safe_trajectory=trajectory,
         objective=Objective(objective) if objective else Objective.PAPER,
+        actions=beside.actions,
     )
 
 

@@ -173,8 +173,8 @@ def with_planned_hits(
 ) -> tuple[list[LeastWay | None], int]:
     """Return the ways, or better ones on which planned kamikazes were hit, and in how many attempts these were better.
 
-    A hit that happened counts. The search begins with these ways, so it finds none worse if the car always answers in
-    the same way.
+    A hit that happened counts, if it takes less than η_max. The search begins with these ways, so it finds none worse
+    if the car always answers in the same way.
 
     Args:
         episodes: the attempts.
@@ -189,6 +189,8 @@ def with_planned_hits(
             duration = log.impact_time / episode.scenario.time_step
             distance = deformation(episode.safe_trajectory.positions, log.trajectory.positions, duration)
             least = found[index]
+            if distance >= episode.scenario.eta_max:  # nothing is looked for that far away
+                continue
             if least is None or distance < least.distance - _ROUNDING:
                 found[index] = LeastWay(distance, log.trajectory, duration, log.impact_speed, math.inf)
                 shorter += least is ways[index]

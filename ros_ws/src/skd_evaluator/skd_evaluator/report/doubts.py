@@ -45,9 +45,10 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     nobody = result["margin_beyond"] == result["margin_attempts"]
     if hit and nobody:
         found.append(
-            f"nobody could be hit in the {result['margin_attempts']} attempts of which the margin is made, but {hit} "
-            f"other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few attempts show, "
-            "and neither the margin nor its interval knows of them; give a greater --kamikaze-count or --safe-count"
+            f"nobody could be hit within η_max in the {result['margin_attempts']} attempts of which the margin is "
+            f"made, but {hit} other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few "
+            "attempts show, or take more than η_max, and neither the margin nor its interval knows of them; give a "
+            "greater --kamikaze-count or --safe-count, or a scenario with a greater eta_max"
         )
     elif result["margin_ci95"] is not None and result["margin_ci95"][0] == result["margin_ci95"][1]:
         found.append(
