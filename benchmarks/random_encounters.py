@@ -20,6 +20,7 @@ import os
 import pkgutil
 import random
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -60,7 +61,7 @@ def changed(content: dict[str, Any], rng: random.Random) -> dict[str, Any]:
         inner: Any = content
         for key in place[:-1]:
             inner = inner[key]
-        factor = rng.choice(FACTORS) if rng.random() < 0.3 else rng.uniform(0.6, 1.6)
+        factor = rng.choice(FACTORS) if rng.random() < 0.15 else rng.uniform(0.6, 1.6)
         inner[place[-1]] = type(inner[place[-1]])(inner[place[-1]] * factor)
     return content
 
@@ -77,7 +78,18 @@ def options(rng: random.Random) -> list[str]:
         *("--margin-limit", rng.choice(["0", "64", "512"])),
         *("--seed", str(rng.randrange(10_000))),
     ]
-    return [*car, *more, *rng.choice([[], ["--floor"], ["--told"] if knowledge == "itself" else []])]
+    seldom: list[list[str]] = [
+        ["--floor"],
+        ["--curve"],
+        ["--told"] if knowledge == "itself" else [],
+        ["--max-distance", str(rng.choice([0.5, 2, 8]))],
+        ["--particles", "50"],
+        ["--until-width", "1"],
+        ["--risk-runs", "200"],
+        ["--risk-subset"],
+        ["--behaviour", "none"],
+    ]
+    return [*car, *more, *itertools.chain(*rng.sample(seldom, rng.randint(0, 3)))]
 
 
 def _numbers(content: Any, place: str = "") -> Iterator[tuple[str, float]]:
@@ -177,6 +189,8 @@ def main() -> int:
             words = [*options(rng), *_SMALL, "--scenario", "encounter.yaml"]
             found, said = tried(words, here, arguments.limit)
             counts[found.code] += 1
+            if sys.stderr.isatty():
+                print(f"{number + 1} of {arguments.count}", end="\r", file=sys.stderr, flush=True)
             if arguments.only is not None:
                 print(text, found.output, found.error, sep="\n")
             if said:

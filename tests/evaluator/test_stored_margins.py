@@ -132,6 +132,34 @@ def longer(arrays: dict[str, np.ndarray]) -> None:
     arrays["margin"][row] = deformation(phi, way, arrays["margin_duration"][row])
 
 
+def beside(arrays: dict[str, np.ndarray]) -> None:
+    """Move the ways aside, steps and all."""
+    arrays["margin_positions"][:, 1] += 0.5
+    phis = [arrays["positions"][a:b] for a, b in itertools.pairwise(arrays["offsets"])]
+    for row, (low, high) in enumerate(itertools.pairwise(arrays["margin_offsets"])):
+        if high > low:
+            phi, way = phis[arrays["margin_safe_index"][row]], arrays["margin_positions"][low:high]
+            arrays["margin"][row] = deformation(phi, way, arrays["margin_duration"][row])
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_way_that_begins_elsewhere_is_refused(folders, tmp_path, ours):
+    """Who is led on it goes by its steps alone; a result of recordings may be of another world."""
+    forged = forge(folders[0.5], tmp_path / "forged", beside)
+    path = forged / "assessment.json"
+    figures = json.loads(path.read_text(encoding="utf-8"))
+    figures["provenance"] = {
+        **(figures.get("provenance") or {}),
+        "command": "skd assess" if ours else "skd replay bags",
+    }
+    figures["safe"] = "synthetic" if ours else "bags"
+    path.write_text(json.dumps(figures), encoding="utf-8")
+    write_manifests(forged)
+    says = "the way of the margin of attempt 0 of safe trajectory 0 begins 0.5 m from where everybody starts"
+    found = verify(forged)
+    assert any(says in line for line in (found.problems if ours else found.remarks))
+
+
 @pytest.mark.parametrize(
     ("change", "says"), [(slower, "the hit on its way is at"), (longer, "this car gives")], ids=["slower", "longer"]
 )

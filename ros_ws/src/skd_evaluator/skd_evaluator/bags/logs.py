@@ -11,6 +11,7 @@ import numpy as np
 from skd_adversary.car_fit import Recording
 from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
@@ -129,6 +130,7 @@ class _Beside:
     seed: int
     by_objective: bool
     actions: Actions = Actions.LISTED
+    knowledge: Knowledge | None = None
     doubts: tuple[str, ...] = ()
 
 
@@ -139,6 +141,7 @@ def _said_beside(path: Path) -> _Beside:
         if file.exists():
             try:
                 content = read_json(file)
+                options = content.get("options") or {}
                 scenario = scenario_from_dict(content["scenario"], str(file))
                 controller, multiplier = str(content["controller"]), content["multiplier"]
                 # Where a car has one, it has to be known.
@@ -148,10 +151,11 @@ def _said_beside(path: Path) -> _Beside:
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
                     "objectives" in content,
-                    Actions((content.get("options") or {}).get("actions", Actions.LISTED)),
+                    Actions(options.get("actions", Actions.LISTED)),
+                    Knowledge(options["knowledge"]) if options.get("knowledge") else None,
                     tuple(in_doubt(content.get("warnings") or ())),
                 )
-            except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
     raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
 
@@ -268,6 +272,7 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         safe_trajectory=trajectory,
         objective=Objective(objective) if objective else Objective.PAPER,
         actions=beside.actions,
+        knowledge=beside.knowledge,
     )
 
 

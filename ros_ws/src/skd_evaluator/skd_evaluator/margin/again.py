@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from skd_adversary.model.road_users import road_user_named
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.simulators import WORLD, is_own_world
 from skd_sim.encounter.scenario import scenario_from_dict
-from skd_sim.episode.episode import Episode, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -83,22 +84,41 @@ def margins_again(folder: Path, figures: Mapping[str, Any], stored: StoredEpisod
     return Again(tuple(problems), f"{count} margins were {done}" if count else "")
 
 
-def _led(way: StoredWay, time_step: float) -> LedAdversary:
-    velocities = np.diff(way.positions, axis=0) / time_step
-    velocities[-1:] /= way.duration - (len(velocities) - 1)  # the last position is that of the contact
-    return LedAdversary(velocities)
+def _led(episode: Episode, way: StoredWay) -> Iterator[LedAdversary]:
+    """Yield who may have gone a way: one, or, where it was hit as it turned, one for each turn that it could take.
+
+    What turns its body can be hit as a tick begins. Positions do not say then which way it turned.
+    """
+    velocities = np.diff(way.positions, axis=0) / episode.scenario.time_step
+    share = way.duration - (len(velocities) - 1)  # of the last tick: the last position is that of the contact
+    if 0.0 < share <= 1.0:
+        velocities[-1:] /= share
+        yield LedAdversary(velocities)
+    elif share == 0.0 and episode.safe_trajectory is not None and len(velocities):
+        user, phi = road_user_named(episode.scenario.adversary.kind), episode.safe_trajectory.positions
+        how = (episode.scenario, phi, way.positions)
+        for last in [*user.choices(*how)[-1], user.as_phi(*how)[-1]]:
+            yield LedAdversary(np.vstack([velocities[:-1], last]))
 
 
 def _walked(episode: Episode, way: StoredWay | None) -> Iterator[str]:
     if way is None:
         return
-    log = run_episode(episode, adversary=_led(way, episode.scenario.time_step))
+    logs = [run_episode(episode, adversary=one) for one in _led(episode, way)]
+    wrongs = [_unlike(log, way) for log in logs] or [f"its hit is at {way.duration:.6g} ticks, and not in its last one"]
+    if all(wrongs):
+        yield wrongs[0]
+
+
+def _unlike(log: EpisodeLog, way: StoredWay) -> str:
+    """Return how an episode on a way differs from what is said of it; empty: not at all."""
     if not log.hit:
-        yield f"nobody is hit on its way, which ends as {log.outcome.name}"
-    elif abs(log.impact_time / episode.scenario.time_step - way.duration) > _SAME:
-        yield f"the hit on its way is at {log.impact_time:.6g} s"
-    elif abs(log.impact_speed - way.impact_speed) > _SAME:
-        yield f"the hit on its way is at {log.impact_speed:.6g} m/s, and not at {way.impact_speed:.6g} m/s"
+        return f"nobody is hit on its way, which ends as {log.outcome.name}"
+    if abs(log.impact_time / log.episode.scenario.time_step - way.duration) > _SAME:
+        return f"the hit on its way is at {log.impact_time:.6g} s"
+    if abs(log.impact_speed - way.impact_speed) > _SAME:
+        return f"the hit on its way is at {log.impact_speed:.6g} m/s, and not at {way.impact_speed:.6g} m/s"
+    return ""
 
 
 def _computed(episode: Episode, margin: float) -> Iterator[str]:

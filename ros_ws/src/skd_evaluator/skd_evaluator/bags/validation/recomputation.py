@@ -18,6 +18,7 @@ from skd_adversary.model.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
 from skd_sim.encounter.body import Body
@@ -195,9 +196,13 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
 
 
 def follows_phi(episode: Episode) -> bool:
-    """Whether the adversary can go as φ does in the same tick: a replay, or a kamikaze of objective `deformation`."""
-    plans_for_it = episode.mode == Mode.KAMIKAZE and objective_named(episode.objective).follows_phi
-    return episode.mode == Mode.REPLAY or plans_for_it
+    """Whether the adversary can go as φ does in the same tick: a replay, and a kamikaze that can choose to.
+
+    That is one of objective `deformation`, and any that plans with copies of the car.
+    """
+    if episode.mode != Mode.KAMIKAZE:
+        return episode.mode == Mode.REPLAY
+    return objective_named(episode.objective).follows_phi or episode.knows == Knowledge.ITSELF
 
 
 def _along_phi(log: EpisodeLog, ticks: int) -> FloatArray:

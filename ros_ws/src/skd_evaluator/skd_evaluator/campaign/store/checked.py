@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,7 +127,8 @@ def starts_that_differ(folder: Path, figures: Mapping[str, Any], stored: StoredE
             return None
         scenario, seed = scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}"), int(figures["seed"])
         phis = [Trajectory(one, stored.time_step, "") for one in stored.safe]
-        gaps = [Episode(scenario, Mode.REPLAY, seed, 0, safe_trajectory=phi).start_gap for phi in phis]
+        attempts = [Episode(scenario, Mode.REPLAY, seed, 0, safe_trajectory=phi) for phi in phis]
+        gaps = [one.start_gap for one in attempts]
         far = np.zeros(len(stored))
         for number, driven in enumerate(stored.car):
             draws = generator(seed, int(stored.episode_id[number]), Role.START)
@@ -134,6 +136,15 @@ def starts_that_differ(folder: Path, figures: Mapping[str, Any], stored: StoredE
             if np.isfinite(driven[0]).all():  # of one that was aborted before it began nothing is known
                 far[number] = np.abs(driven[0] - (car.x, car.y, car.speed)).max()
         ours = figures.get("safe") != RECORDED and _command(figures) in _OURS
+    for index, (attempt, ways) in enumerate(zip(attempts, stored.margin_ways, strict=False)):
+        for way in ways:
+            off = math.dist(way.positions[0], attempt.start)
+            if off > _ROUNDING:
+                return Starts(
+                    f"{folder / EPISODES}: the way of the margin of attempt {way.attempt} of safe trajectory {index} "
+                    f"begins {off:.3g} m from where everybody starts there",
+                    ours,
+                )
     wrong = np.flatnonzero(far > _ROUNDING)
     if not wrong.size:
         return None
