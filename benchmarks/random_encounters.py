@@ -1,10 +1,10 @@
 """Assesses cars in encounters that nobody has written: `.venv/bin/python benchmarks/random_encounters.py --count 60`.
 
-Each is one of SKD's encounters of which a few numbers have been changed, a little or a lot, with one of SKD's cars and
-some options by lot. `skd assess` runs it with one worker and with two. Right is an exit code of 0, 1 or 2 within the
-time, with 2 one line and nothing written; the same figures from any number of workers; a result that `skd verify` finds
-right; figures that can be (`impossible_figures`); and no doubt of a car of SKD's own. Whatever is not right is printed
-with the encounter, and the exit code is then 1.
+Each is one of SKD's encounters of which a few numbers have been changed, a little or a lot, with a car of SKD's or a
+class in `benchmarks/cars`, and some options by lot. `skd assess` runs it with one worker and with two. Right is an exit
+code of 0, 1 or 2 within the time, with 2 one line and nothing written; the same figures from any number of workers; a
+result that `skd verify` finds right; figures that can be (`impossible_figures`); and no doubt of any of these cars.
+Whatever is not right is printed with the encounter, and the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -39,7 +39,12 @@ CARS = (
     *(["--multiplier", str(multiplier)] for multiplier in (0.25, 0.5, 1, 1.5, 3)),
     ["--controller", "carla"],
     ["--controller", "cal"],
+    ["--controller", "cars.collision_time:LatchedBrake"],
+    ["--controller", "cars.idm:IntelligentDriver"],
+    ["--controller", "cars.planner:SamplingPlanner"],
+    ["--controller", "cars.stop_and_go:StopAndGo"],
 )
+"""SKD's own, and honest classes of a user's, which run in processes of their own and are asked again."""
 _SMALL = ["--safe-count", "2", "--kamikaze-count", "2", "--collision-runs", "4", "--simulations", "20", "--quiet"]
 _TOLERANCE = 1e-9
 _NOT_COMPARED = ("seconds", "provenance")
@@ -82,9 +87,10 @@ def options(rng: random.Random) -> list[str]:
         ["--floor"],
         ["--curve"],
         ["--told"] if knowledge == "itself" else [],
+        ["--controller-calls", "2000"] if knowledge == "itself" else [],
         ["--max-distance", str(rng.choice([0.5, 2, 8]))],
         ["--particles", "50"],
-        ["--until-width", "1"],
+        ["--until-width", "4"],
         ["--risk-runs", "200"],
         ["--risk-subset"],
         ["--behaviour", "none"],
@@ -126,7 +132,9 @@ def impossible_figures(figures: Mapping[str, Any]) -> list[str]:
         if figures.get(name) is not None and not 0.0 <= figures[name] <= 1.0:
             found.append(f"{name} is {figures[name]}")
     margin, deformation = figures.get("margin"), figures.get("deformation")
-    if margin is not None and deformation is not None and figures.get("aborted") == 0 and margin > deformation + 1e-6:
+    # Kamikazes of some objectives try again where they are not hit, in attempts that the margin does not have.
+    same = all(one["attempts"] == figures.get("margin_attempts") for one in figures["objectives"].values())
+    if same and margin is not None and deformation is not None and margin > deformation + 1e-6:
         found.append(f"the margin {margin} is above the planned deformation {deformation}")
     if figures.get("skd") is not None and figures["skd"] < 0.0:
         found.append(f"the SKD is {figures['skd']}")
@@ -146,7 +154,7 @@ def tried(words: list[str], folder: Path, limit: float) -> tuple[Run, list[str]]
     result = folder.parent / "one"
     if found.code == 2 and result.exists():
         said.append("written although refused")
-    if found.code in (0, 1) and result.exists():
+    if found.code in (0, 1) and (result / "assessment.json").exists():
         other = run(["assess", *words, "--workers", "2", "--out", "../two"], folder, limit)
         first, second = (json.loads((folder.parent / name / "assessment.json").read_text()) for name in ("one", "two"))
         for name in _NOT_COMPARED:
@@ -157,7 +165,7 @@ def tried(words: list[str], folder: Path, limit: float) -> tuple[Run, list[str]]
         verified = run(["verify", "../one"], folder, limit)
         if verified.code != 0:
             said.append(f"skd verify: {(verified.error + verified.output)[-2000:]}")
-    elif found.code == 0:
+    elif found.code == 0 or (found.code == 1 and "error:" not in found.error):
         said.append("nothing written")
     for name in ("one", "two"):
         shutil.rmtree(folder.parent / name, ignore_errors=True)
