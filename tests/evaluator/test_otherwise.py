@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from skd_evaluator.assessing.otherwise import (
     further_of,
     is_same,
     named,
+    one_run_stands_apart,
     some_of,
     surely_more,
     way_apart,
@@ -51,6 +53,28 @@ def test_how_many_are_run_again() -> None:
         assert len({*map(id, first), *map(id, second)}) == some + further
     aborted = [replace(logs[0], outcome=Outcome.ABORTED) for _ in range(30)]
     assert some_of(aborted) == further_of(aborted, []) == []
+
+
+def test_of_three_runs_by_chance_none_stands_apart_more_often_than_the_others() -> None:
+    run, crossing = log_of(), log_of(stage=Stage.RISK)
+
+    def runs(*patterns: str, log: EpisodeLog = run) -> list[tuple[EpisodeLog, ...]]:
+        return [tuple(replace(log, car=log.car + 9.0 * (letter == "C")) for letter in one) for one in patterns]
+
+    def stands_apart(rows: Sequence[tuple[EpisodeLog, ...]]) -> bool:
+        return one_run_stands_apart(list(zip(*rows, strict=True)))
+
+    even = runs(*["Ccc", "cCc", "ccC"] * 8)
+    assert not stands_apart(even)
+    assert not stands_apart(runs("ccc", "ccc"))
+    assert not stands_apart(runs(*["Ccc"] * 4))  # too few
+    for pattern in ("Ccc", "cCc", "ccC"):
+        assert stands_apart(runs(*[pattern] * 8))
+        assert stands_apart([*even, *runs(*[pattern] * 6, log=crossing)])
+    # Along φ the second one stands apart and in crossings the third one: of all neither.
+    assert stands_apart([*runs(*["cCc"] * 8), *runs(*["CCc"] * 8, log=crossing)])
+    gone = [(one, two, replace(three, outcome=Outcome.ABORTED)) for one, two, three in runs(*["Ccc"] * 8)]
+    assert not stands_apart(gone)
 
 
 @pytest.mark.parametrize("outcomes", [(Outcome.ARRIVED, Outcome.COLLISION), (Outcome.COLLISION, Outcome.ARRIVED)])

@@ -28,6 +28,7 @@ from skd_sim.choices.simulators import WORLD
 from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -155,6 +156,62 @@ def test_a_stack_that_is_slow_when_it_is_run_again_does_not_keep_anybody_waiting
     (line,) = doubts_of_the_stack("external", [logs], graph, lambda *_told: None, anew=True, limit=0.1)
     assert line.startswith(DOUBT)
     assert "were over" in line
+
+
+class Aborting(Graph):
+    """Ends one of so many episodes that are run again, by a fault of its own."""
+
+    def __init__(self, one_in: int, make: Callable[[], Controller] = Car) -> None:
+        super().__init__(make)
+        self._one_in = one_in
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for number, log in enumerate(super().run(episodes)):
+            yield aborted(log.episode, "twice") if self.graphs and number % self._one_in == 0 else log
+
+
+def test_a_stack_that_ends_many_of_the_episodes_that_are_run_again_is_in_doubt() -> None:
+    """It could end just those in which it had been another car: of these nobody sees how they go."""
+    (line,) = doubts(Aborting(3))
+    assert line.startswith(DOUBT)
+    assert line.endswith("8 of 24 kamikazes and runs along φ were aborted, the first one so: twice")
+    assert doubts(Aborting(6)) == ()  # as where a machine has too much to do
+    lines = doubts(Aborting(3, lambda: Car(lambda number: number % 2 == 1)))
+    assert [line.startswith(DOUBT) for line in lines] == [True, True]
+    assert "keeps from one episode to the next" in lines[1]
+
+
+def test_episodes_of_one_figure_may_not_all_be_ended_among_many_others() -> None:
+    crossings = [replace(one, episode_id=episode_id(Stage.RISK, 0, number)) for number, one in enumerate(RUNS[:6])]
+
+    class OfRisk(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            for log in super().run(episodes):
+                yield aborted(log.episode, "twice") if self.graphs and log.episode in crossings else log
+
+    (line,) = doubts(OfRisk(Car), [*RUNS, *crossings])
+    assert line.startswith(DOUBT)
+    assert "crossings of the risk were aborted, the first one so: twice" in line
+
+
+@pytest.mark.parametrize("error", [UsageError("no such command"), FileNotFoundError(2, "no such file", "logs")])
+def test_a_graph_that_cannot_be_started_again_costs_no_result(error: Exception) -> None:
+    """As where a stack has removed its own command, or the folder of logs."""
+
+    class Gone(Graph):
+        def __call__(self) -> AbstractContextManager[Graph]:
+            raise error
+
+    (line,) = doubts(Gone(Car))
+    assert line.startswith(DOUBT)
+    assert line.endswith(str(error))
+
+
+def test_a_stack_that_is_another_car_in_one_graph_than_in_two_others_does_not_go_by_chance() -> None:
+    graph = Graph(lambda: Car(lambda _number: graph.graphs == 1))
+    (line,) = doubts(graph)
+    assert line.startswith(DOUBT)
+    assert "keeps from one episode to the next" in line
 
 
 def test_who_took_long_at_first_may_take_as_long_again() -> None:

@@ -93,7 +93,7 @@ class RunAgain:
 
     def _graph_anew(self) -> AbstractContextManager[EpisodeRunner]:
         folder = self._log_folder / "again"
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         return graphs_session(
             replace(self._options, graphs=1),
             controller=self._car.controller,
