@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from common import run_skd
 from scipy import stats
 from skd_evaluator.fusion.estimate.control_variate import fitted_line
 from skd_evaluator.fusion.estimate.planning import trials_for_width, width_alone, width_fused
+from skd_evaluator.measure.doubt import DOUBT
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])
@@ -72,6 +74,21 @@ def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.Captu
     assert said["physical_alone"] > 2 * known["trials"]
     assert run_skd(*words, "--correlation", "0.6") == 0
     assert "where ρ = 0.60" in capsys.readouterr().out
+
+
+def test_a_plan_says_what_was_to_be_said_of_what_it_plans_with(
+    fused: Path, sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for source, name in ((fused, "fusion.json"), (sweep / "synthetic" / "C_0.5", "assessment.json")):
+        doubted = tmp_path / name
+        shutil.copytree(source, doubted)
+        (doubted / "manifest.sha256").unlink()
+        content = json.loads((doubted / name).read_text("utf-8"))
+        (doubted / name).write_text(json.dumps({**content, "warnings": [f"{DOUBT}it counts"]}), "utf-8")
+        words = ("plan", "--physical", "--figure", "clearance", "--width", "0.1", doubted)
+        for json_too in ((), ("--json",)):
+            assert run_skd(*words, *json_too) == 0
+            assert f"{DOUBT}it counts" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
