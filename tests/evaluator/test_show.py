@@ -12,6 +12,7 @@ from cli_support import names, one_line
 from common import run_skd
 from matplotlib.image import imread
 from PIL import Image
+from report_support import edited
 from shapely import Point, Polygon
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.commands.compare import reference_hint
@@ -55,11 +56,7 @@ def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, 
 
 @pytest.mark.parametrize("words", [("show", "--worst", "1"), ("export", "--format", "csv", "--json")])
 def test_of_a_car_in_doubt_that_is_said(words, result, tmp_path, capsys):
-    doubted = tmp_path / "doubted"
-    shutil.copytree(result, doubted)
-    (doubted / "manifest.sha256").unlink()
-    figures = json.loads((doubted / "assessment.json").read_text())
-    write_json(doubted / "assessment.json", {**figures, "warnings": [f"{DOUBT}it counts", "harmless"]})
+    doubted = edited(result, tmp_path / "doubted", warnings=[f"{DOUBT}it\ncounts", "harmless"])
     assert run_skd(*words, doubted, "--out", tmp_path / "out") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
     assert said == [f"skd {words[0]}: warning: {DOUBT}it counts"]

@@ -129,6 +129,8 @@ def _read_sweep(folder: Path) -> list[Subject]:
     if not parts:
         raise UsageError(f"{folder}: a sweep without its assessments (KIND/C_…/assessment.json)")
     found = [_read(part.parent, part.parent.parent.name) for part in parts]
+    if strange := next((one.folder for one in found if one.figures["multiplier"] is None), None):
+        raise UsageError(f"{strange}: is of a car without a multiplier C, and so of no sweep")
     return sorted(found, key=lambda one: (one.kind != "synthetic", one.kind, float(one.figures["multiplier"])))
 
 
