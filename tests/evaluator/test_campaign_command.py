@@ -21,6 +21,8 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.assessing import pipeline
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
@@ -110,6 +112,19 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     assert "1 of 2 cells done" in again.stderr
     assert (here / "out" / "basic-C1" / "assessment.json").stat().st_mtime_ns == before
     assert figures(here / "out" / "basic-C0.75") == figures(here / "basic-C0.75")
+
+
+def test_a_cell_whose_car_was_learned_is_done_when_the_campaign_is_resumed(here, skd_here, monkeypatch):
+    """What the adversary knows is asked for until it has learned, and follows from its model after that."""
+    taught = lambda plan, *_how, **_more: dataclasses.replace(plan, car_model=any_car_models()[0])  # noqa: E731
+    monkeypatch.setattr(pipeline, "learned", taught)
+    write(here, "cars: [{controller: basic, knowledge: learned}]")
+    assert skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1").returncode == 0
+    before = campaign(here)["cells"]
+    again = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1", "--resume")
+    assert again.returncode == 0, again.stderr
+    assert campaign(here)["cells"] == before
+    assert campaign(here)["episodes_run"] == 0
 
 
 def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monkeypatch):
