@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_evaluator.assessing import again_graph, pipeline
+from skd_evaluator.assessing.again import DoubtsOfLearning
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.otherwise import flattered, went_otherwise
@@ -287,6 +288,22 @@ def test_one_of_two_runs_that_collides_more_often_may_be_chance() -> None:
 
     (line,) = doubts(Flattered(Car))
     assert line.startswith(DISBELIEF)
+
+
+def test_no_model_of_a_stack_is_kept_before_it_was_run_again() -> None:
+    """Or one that is ended meanwhile would leave a model of a car at which nobody has looked."""
+    kept: list[bool] = []
+
+    def keep() -> bool:
+        kept.append(True)
+        return True
+
+    for later in (True, False):
+        learning = DoubtsOfLearning(CarUnderTest("external"), None, later=later)
+        assert not learning.keep()
+        assert learning.believed([], keep) == (not later)
+        assert bool(kept) == (not later)
+    assert learning.keep()
 
 
 def test_no_model_is_kept_of_a_car_whose_figures_are_in_doubt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

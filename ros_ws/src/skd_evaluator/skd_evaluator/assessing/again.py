@@ -60,23 +60,31 @@ class DoubtsOfLearning:
     Attributes:
         found: why it is not, a line each.
         seen: some of the episodes from which it was learned just now.
+        keep: keeps the model that was learned from them, and tells whether it is kept.
     """
 
-    def __init__(self, car: CarUnderTest, fresh: Fresh | None) -> None:
-        """Run episodes again by what `fresh` makes; None: nobody looks yet."""
+    def __init__(self, car: CarUnderTest, fresh: Fresh | None, *, later: bool = False) -> None:
+        """Look at no episode yet.
+
+        Args:
+            car: what is learned.
+            fresh: makes what runs episodes again; None: nobody does.
+            later: whether somebody runs them again later, so that no model is kept before `keep` is called.
+        """
         self.found: tuple[str, ...] = ()
         self.seen: tuple[EpisodeLog, ...] = ()
-        self._car, self._fresh = car, None if car.is_own or car.is_external else fresh
+        self.keep: Callable[[], bool] = lambda: False
+        self._car, self._fresh, self._later = car, None if car.is_own or car.is_external else fresh, later
 
-    def believed(self, logs: Sequence[EpisodeLog]) -> bool:
-        """Tell whether some of the episodes go as before."""
-        self.seen = tuple(logs)
+    def believed(self, logs: Sequence[EpisodeLog], keep: Callable[[], bool]) -> bool:
+        """Keep the model that was learned by `keep` if some of the episodes go as before; tell whether it is kept."""
+        self.seen, self.keep = tuple(logs), keep
         if self._fresh is not None:
             found = doubts_of_episodes(self._car, logs, (), self._fresh)
             for line in found:
                 told = line.removeprefix(DISBELIEF).removeprefix(DOUBT)
                 self.found += (f"{line.removesuffix(told)}{_LEARNED_FROM}{told}",)
-        return not self.found
+        return not self._later and not self.found and keep()
 
 
 def _heard(log: EpisodeLog) -> Heard:

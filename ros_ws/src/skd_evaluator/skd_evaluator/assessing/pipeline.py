@@ -74,7 +74,7 @@ def learned_plan(
     progress: Progress,
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
-    believed: Believed = lambda _logs: True,
+    believed: Believed = lambda _logs, keep: keep(),
 ) -> Plan:
     """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
@@ -84,7 +84,7 @@ def learned_plan(
         progress: called with how far the work is.
         say: called with one line about what was done.
         graph: how the node graph is run; None: episodes run in process.
-        believed: tells whether the car always is the same in episodes from which it was learned; see `learned`.
+        believed: keeps the model if the car always is the same in episodes from which it was learned; see `learned`.
     """
     command, how = _how(graph)
     return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)

@@ -21,6 +21,7 @@ from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 
@@ -135,7 +136,8 @@ def rated_through_graph(
     """
     car, simulator, asked = plan.car, plan.simulator, plan
     fresh = fresh_process(car, simulator, options)
-    learning, run_again = DoubtsOfLearning(car, fresh), RunAgain(car, simulator, options, log_folder)
+    run_again = RunAgain(car, simulator, options, log_folder)
+    learning = DoubtsOfLearning(car, fresh, later=run_again.here or run_again.anew)
     session = graphs_session(
         options,
         controller=car.controller,
@@ -160,5 +162,8 @@ def rated_through_graph(
         found = run_again.doubts(groups, limit, progress)
     warnings = (*rating.warnings, *learning.found, *found)
     if learning.seen:
+        # Of a stack no model was kept before all of this: who is ended meanwhile leaves none that nobody has looked at.
+        if not in_doubt(warnings) and (run_again.here or run_again.anew) and learning.keep():
+            say("the model of the car is kept, for it always went as before")
         forget_in_doubt(asked, warnings, say, options)
     return replace(rating, warnings=warnings)
