@@ -23,7 +23,7 @@ from skd_evaluator.assessing.otherwise import (
     Pair,
     by_kind,
     figure_of,
-    flattered,
+    first_run_flatters,
     further_of,
     is_same,
     one_run_stands_apart,
@@ -119,10 +119,10 @@ def doubts_of_the_stack(
     except (AssessmentError, UsageError, OSError) as error:  # as where the stack has removed what starts it
         return (_unknown(len(first), str(error)),)
     repeated, _ = _changed(again, once_more)
-    flatters = flattered(changed) and flattered(_changed(first, once_more)[0])  # one of the two may be chance
-    keeps = one_run_stands_apart((first, again, once_more)) or (repeats and len(repeated) <= _OFTEN * len(changed))
-    if flatters or keeps:
-        return (*lost, went_otherwise(name, changed, count, where))
+    runs = (first, again, once_more)
+    sure = first_run_flatters(runs)  # by both: one of the two may be chance
+    if sure or one_run_stands_apart(runs) or (repeats and len(repeated) <= _OFTEN * len(changed)):
+        return (*lost, went_otherwise(name, changed, count, where, sure))
     if not repeats:
         return lost
     return (

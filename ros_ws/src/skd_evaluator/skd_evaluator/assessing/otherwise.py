@@ -93,6 +93,44 @@ def surely_more(many: int, few: int, chance: float = _BY_CHANCE) -> bool:
     return many > few and _at_least(many, many + few) < chance
 
 
+def first_run_flatters(runs: Sequence[Sequence[EpisodeLog]]) -> str:
+    """Return in words of which figure the first of three runs of the same episodes surely had fewer collisions.
+
+    Of who goes by chance, each run of an episode is as likely to be the one of three that collides alone, or that does
+    not: a permutation test, of all and of those of one figure. Empty where chance explains it.
+    """
+    groups = _groups(runs)
+    for group in groups:
+        mixed = [hits for hits in map(_collided, group) if any(hits) and not all(hits)]
+        chance = _BY_CHANCE / (2.0 if group is groups[0] else 2.0 * (len(groups) - 1))
+        spared = sum(not first for first, *_others in mixed)
+        if _as_many([1.0 - sum(hits) / len(hits) for hits in mixed], spared) < chance:
+            what = "episodes" if group is groups[0] else figure_of(group[0][0])
+            return (
+                f"{spared} {what} of {len(group)} collided when they were run again, once or twice, and not before; "
+                f"{len(mixed) - spared} before, and not each time after it"
+            )
+    return ""
+
+
+def _groups(runs: Sequence[Sequence[EpisodeLog]]) -> list[list[tuple[EpisodeLog, ...]]]:
+    """Return the logs of each episode that no run has aborted: of all, and then of those of each figure."""
+    whole = [logs for logs in zip(*runs, strict=True) if Outcome.ABORTED not in {log.outcome for log in logs}]
+    return [whole, *by_kind(whole, lambda logs: logs[0])]
+
+
+def _collided(logs: Sequence[EpisodeLog]) -> tuple[bool, ...]:
+    return tuple(log.outcome == Outcome.COLLISION for log in logs)
+
+
+def _as_many(chances: Sequence[float], count: int) -> float:
+    """Return how likely at least `count` of independent events are, of which each has its own probability."""
+    sums = np.ones(1)
+    for chance in chances:
+        sums = np.convolve(sums, [1.0 - chance, chance])
+    return float(np.sum(sums[count:]))
+
+
 def one_run_stands_apart(runs: Sequence[Sequence[EpisodeLog]]) -> bool:
     """Whether one of three runs of the same episodes surely is another one than the two others.
 
@@ -101,8 +139,7 @@ def one_run_stands_apart(runs: Sequence[Sequence[EpisodeLog]]) -> bool:
     Args:
         runs: the logs of each run, in the order of the episodes.
     """
-    whole = [logs for logs in zip(*runs, strict=True) if Outcome.ABORTED not in {log.outcome for log in logs}]
-    groups = [whole, *by_kind(whole, lambda logs: logs[0])]
+    groups = _groups(runs)
     chance = _BY_CHANCE / (len(groups) * len(runs))
     for group in groups:
         apart = [one for one in map(_apart, group) if one is not None]
@@ -125,7 +162,7 @@ def way_apart(first: EpisodeLog, second: EpisodeLog) -> float:
     return float(np.max(np.abs(first.car[:count] - second.car[:count]), initial=0.0))
 
 
-def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process") -> str:
+def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process", sure: str = "") -> str:
     """Return in a line what it means that some of `count` episodes of a car that can repeat itself went otherwise.
 
     It is more than a doubt where the first runs had surely fewer collisions: the rating flatters the car.
@@ -135,13 +172,15 @@ def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = 
         changed: the episodes that went otherwise.
         count: how many were run again.
         where: what was new in their second run.
+        sure: why it surely is flattered, if more runs than two say so; see `first_run_flatters`.
     """
     if where == "process":
         more, orders = "what reset gave it and what it saw since", "the order of the episodes and on --workers"
     else:
         more, orders = "what it hears in an episode", "the order of the episodes"
+    begin = DISBELIEF if sure or flattered(changed) else DOUBT
     return (
-        f"{DISBELIEF if flattered(changed) else DOUBT}{told(changed, count, where)}: {name} answers by more than "
+        f"{begin}{told(changed, count, where)}{sure and f'; {sure}'}: {name} answers by more than "
         f"{more}, as by what it keeps from one episode to the next; so its figures depend on {orders}"
     )
 
