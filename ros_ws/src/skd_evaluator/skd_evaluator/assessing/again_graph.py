@@ -4,8 +4,8 @@ A stack that is a node of its own cannot be copied, nor be asked alone what it w
 run again. In lockstep it goes as before, to the last bit, if the stack answers by what it hears. Two kinds of stacks do
 not: those that keep something from one episode to the next, whose figures are those of another car in each order; and
 those that never go the same way twice, as by threads or by time limits of their own, whose figures are a draw. They are
-told apart when all is done once more in the same order: any two of the three runs of one of the second kind are as far
-apart, be it by a little noise; and one of the first kind goes otherwise where the order is another one.
+told apart when all is done once more in the same order: each of the three runs of one of the second kind is as likely
+to be far from the two others, be it by a little noise; one of the first kind goes otherwise where the order is another.
 """
 
 from __future__ import annotations

@@ -248,17 +248,20 @@ class Campaign:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
-            rating = rated_through_graph(
-                cell.plan,
-                cell.objectives,
-                replace(cell.graph, graphs=graphs),
-                _further(cell),
-                log_folder=logs,
-                record_to=None,
-                progress=progress,
-                say=partial(_say, cell),
-                kept_by=partial(self._storing, cell),
-            )
+            try:
+                rating = rated_through_graph(
+                    cell.plan,
+                    cell.objectives,
+                    replace(cell.graph, graphs=graphs),
+                    _further(cell),
+                    log_folder=logs,
+                    record_to=None,
+                    progress=progress,
+                    say=partial(_say, cell),
+                    kept_by=partial(self._storing, cell),
+                )
+            except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
+                raise AssessmentError(f"its graph cannot run: {error}") from error
             origin = self._provenance(replace(cell, plan=rating.plan))
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
@@ -286,7 +289,7 @@ class Campaign:
 
         def write(folder: Path) -> None:
             fill(folder, rating)
-            if logs is not None and any(logs.iterdir()):
+            if logs is not None and logs.is_dir() and any(logs.iterdir()):
                 logs.rename(folder / "logs")
 
         with self._lock:
