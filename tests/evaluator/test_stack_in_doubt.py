@@ -15,7 +15,7 @@ from skd_evaluator.assessing.again import DoubtsOfLearning
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.otherwise import flattered, went_otherwise
-from skd_evaluator.assessing.pipeline import forget_in_doubt
+from skd_evaluator.assessing.pipeline import keep_or_forget
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
@@ -292,28 +292,32 @@ def test_one_of_two_runs_that_collides_more_often_may_be_chance() -> None:
 
 def test_no_model_of_a_stack_is_kept_before_it_was_run_again() -> None:
     """Or one that is ended meanwhile would leave a model of a car at which nobody has looked."""
-    kept: list[bool] = []
+    kept, said = list[bool](), list[str]()
 
     def keep() -> bool:
         kept.append(True)
         return True
 
-    for later in (True, False):
-        learning = DoubtsOfLearning(CarUnderTest("external"), None, later=later)
-        assert not learning.keep()
-        assert learning.believed([], keep) == (not later)
-        assert bool(kept) == (not later)
-    assert learning.keep()
+    learning = DoubtsOfLearning(CarUnderTest("external"), None, later=True)
+    assert not learning.believed([], keep)
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions(), learning.keep_now)
+    assert not kept
+    keep_or_forget(PLAN, ["harmless"], said.append, GraphOptions(), learning.keep_now)
+    assert kept
+    assert said == ["the model of the car is kept, for the car always went as before"]
+    at_once = DoubtsOfLearning(CarUnderTest("external"), None)
+    assert at_once.believed([], keep)
+    assert not at_once.keep_now()
 
 
 def test_no_model_is_kept_of_a_car_whose_figures_are_in_doubt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, said = tmp_path / "kept", list[str]()
     kept.mkdir()
     monkeypatch.setattr(pipeline, "folder_of", lambda *_how: kept)
-    forget_in_doubt(PLAN, ["harmless"], said.append, GraphOptions())
+    keep_or_forget(PLAN, ["harmless"], said.append, GraphOptions())
     assert kept.is_dir()
-    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions())
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions())
     assert not kept.exists()
     assert said == ["no model of the car is kept, for its figures are in doubt"]
-    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append)  # of which there was none
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append)  # of which there was none
     assert len(said) == 1

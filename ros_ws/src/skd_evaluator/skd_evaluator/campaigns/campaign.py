@@ -16,7 +16,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, keep_or_forget, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
@@ -239,7 +239,7 @@ class Campaign:
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
         if doubts.seen:
-            forget_in_doubt(asked, rating.warnings, partial(_say, cell))
+            keep_or_forget(asked, rating.warnings, partial(_say, cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(

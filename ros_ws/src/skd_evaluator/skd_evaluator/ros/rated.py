@@ -17,11 +17,10 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack, groups_of
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, keep_or_forget, learned_plan
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 
@@ -162,8 +161,5 @@ def rated_through_graph(
         found = run_again.doubts(groups, limit, progress)
     warnings = (*rating.warnings, *learning.found, *found)
     if learning.seen:
-        # Of a stack no model was kept before all of this: who is ended meanwhile leaves none that nobody has looked at.
-        if not in_doubt(warnings) and (run_again.here or run_again.anew) and learning.keep():
-            say("the model of the car is kept, for it always went as before")
-        forget_in_doubt(asked, warnings, say, options)
+        keep_or_forget(asked, warnings, say, options, learning.keep_now)
     return replace(rating, warnings=warnings)
