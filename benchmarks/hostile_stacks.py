@@ -33,15 +33,18 @@ class Seen:
     Attributes:
         episodes: how many it has begun.
         messages: how many states it has got.
-        second: whether a process before it has left its file.
+        number: of its process, by what those before it have written to its file.
+        second: whether there was one before it.
         lot: drawn at the begin of each episode, from 0 to 1.
         age: of its process, s.
     """
 
     def __init__(self, file: Path) -> None:
         """Look for the file, and leave it."""
-        self.second = file.exists()
-        file.touch()
+        with file.open("a") as written:
+            written.write("x")
+        self.number = file.stat().st_size
+        self.second = self.number > 1
         self.episodes = self.messages = 0
         self.lot, self.age = 0.0, 0.0
 
@@ -59,6 +62,10 @@ NODES: dict[str, Careful] = {
     "at_first": lambda seen: seen.episodes <= 30,
     "in_the_first_process": lambda seen: not seen.second,
     "by_chance_in_the_second": lambda seen: seen.lot < 0.5 if seen.second else seen.episodes > 26,
+    "in_the_second_and_not_the_third": lambda seen: seen.number == 2 if seen.second else seen.episodes > 26,
+    "in_the_third_and_not_the_second": lambda seen: seen.number == 3 if seen.second else seen.episodes > 26,
+    "by_another_chance_in_each": lambda seen: seen.lot < 0.1 + 0.2 * seen.number if seen.second else seen.episodes > 26,
+    "ends_many_in_the_second": lambda _seen: False,
     "silent_in_the_second": lambda seen: not seen.second,
     "dead_in_the_second": lambda seen: not seen.second,
     "by_chance": lambda seen: seen.lot < 0.5,
@@ -91,6 +98,9 @@ def drive(name: str, file: Path) -> None:
         if name == "later_with_noise":
             answer.accel.linear.x += random.uniform(-_NOISE, _NOISE)
         publisher.publish(answer)
+        if name == "ends_many_in_the_second" and seen.second and seen.episodes % 3 == 0 and place < 0.0:
+            answer.accel.linear.x = -5.0
+            publisher.publish(answer)
 
     node.create_subscription(Odometry, "/ego/odometry", on_odometry, 10)
     rclpy.spin(node)
@@ -118,7 +128,7 @@ def main() -> int:
         drive(given.drive[0], Path(given.drive[1]))
         return 0
     failed = 0
-    print(f"{'node':<26}{'code':>5}{'s':>6}" + "".join(f"{figure:>13}" for figure in _FIGURES) + "  said")
+    print(f"{'node':<34}{'code':>5}{'s':>6}" + "".join(f"{figure:>13}" for figure in _FIGURES) + "  said")
     with tempfile.TemporaryDirectory() as scratch:
         for name in given.names or NODES:
             code, seconds, said, result = assessed(name, Path(scratch))
@@ -126,7 +136,7 @@ def main() -> int:
             figures = (result.get(figure) for figure in _FIGURES)
             shown = "".join(f"{'–' if value is None else format(value, '.3f'):>13}" for value in figures)
             lines = [line for line in result.get("warnings", ()) if "run again" in line] or said.splitlines()[-1:]
-            print(f"{name:<26}{code:>5}{seconds:>6.0f}{shown}  {' | '.join(lines)[:150]}", flush=True)
+            print(f"{name:<34}{code:>5}{seconds:>6.0f}{shown}  {' | '.join(lines)[:150]}", flush=True)
     return 1 if failed else 0
 
 

@@ -122,7 +122,7 @@ def test_one_that_fails_when_it_is_run_again_is_in_doubt() -> None:
 
     (line,) = doubts(Dying(lambda: Stack(lambda _stack, car, adversary: careful(car, adversary))))
     assert line.startswith(DOUBT)
-    assert line.endswith("this came of it: no answer: it is gone")
+    assert line.endswith("were aborted, the first one so: no answer: it is gone")
 
 
 def test_a_graph_that_cannot_go_on_is_told() -> None:

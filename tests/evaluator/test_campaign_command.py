@@ -21,12 +21,15 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
+from skd_adversary.warm_up import any_car_models
+from skd_evaluator.assessing import pipeline
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
+from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore, StoreError
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.ros import rated
+from skd_evaluator.ros import rated, session
+from skd_evaluator.ros.readiness.failures import Failures
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Mode
 
@@ -110,6 +113,19 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
     assert "1 of 2 cells done" in again.stderr
     assert (here / "out" / "basic-C1" / "assessment.json").stat().st_mtime_ns == before
     assert figures(here / "out" / "basic-C0.75") == figures(here / "basic-C0.75")
+
+
+def test_a_cell_whose_car_was_learned_is_done_when_the_campaign_is_resumed(here, skd_here, monkeypatch):
+    """What the adversary knows is asked for until it has learned, and follows from its model after that."""
+    taught = lambda plan, *_how, **_more: dataclasses.replace(plan, car_model=any_car_models()[0])  # noqa: E731
+    monkeypatch.setattr(pipeline, "learned", taught)
+    write(here, "cars: [{controller: basic, knowledge: learned}]")
+    assert skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1").returncode == 0
+    before = campaign(here)["cells"]
+    again = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1", "--resume")
+    assert again.returncode == 0, again.stderr
+    assert campaign(here)["cells"] == before
+    assert campaign(here)["episodes_run"] == 0
 
 
 def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monkeypatch):
@@ -248,6 +264,34 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
     assert figures(cell)["command_age"]["held"] == len(whole)
     assert (cell / "logs" / "simulator.log").read_text() == "hello"
     assert not list((here / "out").glob(".skd-*"))
+
+
+def test_a_stack_that_removes_its_logs_costs_no_other_cell(here, skd_here, monkeypatch):
+    @contextmanager
+    def begun(_options, *, log_folder, **_others):
+        if "C0.9" in log_folder.name:
+            shutil.rmtree(log_folder)
+            raise FileNotFoundError(2, "No such file or directory", str(log_folder / "simulator.log"))
+        yield Graph(100)
+        shutil.rmtree(log_folder)
+
+    monkeypatch.setattr(rated, "graphs_session", begun)
+    monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
+    write(here, "cars: [{graph: true, multiplier: 0.9}, {graph: true}]")
+    done = skd_here("campaign", "campaign.yaml", "--out", "out")
+    assert done.returncode == 1
+    assert "basic-C0.9: failed: its graph cannot run: [Errno 2]" in done.stderr
+    assert [row["state"] for row in campaign(here)["cells"]] == ["failed", "done"]
+    assert not (here / "out" / "basic-C1" / "logs").exists()
+
+
+def test_a_store_that_cannot_be_written_ends_a_campaign_of_graphs_too(tmp_path):
+    """It was said to be a fault of the cell, and the next one began."""
+    with (
+        pytest.raises(StoreError, match=r"it cannot be written; log: "),
+        session._telling_of_logs(tmp_path, Failures(print)),
+    ):
+        raise StoreError("it cannot be written")
 
 
 class Fleeting(InProcessRunner):

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from common import run_skd
 from scipy import stats
+from skd_evaluator.campaign.store import stored_result
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.fusion.estimate.control_variate import fitted_line
 from skd_evaluator.fusion.estimate.planning import trials_for_width, width_alone, width_fused
+from skd_evaluator.fusion.simulated import read_simulated
+from skd_evaluator.measure.doubt import DOUBT
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])
@@ -72,6 +77,42 @@ def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.Captu
     assert said["physical_alone"] > 2 * known["trials"]
     assert run_skd(*words, "--correlation", "0.6") == 0
     assert "where ρ = 0.60" in capsys.readouterr().out
+
+
+def test_a_plan_says_what_was_to_be_said_of_what_it_plans_with(
+    fused: Path, sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    for source, name in ((fused, "fusion.json"), (sweep / "synthetic" / "C_0.5", "assessment.json")):
+        doubted = tmp_path / name
+        shutil.copytree(source, doubted)
+        (doubted / "manifest.sha256").unlink()
+        content = json.loads((doubted / name).read_text("utf-8"))
+        (doubted / name).write_text(json.dumps({**content, "warnings": [f"{DOUBT}it counts"]}), "utf-8")
+        words = ("plan", "--physical", "--figure", "clearance", "--width", "0.1", doubted)
+        for json_too in ((), ("--json",)):
+            assert run_skd(*words, *json_too) == 0
+            assert f"{DOUBT}it counts" in capsys.readouterr().err
+
+
+def test_figures_and_runs_of_a_result_are_of_one_moment(sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """One that is replaced while it is read gave the margins of one car and the runs of another."""
+    first, second = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
+    folder = tmp_path / "result"
+    shutil.copytree(first, folder)
+    once = stored_result.read_episodes
+
+    def replaced(path: Path) -> StoredEpisodes:
+        episodes = once(path)
+        shutil.rmtree(folder)
+        shutil.copytree(second, folder)
+        return episodes
+
+    monkeypatch.setattr(stored_result, "read_episodes", replaced)
+    found = read_simulated(folder)
+    monkeypatch.undo()
+    right, other = read_simulated(first), read_simulated(second)
+    of = [[[trial.values for trial in group] for group in one.trials.values()] for one in (found, right, other)]
+    assert of[0] == of[1] != of[2]
 
 
 @pytest.mark.parametrize(

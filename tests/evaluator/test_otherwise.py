@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 from skd_evaluator.assessing.otherwise import (
+    first_run_flatters,
     flattered,
     further_of,
     is_same,
     named,
+    one_run_stands_apart,
     some_of,
     surely_more,
     way_apart,
@@ -25,6 +28,7 @@ from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
 PLAN = Plan(load_scenario("crossing"), safe_count=1, simulations=5)
 PHI = safe_trajectories(PLAN, InProcessRunner(1))[0]
+ENDS = (Outcome.MISSED, Outcome.COLLISION)
 
 
 def log_of(mode: Mode = Mode.REPLAY, stage: Stage | None = None, outcome: Outcome = Outcome.ARRIVED) -> EpisodeLog:
@@ -51,6 +55,73 @@ def test_how_many_are_run_again() -> None:
         assert len({*map(id, first), *map(id, second)}) == some + further
     aborted = [replace(logs[0], outcome=Outcome.ABORTED) for _ in range(30)]
     assert some_of(aborted) == further_of(aborted, []) == []
+
+
+def test_of_three_runs_by_chance_none_stands_apart_more_often_than_the_others() -> None:
+    run, crossing = log_of(), log_of(stage=Stage.RISK)
+
+    def runs(*patterns: str, log: EpisodeLog = run) -> list[tuple[EpisodeLog, ...]]:
+        return [tuple(replace(log, car=log.car + 9.0 * (letter == "C")) for letter in one) for one in patterns]
+
+    def stands_apart(rows: Sequence[tuple[EpisodeLog, ...]]) -> bool:
+        return one_run_stands_apart(list(zip(*rows, strict=True)))
+
+    even = runs(*["Ccc", "cCc", "ccC"] * 8)
+    assert not stands_apart(even)
+    assert not stands_apart(runs("ccc", "ccc"))
+    assert not stands_apart(runs(*["Ccc"] * 4))  # too few
+    for pattern in ("Ccc", "cCc", "ccC"):
+        assert stands_apart(runs(*[pattern] * 8))
+        assert stands_apart([*even, *runs(*[pattern] * 6, log=crossing)])
+    # Along φ the second one stands apart and in crossings the third one: of all neither.
+    assert stands_apart([*runs(*["cCc"] * 8), *runs(*["CCc"] * 8, log=crossing)])
+    gone = [(one, two, replace(three, outcome=Outcome.ABORTED)) for one, two, three in runs(*["Ccc"] * 8)]
+    assert not stands_apart(gone)
+
+
+def test_first_runs_flatter_by_two_runs_again() -> None:
+    run, crossing = log_of(), log_of(stage=Stage.RISK)
+
+    def runs(*patterns: str, log: EpisodeLog = run) -> list[tuple[EpisodeLog, ...]]:
+        ends = {"H": Outcome.COLLISION, ".": Outcome.MISSED}
+        return [tuple(replace(log, outcome=ends[letter]) for letter in one) for one in patterns]
+
+    def flatters(rows: Sequence[tuple[EpisodeLog, ...]]) -> str:
+        return first_run_flatters(list(zip(*rows, strict=True)))
+
+    even = runs(*["H..", ".H.", "..H", ".HH", "H.H", "HH."] * 5)
+    assert not flatters(even)
+    assert not flatters(runs("...", "HHH"))
+    assert not flatters(runs(*[".H."] * 9))  # 0.026: one of two may be chance
+    assert not flatters(runs(*["H.."] * 20))
+    assert flatters(runs(*[".HH"] * 4)).startswith("4 episodes of 4 collided when they were run again")  # 0.012
+    # Neither run again alone has surely more collisions, by a sign test of each figure: 5 of 5, twice.
+    crossings = [*even, *runs(*[".H.", "..H"] * 5, *[".HH"] * 2, log=crossing)]
+    assert flatters(crossings).startswith("12 crossings of the risk of 12 collided")
+    line = went_otherwise("external", [(run, run)], 60, "graph", flatters(crossings))
+    assert line.startswith(DISBELIEF)
+    assert (
+        "crossings of the risk of 12 collided when they were run again, once or twice, and not before; 0 before" in line
+    )
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.7])
+def test_who_goes_by_chance_is_seldom_taken_for_another(share: float) -> None:
+    rng, found = np.random.default_rng(3), [0, 0]
+    log, crossing = log_of(), log_of(stage=Stage.RISK)
+    for _ in range(400):
+        slow = rng.random((2, 24, 3)) < share
+        rows = [
+            tuple(
+                replace(one, car=one.car + 9.0 * c, outcome=Outcome.MISSED if c else Outcome.COLLISION) for c in three
+            )
+            for one, kind in zip((log, crossing), slow, strict=True)
+            for three in kind
+        ]
+        runs = list(zip(*rows, strict=True))
+        found[0] += bool(first_run_flatters(runs))
+        found[1] += one_run_stands_apart(runs)
+    assert max(found) <= 0.06 * 400
 
 
 @pytest.mark.parametrize("outcomes", [(Outcome.ARRIVED, Outcome.COLLISION), (Outcome.COLLISION, Outcome.ARRIVED)])

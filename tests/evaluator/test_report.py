@@ -8,6 +8,7 @@ import itertools
 import json
 import re
 import shlex
+import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -27,6 +28,7 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline
 from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.errors import UsageError
 
 NO_MARGIN = keys_of(Of.MARGIN)
 VOID = {"meta", "link", "br", "input", "img"}
@@ -145,6 +147,13 @@ def test_folders_of_one_name_are_told_apart(sweep, tmp_path):
     assert [one.label for one in subjects] == ["basic, C = 1 (mine/C_1)", "basic, C = 1 (yours/C_1)"]
     (note,) = ranking_notes(subjects)
     assert "Their intervals by φ overlap; skd compare" in note
+
+
+def test_a_sweep_is_of_cars_that_have_a_multiplier(sweep, tmp_path):
+    shutil.copy(sweep / "sweep.json", tmp_path)
+    folder = edited(sweep / "synthetic" / "C_1", tmp_path / "synthetic" / "C_1", controller="external", multiplier=None)
+    with pytest.raises(UsageError, match=f"{folder}: is of a car without a multiplier C"):
+        read_subjects([tmp_path])
 
 
 def test_episodes_are_those_of_the_trajectories(report, sweep):

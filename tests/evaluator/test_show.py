@@ -9,13 +9,16 @@ import shutil
 import numpy as np
 import pytest
 from cli_support import names, one_line
+from common import run_skd
 from matplotlib.image import imread
 from PIL import Image
+from report_support import edited
 from shapely import Point, Polygon
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.commands.compare import reference_hint
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.cli.parser import make_parser, parse
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command
@@ -49,6 +52,14 @@ def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, 
     assert all(
         f"deformation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True)
     )
+
+
+@pytest.mark.parametrize("words", [("show", "--worst", "1"), ("export", "--format", "csv", "--json")])
+def test_of_a_car_in_doubt_that_is_said(words, result, tmp_path, capsys):
+    doubted = edited(result, tmp_path / "doubted", warnings=[f"{DOUBT}it\ncounts", "harmless"])
+    assert run_skd(*words, doubted, "--out", tmp_path / "out") == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
+    assert said == [f"skd {words[0]}: warning: {DOUBT}it counts"]
 
 
 def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, subject):

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from common import run_skd
+from report_support import edited
 from scipy import special, stats
 from skd_evaluator.assessing.propagated import propagated
 from skd_evaluator.cli.commands.models.simulator import doubts
@@ -157,6 +160,23 @@ def test_recordings_that_cannot_calibrate_are_refused():
         recorded(world, scene(6.0, 60), "walk", "here")
     with pytest.raises(UsageError, match="too short"):
         recorded(world, scene(8.3, 8), "walk", "here")
+
+
+@pytest.mark.parametrize(
+    ("controller", "says"),
+    [
+        ("external", "its car ran as a node, and cannot drive the trials again in process"),
+        ("a_module_that_nobody_has:Car", "a_module_that_nobody_has"),
+    ],
+)
+def test_a_car_that_has_no_multiplier_is_said_in_a_line(
+    controller: str, says: str, sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = edited(sweep / "synthetic" / "C_0.5", tmp_path / "own", controller=controller, multiplier=None)
+    (tmp_path / "trials.csv").write_text("phi,clearance\nsynthetic/0,1.0\n", "utf-8")
+    assert run_skd("fit", "--simulator", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says in line
 
 
 def test_what_is_not_known_of_the_simulator_is_in_the_interval():

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_evaluator.assessing import again_graph, pipeline
+from skd_evaluator.assessing.again import DoubtsOfLearning
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.otherwise import flattered, went_otherwise
-from skd_evaluator.assessing.pipeline import forget_in_doubt
+from skd_evaluator.assessing.pipeline import keep_or_forget
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
@@ -28,6 +29,7 @@ from skd_sim.choices.simulators import WORLD
 from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -143,31 +145,6 @@ def test_a_stack_that_is_silent_when_it_is_run_again_does_not_keep_anybody_waiti
     assert line.endswith("this came of it: silent")
 
 
-@pytest.mark.parametrize(("ends", "known"), [(4, True), (5, False), (12, False), (24, False)])
-def test_a_stack_that_ends_in_some_of_the_episodes_that_are_run_again_is_in_doubt(ends: int, known: bool) -> None:
-    """Were it silent where it would be found out, nothing else would tell."""
-
-    class Ends(Graph):
-        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-            for number, one in enumerate(episodes):
-                yield aborted(one, "it ended") if self.graphs and number < ends else run_episode(one, self.car)
-
-    lines = doubts(Ends(Car))
-    assert (lines == ()) == known
-    if not known:
-        assert lines[0].startswith(DOUBT)
-        assert f"{ends} were aborted, the first of them because: it ended" in lines[0]
-
-
-def test_a_stack_that_is_aborted_as_often_as_before_is_not_in_doubt() -> None:
-    class Flaky(Graph):
-        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-            for number, one in enumerate(episodes):
-                yield aborted(one, "it ended") if number % 3 == 0 else run_episode(one, self.car)
-
-    assert doubts(Flaky(Car)) == ()
-
-
 def test_a_stack_that_is_slow_when_it_is_run_again_does_not_keep_anybody_waiting() -> None:
     class Slow(Graph):
         def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
@@ -180,6 +157,62 @@ def test_a_stack_that_is_slow_when_it_is_run_again_does_not_keep_anybody_waiting
     (line,) = doubts_of_the_stack("external", [logs], graph, lambda *_told: None, anew=True, limit=0.1)
     assert line.startswith(DOUBT)
     assert "were over" in line
+
+
+class Aborting(Graph):
+    """Ends one of so many episodes that are run again, by a fault of its own."""
+
+    def __init__(self, one_in: int, make: Callable[[], Controller] = Car) -> None:
+        super().__init__(make)
+        self._one_in = one_in
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for number, log in enumerate(super().run(episodes)):
+            yield aborted(log.episode, "twice") if self.graphs and number % self._one_in == 0 else log
+
+
+def test_a_stack_that_ends_many_of_the_episodes_that_are_run_again_is_in_doubt() -> None:
+    """It could end just those in which it had been another car: of these nobody sees how they go."""
+    (line,) = doubts(Aborting(3))
+    assert line.startswith(DOUBT)
+    assert line.endswith("8 of 24 kamikazes and runs along φ were aborted, the first one so: twice")
+    assert doubts(Aborting(6)) == ()  # as where a machine has too much to do
+    lines = doubts(Aborting(3, lambda: Car(lambda number: number % 2 == 1)))
+    assert [line.startswith(DOUBT) for line in lines] == [True, True]
+    assert "keeps from one episode to the next" in lines[1]
+
+
+def test_episodes_of_one_figure_may_not_all_be_ended_among_many_others() -> None:
+    crossings = [replace(one, episode_id=episode_id(Stage.RISK, 0, number)) for number, one in enumerate(RUNS[:6])]
+
+    class OfRisk(Graph):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            for log in super().run(episodes):
+                yield aborted(log.episode, "twice") if self.graphs and log.episode in crossings else log
+
+    (line,) = doubts(OfRisk(Car), [*RUNS, *crossings])
+    assert line.startswith(DOUBT)
+    assert "crossings of the risk were aborted, the first one so: twice" in line
+
+
+@pytest.mark.parametrize("error", [UsageError("no such command"), FileNotFoundError(2, "no such file", "logs")])
+def test_a_graph_that_cannot_be_started_again_costs_no_result(error: Exception) -> None:
+    """As where a stack has removed its own command, or the folder of logs."""
+
+    class Gone(Graph):
+        def __call__(self) -> AbstractContextManager[Graph]:
+            raise error
+
+    (line,) = doubts(Gone(Car))
+    assert line.startswith(DOUBT)
+    assert line.endswith(str(error))
+
+
+def test_a_stack_that_is_another_car_in_one_graph_than_in_two_others_does_not_go_by_chance() -> None:
+    graph = Graph(lambda: Car(lambda _number: graph.graphs == 1))
+    (line,) = doubts(graph)
+    assert line.startswith(DOUBT)
+    assert "keeps from one episode to the next" in line
 
 
 def test_who_took_long_at_first_may_take_as_long_again() -> None:
@@ -257,14 +290,34 @@ def test_one_of_two_runs_that_collides_more_often_may_be_chance() -> None:
     assert line.startswith(DISBELIEF)
 
 
+def test_no_model_of_a_stack_is_kept_before_it_was_run_again() -> None:
+    """Or one that is ended meanwhile would leave a model of a car at which nobody has looked."""
+    kept, said = list[bool](), list[str]()
+
+    def keep() -> bool:
+        kept.append(True)
+        return True
+
+    learning = DoubtsOfLearning(CarUnderTest("external"), None, later=True)
+    assert not learning.believed([], keep)
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions(), learning.keep_now)
+    assert not kept
+    keep_or_forget(PLAN, ["harmless"], said.append, GraphOptions(), learning.keep_now)
+    assert kept
+    assert said == ["the model of the car is kept, for the car always went as before"]
+    at_once = DoubtsOfLearning(CarUnderTest("external"), None)
+    assert at_once.believed([], keep)
+    assert not at_once.keep_now()
+
+
 def test_no_model_is_kept_of_a_car_whose_figures_are_in_doubt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, said = tmp_path / "kept", list[str]()
     kept.mkdir()
     monkeypatch.setattr(pipeline, "folder_of", lambda *_how: kept)
-    forget_in_doubt(PLAN, ["harmless"], said.append, GraphOptions())
+    keep_or_forget(PLAN, ["harmless"], said.append, GraphOptions())
     assert kept.is_dir()
-    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions())
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append, GraphOptions())
     assert not kept.exists()
     assert said == ["no model of the car is kept, for its figures are in doubt"]
-    forget_in_doubt(PLAN, [f"{DOUBT}it counts"], said.append)  # of which there was none
+    keep_or_forget(PLAN, [f"{DOUBT}it counts"], said.append)  # of which there was none
     assert len(said) == 1

@@ -15,7 +15,7 @@ from common import new_domain, wait_until
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from skd_evaluator.errors import AssessmentError
@@ -222,6 +222,22 @@ def test_what_a_stranger_asks_ends_no_node(context: Any, node: Node, executor: L
     usual = asked.call_async(SetParameters.Request(parameters=[Parameter(name="a", value=ParameterValue(type=1))]))
     spin_until(executor, usual.done)
     assert not odd.done()
+
+
+def test_who_asks_and_is_gone_keeps_nobody_from_work(
+    node: Node, executor: LockstepExecutor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An answer to them waits for 0.1 s; asked often enough, a node did nothing else."""
+    looks: list[float] = []
+
+    def slow(_self: Any, timeout_sec: float | None = None) -> None:
+        looks.append(time.monotonic())
+        time.sleep(0.1)
+
+    monkeypatch.setattr(SingleThreadedExecutor, "spin_once", slow)
+    end = time.monotonic() + 1.0
+    executor.spin(lambda: time.monotonic() > end)
+    assert len(looks) == 1
 
 
 def test_bytes_that_are_no_message_are_left_out(node: Node, executor: LockstepExecutor) -> None:

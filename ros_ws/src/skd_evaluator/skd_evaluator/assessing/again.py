@@ -60,23 +60,33 @@ class DoubtsOfLearning:
     Attributes:
         found: why it is not, a line each.
         seen: some of the episodes from which it was learned just now.
+        keep_now: keeps the model that was learned from them, if that was to be done later; tells whether it is kept.
     """
 
-    def __init__(self, car: CarUnderTest, fresh: Fresh | None) -> None:
-        """Run episodes again by what `fresh` makes; None: nobody looks yet."""
+    def __init__(self, car: CarUnderTest, fresh: Fresh | None, *, later: bool = False) -> None:
+        """Look at no episode yet.
+
+        Args:
+            car: what is learned.
+            fresh: makes what runs episodes again; None: nobody does.
+            later: whether somebody runs them again later, so that no model is kept before `keep_now` is called.
+        """
         self.found: tuple[str, ...] = ()
         self.seen: tuple[EpisodeLog, ...] = ()
-        self._car, self._fresh = car, None if car.is_own or car.is_external else fresh
+        self.keep_now: Callable[[], bool] = lambda: False
+        self._car, self._fresh, self._later = car, None if car.is_own or car.is_external else fresh, later
 
-    def believed(self, logs: Sequence[EpisodeLog]) -> bool:
-        """Tell whether some of the episodes go as before."""
+    def believed(self, logs: Sequence[EpisodeLog], keep: Callable[[], bool]) -> bool:
+        """Keep the model that was learned by `keep` if some of the episodes go as before; tell whether it is kept."""
         self.seen = tuple(logs)
+        if self._later:  # who is ended meanwhile leaves no model of a car at which nobody has looked
+            self.keep_now = keep
         if self._fresh is not None:
             found = doubts_of_episodes(self._car, logs, (), self._fresh)
             for line in found:
                 told = line.removeprefix(DISBELIEF).removeprefix(DOUBT)
                 self.found += (f"{line.removesuffix(told)}{_LEARNED_FROM}{told}",)
-        return not self.found
+        return not self._later and not self.found and keep()
 
 
 def _heard(log: EpisodeLog) -> Heard:

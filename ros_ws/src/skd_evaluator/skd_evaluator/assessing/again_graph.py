@@ -4,8 +4,8 @@ A stack that is a node of its own cannot be copied, nor be asked alone what it w
 run again. In lockstep it goes as before, to the last bit, if the stack answers by what it hears. Two kinds of stacks do
 not: those that keep something from one episode to the next, whose figures are those of another car in each order; and
 those that never go the same way twice, as by threads or by time limits of their own, whose figures are a draw. They are
-told apart when all is done once more in the same order: any two of the three runs of one of the second kind are as far
-apart, be it by a little noise; and one of the first kind goes otherwise where the order is another one.
+told apart when all is done once more in the same order: each of the three runs of one of the second kind is as likely
+to be far from the two others, be it by a little noise; one of the first kind goes otherwise where the order is another.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from dataclasses import replace
 
 import numpy as np
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.otherwise import (
     Pair,
     by_kind,
-    flattered,
+    figure_of,
+    first_run_flatters,
     further_of,
     is_same,
+    one_run_stands_apart,
     some_of,
-    surely_more,
     told,
-    way_apart,
     went_otherwise,
 )
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import shuffled
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Stage, split_episode_id
-from skd_evaluator.campaign.run.led import ALIKE
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.episode_tree import walked
 from skd_evaluator.measure.doubt import DOUBT
 
 LABEL = "episodes run again"
 _OFTEN = 0.5  # share of the differences between two orders that two runs in the same order may have, of one that keeps
-_FAR = 10.0  # times as far apart, so that it is no chance of the same noise
+_MOST = 0.25  # share of the episodes of a figure that may be aborted where they are run again
 _LOST = 60.0  # s that those of the episodes may take which are aborted: a stack may be silent in each of them
 _SHORT, _LONG, _SLOWER = 60.0, 600.0, 2.0  # s, s, times as long as all episodes of a rating took
 
@@ -112,45 +112,38 @@ def doubts_of_the_stack(
     try:
         again = _run(graph, episodes, progress, limit)
         changed, count = _changed(first, again)
-        aborted = _aborted_more_often([log for group in groups for log in group], again)
-        if not changed or count <= len(first) // 2:
-            return aborted
+        lost = _lost(first, again)
+        if not changed or (lost and count <= len(first) // 2):
+            return lost
         once_more = _run(graph, episodes, progress, limit)
-    except AssessmentError as error:
+    except (AssessmentError, UsageError, OSError) as error:  # as where the stack has removed what starts it
         return (_unknown(len(first), str(error)),)
     repeated, _ = _changed(again, once_more)
-    flatters = flattered(changed) and flattered(_changed(first, once_more)[0])  # one of the two may be chance
-    keeps = _order_tells(first, again, once_more) or (repeats and len(repeated) <= _OFTEN * len(changed))
-    if flatters or keeps:
-        return (*aborted, went_otherwise(name, changed, count, where))
+    runs = (first, again, once_more)
+    sure = first_run_flatters(runs)  # by both: one of the two may be chance
+    if sure or one_run_stands_apart(runs) or (repeats and len(repeated) <= _OFTEN * len(changed)):
+        return (*lost, went_otherwise(name, changed, count, where, sure))
     if not repeats:
-        return aborted
+        return lost
     return (
-        *aborted,
+        *lost,
         f"{told(changed, count, where)}, and {len(repeated)} when that was done once more in the same order: {name} "
         "does not go the same way twice, as by threads or time limits of its own; so each figure is one of those that "
         "it may have",
     )
 
 
-def _order_tells(first: Sequence[EpisodeLog], again: Sequence[EpisodeLog], once_more: Sequence[EpisodeLog]) -> bool:
-    """Whether a stack surely goes otherwise in another order than it does twice in the same one: a sign test."""
-    far = near = 0
-    for logs in zip(first, again, once_more, strict=True):
-        if Outcome.ABORTED not in {log.outcome for log in logs}:
-            orders, same = way_apart(*logs[:2]), way_apart(*logs[1:])
-            far += orders > _FAR * max(same, ALIKE)
-            near += same > _FAR * max(orders, ALIKE)
-    return surely_more(far, near)
+def _lost(first: Sequence[EpisodeLog], again: Sequence[EpisodeLog]) -> tuple[str, ...]:
+    """Return, in a line, of which figure too many episodes were aborted: nobody has seen how they go; empty if none.
 
-
-def _aborted_more_often(first: Sequence[EpisodeLog], again: Sequence[EpisodeLog]) -> tuple[str, ...]:
-    """Return that surely more episodes were aborted than of all before, or most of them: nobody saw how they went."""
-    reasons = [log.reason for log in again if log.outcome == Outcome.ABORTED]
-    before = sum(log.outcome == Outcome.ABORTED for log in first) * len(again) / len(first)
-    if not surely_more(len(reasons), round(before)) and 2 * len(reasons) < len(again):
-        return ()
-    return (_unknown(len(again), f"{len(reasons)} were aborted, the first of them because: {reasons[0]}"),)
+    Whoever knows that it is run again could end just those in which it had been another car.
+    """
+    for kind in by_kind(list(zip(first, again, strict=True)), lambda both: both[0]):
+        reasons = [other.reason for _one, other in kind if other.outcome == Outcome.ABORTED]
+        if len(reasons) > _MOST * len(kind):
+            which = f"{len(reasons)} of {len(kind)} {figure_of(kind[0][0])}"
+            return (_unknown(len(first), f"{which} were aborted, the first one so: {reasons[0]}"),)
+    return ()
 
 
 def _unknown(count: int, why: str) -> str:

@@ -19,6 +19,7 @@ EPISODES = 12
 FURTHER, SHARE = 48, 20
 """So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
 _BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
+_FAR = 10.0  # times as far apart, so that it is no chance of the same noise
 _OF_STAGES = {
     Stage.RISK: "a crossing of the risk",
     Stage.SAFE: "a static test",
@@ -83,7 +84,7 @@ def by_kind(items: Sequence[_Item], log_of: Callable[[_Item], EpisodeLog]) -> li
     """Return items in groups, of one figure each, by the log of each."""
     kinds: dict[str, list[_Item]] = {}
     for one in items:
-        kinds.setdefault(_kind(log_of(one)), []).append(one)
+        kinds.setdefault(figure_of(log_of(one)), []).append(one)
     return list(kinds.values())
 
 
@@ -92,13 +93,76 @@ def surely_more(many: int, few: int, chance: float = _BY_CHANCE) -> bool:
     return many > few and _at_least(many, many + few) < chance
 
 
+def first_run_flatters(runs: Sequence[Sequence[EpisodeLog]]) -> str:
+    """Return in words of which figure the first of three runs of the same episodes surely had fewer collisions.
+
+    Of who goes by chance, each run of an episode is as likely to be the one of three that collides alone, or that does
+    not: a permutation test, of all and of those of one figure. Empty where chance explains it.
+    """
+    groups = _groups(runs)
+    for group in groups:
+        mixed = [hits for hits in map(_collided, group) if any(hits) and not all(hits)]
+        chance = _BY_CHANCE / (2.0 if group is groups[0] else 2.0 * (len(groups) - 1))
+        spared = sum(not first for first, *_others in mixed)
+        if _as_many([1.0 - sum(hits) / len(hits) for hits in mixed], spared) < chance:
+            what = "episodes" if group is groups[0] else figure_of(group[0][0])
+            return (
+                f"{spared} {what} of {len(group)} collided when they were run again, once or twice, and not before; "
+                f"{len(mixed) - spared} before, and not each time after it"
+            )
+    return ""
+
+
+def _groups(runs: Sequence[Sequence[EpisodeLog]]) -> list[list[tuple[EpisodeLog, ...]]]:
+    """Return the logs of each episode that no run has aborted: of all, and then of those of each figure."""
+    whole = [logs for logs in zip(*runs, strict=True) if Outcome.ABORTED not in {log.outcome for log in logs}]
+    return [whole, *by_kind(whole, lambda logs: logs[0])]
+
+
+def _collided(logs: Sequence[EpisodeLog]) -> tuple[bool, ...]:
+    return tuple(log.outcome == Outcome.COLLISION for log in logs)
+
+
+def _as_many(chances: Sequence[float], count: int) -> float:
+    """Return how likely at least `count` of independent events are, of which each has its own probability."""
+    sums = np.ones(1)
+    for chance in chances:
+        sums = np.convolve(sums, [1.0 - chance, chance])
+    return float(np.sum(sums[count:]))
+
+
+def one_run_stands_apart(runs: Sequence[Sequence[EpisodeLog]]) -> bool:
+    """Whether one of three runs of the same episodes surely is another one than the two others.
+
+    Of who goes by chance each run is as likely to be the one that goes otherwise, of all and of those of one figure.
+
+    Args:
+        runs: the logs of each run, in the order of the episodes.
+    """
+    groups = _groups(runs)
+    chance = _BY_CHANCE / (len(groups) * len(runs))
+    for group in groups:
+        apart = [one for one in map(_apart, group) if one is not None]
+        if any(_at_least(apart.count(run), len(apart), 1.0 / len(runs)) < chance for run in set(apart)):
+            return True
+    return False
+
+
+def _apart(logs: Sequence[EpisodeLog]) -> int | None:
+    """Return which of three logs of an episode is far from the two others, which are near each other; None if none."""
+    far = [way_apart(logs[(one + 1) % 3], logs[(one + 2) % 3]) for one in range(3)]  # the two others
+    nearest = min(range(3), key=far.__getitem__)
+    rest = [one for number, one in enumerate(far) if number != nearest]
+    return nearest if min(rest) > _FAR * max(far[nearest], ALIKE) else None
+
+
 def way_apart(first: EpisodeLog, second: EpisodeLog) -> float:
     """Return how far the car of one log was from that of another at most, as long as both lasted, m and m/s."""
     count = min(len(first.car), len(second.car))
     return float(np.max(np.abs(first.car[:count] - second.car[:count]), initial=0.0))
 
 
-def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process") -> str:
+def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = "process", sure: str = "") -> str:
     """Return in a line what it means that some of `count` episodes of a car that can repeat itself went otherwise.
 
     It is more than a doubt where the first runs had surely fewer collisions: the rating flatters the car.
@@ -108,13 +172,15 @@ def went_otherwise(name: str, changed: Sequence[Pair], count: int, where: str = 
         changed: the episodes that went otherwise.
         count: how many were run again.
         where: what was new in their second run.
+        sure: why it surely is flattered, if more runs than two say so; see `first_run_flatters`.
     """
     if where == "process":
         more, orders = "what reset gave it and what it saw since", "the order of the episodes and on --workers"
     else:
         more, orders = "what it hears in an episode", "the order of the episodes"
+    begin = DISBELIEF if sure or flattered(changed) else DOUBT
     return (
-        f"{DISBELIEF if flattered(changed) else DOUBT}{told(changed, count, where)}: {name} answers by more than "
+        f"{begin}{told(changed, count, where)}{sure and f'; {sure}'}: {name} answers by more than "
         f"{more}, as by what it keeps from one episode to the next; so its figures depend on {orders}"
     )
 
@@ -124,7 +190,7 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
     come, gone = collisions(changed)
     said = f"; {come} of them collided then alone, {gone} before alone" if come or gone else ""
     if 0 < len(part := flattered(changed)) < len(changed):
-        said += ", and of {2} {0} and {1}".format(*collisions(part), _kind(part[0][0]))
+        said += ", and of {2} {0} and {1}".format(*collisions(part), figure_of(part[0][0]))
     new = f"in a new {where} and " if where else ""
     return (
         f"{len(changed)} of {count} episodes went otherwise when they were run again, {new}in another order (the first "
@@ -132,7 +198,7 @@ def told(changed: Sequence[Pair], count: int, where: str) -> str:
     )
 
 
-def _kind(log: EpisodeLog) -> str:
+def figure_of(log: EpisodeLog) -> str:
     """Return in words of which figure an episode is one."""
     if _is_way_of_search(log):
         return "ways of the margin's search"
@@ -152,9 +218,9 @@ def _is_way_of_search(log: EpisodeLog) -> bool:
     return walks_a_way(log.episode) and _stage(log) == Stage.KAMIKAZE
 
 
-def _at_least(come: int, count: int) -> float:
-    """Return how likely at least `come` of `count` are where each is as likely to come as to go."""
-    return float(sum(math.comb(count, one) for one in range(come, count + 1))) / 2.0**count
+def _at_least(come: int, count: int, share: float = 0.5) -> float:
+    """Return how likely at least `come` of `count` are where each comes with a probability of `share`."""
+    return sum(math.comb(count, one) * share**one * (1.0 - share) ** (count - one) for one in range(come, count + 1))
 
 
 def _stage(log: EpisodeLog) -> Stage:

@@ -74,7 +74,7 @@ def learned_plan(
     progress: Progress,
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
-    believed: Believed = lambda _logs: True,
+    believed: Believed = lambda _logs, keep: keep(),
 ) -> Plan:
     """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
@@ -84,24 +84,31 @@ def learned_plan(
         progress: called with how far the work is.
         say: called with one line about what was done.
         graph: how the node graph is run; None: episodes run in process.
-        believed: tells whether the car always is the same in episodes from which it was learned; see `learned`.
+        believed: keeps the model if the car always is the same in episodes from which it was learned; see `learned`.
     """
     command, how = _how(graph)
     return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
 
 
-def forget_in_doubt(
-    plan: Plan, warnings: Sequence[str], say: Callable[[str], None], graph: GraphOptions | None = None
+def keep_or_forget(
+    plan: Plan,
+    warnings: Sequence[str],
+    say: Callable[[str], None],
+    graph: GraphOptions | None = None,
+    keep: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Remove the model of a car that was learned for a plan, if it is kept, and the car's figures are in doubt.
+    """Keep the model of a car that was learned for a plan, or remove it if the car's figures are in doubt.
 
     Args:
         plan: what was to be rated.
         warnings: what a reader should know of the figures.
         say: called with one line about what was done.
         graph: how the node graph was run; None: episodes were run in process.
+        keep: keeps a model that nobody has kept so far, and tells whether it did.
     """
     if not in_doubt(warnings):
+        if keep():
+            say("the model of the car is kept, for the car always went as before")
         return
     folder = folder_of(plan, *_how(graph))
     if folder is not None and folder.is_dir():
@@ -255,5 +262,5 @@ def assess_in_process(
         rating = assessed(plan, objectives, runners, progress, further, safe)
         warnings = (*rating.warnings, *doubts.found)
         if doubts.seen:
-            forget_in_doubt(asked, warnings, say)
+            keep_or_forget(asked, warnings, say)
         return replace(rating, provenance=known, warnings=warnings)

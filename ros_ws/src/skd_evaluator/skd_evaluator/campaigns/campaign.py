@@ -16,7 +16,7 @@ from typing import Any
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, keep_or_forget, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
@@ -239,7 +239,7 @@ class Campaign:
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
         if doubts.seen:
-            forget_in_doubt(asked, rating.warnings, partial(_say, cell))
+            keep_or_forget(asked, rating.warnings, partial(_say, cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
@@ -248,17 +248,20 @@ class Campaign:
         assert cell.graph is not None
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
-            rating = rated_through_graph(
-                cell.plan,
-                cell.objectives,
-                replace(cell.graph, graphs=graphs),
-                _further(cell),
-                log_folder=logs,
-                record_to=None,
-                progress=progress,
-                say=partial(_say, cell),
-                kept_by=partial(self._storing, cell),
-            )
+            try:
+                rating = rated_through_graph(
+                    cell.plan,
+                    cell.objectives,
+                    replace(cell.graph, graphs=graphs),
+                    _further(cell),
+                    log_folder=logs,
+                    record_to=None,
+                    progress=progress,
+                    say=partial(_say, cell),
+                    kept_by=partial(self._storing, cell),
+                )
+            except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
+                raise AssessmentError(f"its graph cannot run: {error}") from error
             origin = self._provenance(replace(cell, plan=rating.plan))
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
@@ -286,7 +289,7 @@ class Campaign:
 
         def write(folder: Path) -> None:
             fill(folder, rating)
-            if logs is not None and any(logs.iterdir()):
+            if logs is not None and logs.is_dir() and any(logs.iterdir()):
                 logs.rename(folder / "logs")
 
         with self._lock:

@@ -182,7 +182,7 @@ class CampaignFolder:
         try:
             yield folder
         except Exception:
-            if not any(folder.iterdir()):
+            with suppress(OSError):  # something is in it, or a car has removed it
                 folder.rmdir()
             raise
         shutil.rmtree(folder, ignore_errors=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,16 @@ CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95)
 
 @dataclass(frozen=True)
 class _Source:
-    """What is planned with: deviation of the figure from φ to φ, correlation, simulated φ; and where they are from."""
+    """What is planned with: deviation of the figure from φ to φ, correlation, simulated φ; and where they are from.
+
+    What is to be said of those stands in `warnings`, a line each.
+    """
 
     deviation: float
     correlation: float | None
     simulated: int
     text: str
+    warnings: tuple[str, ...]
 
 
 def run_physical(arguments: argparse.Namespace) -> int:
@@ -55,6 +60,8 @@ def run_physical(arguments: argparse.Namespace) -> int:
         "physical_alone": alone,
         "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
     }
+    for line in source.warnings:
+        print(f"skd plan: warning: {line}", file=sys.stderr)
     if arguments.json:
         print_json(content)
         return 0
@@ -100,6 +107,7 @@ def _source(arguments: argparse.Namespace) -> _Source:
                 known,
                 int(one["simulated_phi"]),
                 f"by {counted(int(one['trials']), 'physical trial')} in {path}",
+                tuple(map(str, content.get("warnings") or ())),
             )
     simulated = read_simulated(path)
     means = [np.mean([one.values[key] for one in trials if key in one.values]) for trials in simulated.trials.values()
@@ -107,7 +115,8 @@ def _source(arguments: argparse.Namespace) -> _Source:
     if len(means) < 2:
         raise UsageError(f"{path}: has no {key} of two φ")
     text = f"as simulated in {path}: the physical car may vary more"
-    return _Source(_positive(float(np.std(means, ddof=1)), path, FIGURES[key]), None, len(means), text)
+    deviation = _positive(float(np.std(means, ddof=1)), path, FIGURES[key])
+    return _Source(deviation, None, len(means), text, simulated.remarks)
 
 
 def _positive(deviation: float, path: Path, figure: Figure) -> float:

@@ -14,8 +14,8 @@ from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
+from skd_evaluator.campaign.store.stored_result import read_both
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
 from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
 
@@ -55,9 +55,7 @@ def read_simulated(folder: Path) -> Simulated:
     Raises:
         UsageError: it is none, is damaged, has no run along φ, or two φ of one name.
     """
-    result, stored = read_result(folder), read_episodes(folder)
-    if not result.same_safe(stored.safe):
-        raise UsageError(f"{folder}: was changed while it was read; read it again")
+    result, stored = read_both(folder)
     scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {folder / ASSESSMENT}")
     if "safe_name" not in stored.further:
         raise UsageError(f"{folder}: its φ have no names, so physical trials cannot be paired with them; assess anew")

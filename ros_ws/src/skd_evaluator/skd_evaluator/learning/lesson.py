@@ -40,7 +40,7 @@ SAFE: Final = 15
 """Number of φ from which they start."""
 
 _ONE_IN: Final = 15  # episodes of which one is kept, to be run again
-Believed = Callable[[Sequence[EpisodeLog]], bool]
+Believed = Callable[[Sequence[EpisodeLog], Callable[[], bool]], bool]
 
 _LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
 
@@ -82,7 +82,7 @@ def learned(
     say: Callable[[str], None] = lambda _line: None,
     command: str | None = None,
     graph: Mapping[str, Any] | None = None,
-    believed: Believed = lambda _logs: True,
+    believed: Believed = lambda _logs, keep: keep(),
 ) -> Plan:
     """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
@@ -93,8 +93,8 @@ def learned(
         say: called with one line: what was done, and how to do without it.
         command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
-        believed: is given some of the episodes from which it was learned, and tells whether the car always is the same
-            in them; otherwise the model is not kept for later.
+        believed: is given some of the episodes from which it was learned, and what keeps the model for later, to be
+            called if the car always is the same in them; tells whether the model is kept.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -117,7 +117,7 @@ def _lesson(
         return Lesson(known, folder, fresh=False, seconds=0.0)
     seen: list[EpisodeLog] = []
     car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner, seen)
-    kept = believed(seen) and folder is not None and keep_model(folder, car)
+    kept = believed(seen, lambda: folder is not None and keep_model(folder, car))
     return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=time.perf_counter() - begin)
 
 

@@ -18,5 +18,8 @@ def disbelief(warnings: Iterable[str]) -> list[str]:
 
 
 def in_doubt(warnings: Iterable[object]) -> list[str]:
-    """Return those of an assessment's warnings by which its figures may be those of another car."""
-    return [str(line) for line in warnings if str(line).startswith((DISBELIEF, DOUBT))]
+    """Return those of an assessment's warnings by which its figures may be those of another car, a line each.
+
+    A file may hold several lines in one, of which the others could pass for SKD's own.
+    """
+    return [" ".join(str(line).split()) for line in warnings if str(line).startswith((DISBELIEF, DOUBT))]

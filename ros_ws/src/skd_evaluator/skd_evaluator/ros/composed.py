@@ -58,11 +58,11 @@ class Composed:
         self.exchange = Exchange([f"/{topic.lstrip('/')}" for topic in _BY_CALL])  # its nodes have no namespace
         self._problems: list[str] = []
         place = partial(Place, context=context, secret=secret or None, exchange=self.exchange, failed=self._failed)
+        # First: where they cannot be, no node is left behind.
+        logs = {name: LogFile(log_folder / f"{name}.log", name) for name in (SIMULATOR, ADVERSARY)}
         self.nodes: tuple[Node, ...] = (
-            VehicleSimulator(
-                place(values=options.simulator_parameters(), log=LogFile(log_folder / f"{SIMULATOR}.log", SIMULATOR))
-            ),
-            AdversaryNode(place(log=LogFile(log_folder / f"{ADVERSARY}.log", ADVERSARY))),
+            VehicleSimulator(place(values=options.simulator_parameters(), log=logs[SIMULATOR])),
+            AdversaryNode(place(log=logs[ADVERSARY])),
         )
 
     def _failed(self, name: str, error: Exception) -> None:

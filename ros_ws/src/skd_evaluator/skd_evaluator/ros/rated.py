@@ -17,7 +17,7 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh
 from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack, groups_of
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, forget_in_doubt, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, keep_or_forget, learned_plan
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -93,7 +93,7 @@ class RunAgain:
 
     def _graph_anew(self) -> AbstractContextManager[EpisodeRunner]:
         folder = self._log_folder / "again"
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         return graphs_session(
             replace(self._options, graphs=1),
             controller=self._car.controller,
@@ -135,7 +135,8 @@ def rated_through_graph(
     """
     car, simulator, asked = plan.car, plan.simulator, plan
     fresh = fresh_process(car, simulator, options)
-    learning, run_again = DoubtsOfLearning(car, fresh), RunAgain(car, simulator, options, log_folder)
+    run_again = RunAgain(car, simulator, options, log_folder)
+    learning = DoubtsOfLearning(car, fresh, later=run_again.here or run_again.anew)
     session = graphs_session(
         options,
         controller=car.controller,
@@ -160,5 +161,5 @@ def rated_through_graph(
         found = run_again.doubts(groups, limit, progress)
     warnings = (*rating.warnings, *learning.found, *found)
     if learning.seen:
-        forget_in_doubt(asked, warnings, say, options)
+        keep_or_forget(asked, warnings, say, options, learning.keep_now)
     return replace(rating, warnings=warnings)

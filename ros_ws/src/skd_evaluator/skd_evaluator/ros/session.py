@@ -171,7 +171,8 @@ def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
     except AssessmentError as error:
         log = log_of(log_folder, str(error))
         counts = f"; aborted were {counts_in_words(failures.reasons)}" if failures.reasons else ""
-        raise AssessmentError(f"{error}{counts}; log: {log}") from error
+        error.args = (f"{error}{counts}; log: {log}",)  # whoever catches it goes by its kind
+        raise
 
 
 def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int, say: Callable[[str], None]) -> None:

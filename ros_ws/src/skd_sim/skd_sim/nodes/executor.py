@@ -9,6 +9,7 @@ and now and then.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -18,9 +19,11 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)  # who has asked is gone
 _LONGEST_WAIT = 0.05  # s, for a signal may come unseen; an idle node then looks at services and events
 _LOOK_PERIOD = 0.5  # s between such looks of a busy one
 _CALLBACKS_A_LOOK = 4
+_LONG_LOOK, _REST, _LONGEST_REST = 0.05, 20.0, 5.0  # s; times as long as a longer one took nobody looks again, but s
 _ROUNDS = 20  # messages of each topic in a row, before timers and the rest have their turn
 _NANOSECONDS = 1_000_000_000
 
@@ -44,7 +47,7 @@ class LockstepExecutor(SingleThreadedExecutor):
         self._wait_set: Any = None
         self._held = ExitStack()
         self._left: list[Any] = []
-        self._looked = 0.0
+        self._looked = self._next_look = 0.0
         self.add_node(node)
 
     def add_node(self, node: Node) -> bool:
@@ -126,9 +129,19 @@ class LockstepExecutor(SingleThreadedExecutor):
             self._look_at_the_rest()
 
     def _look_at_the_rest(self) -> None:
+        """Look at everything else, unless that took long just now.
+
+        An answer to somebody who is gone waits for them for 0.1 s: whoever asks often could have nothing else be done.
+        """
+        begin = time.monotonic()
+        if begin < self._next_look:
+            return
         for _ in range(_CALLBACKS_A_LOOK):
             super().spin_once(timeout_sec=0.0)
-        self._looked = time.monotonic()
+            self._looked = time.monotonic()
+            if (spent := self._looked - begin) > _LONG_LOOK:
+                self._next_look = self._looked + min(_REST * spent, _LONGEST_REST)
+                break
 
     def _take_service(self, srv: Any) -> Any:
         """As rclpy's; but what anybody asks of the services with which nodes are born ends no node.

@@ -360,4 +360,4 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
 
 
 def _warnings_of(result: StoredResult) -> list[str]:
-    return [str(line) for line in result.figures.get("warnings") or ()]
+    return [" ".join(str(line).split()) for line in result.figures.get("warnings") or ()]

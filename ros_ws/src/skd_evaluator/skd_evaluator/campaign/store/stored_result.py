@@ -81,7 +81,14 @@ class StoredResult:
 
 
 def read_result(folder: Path) -> StoredResult:
-    """Read an assessment, and compute its margins and its curve anew from its trajectories.
+    """Read an assessment; see `read_both`."""
+    return read_both(folder)[0]
+
+
+def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
+    """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
+
+    Both are of the same moment: whoever reads them one after the other may have two results, one replaced meanwhile.
 
     Raises:
         UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
@@ -125,7 +132,7 @@ def read_result(folder: Path) -> StoredResult:
     if risks is not None:
         groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
     doubted = (f"{folder}: {line}" for line in in_doubt(figures.get("warnings") or ()))
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted))
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted)), stored
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:

@@ -21,6 +21,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, u
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.campaign.store.stored_failures import failing_episodes
 from skd_evaluator.files import tails
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.ncap.colours import ROOM
@@ -63,6 +64,11 @@ class Subject:
         """The figures of those kamikazes."""
         found: Mapping[str, Any] = self.figures["objectives"][self.ranking_objective]
         return found
+
+    @property
+    def doubts(self) -> list[str]:
+        """Remarks on its figures, and why they may be those of another car, a line each."""
+        return [*self.remarks, *in_doubt(self.figures["warnings"] or ())]
 
     @property
     def skd_objective(self) -> str:
@@ -123,6 +129,8 @@ def _read_sweep(folder: Path) -> list[Subject]:
     if not parts:
         raise UsageError(f"{folder}: a sweep without its assessments (KIND/C_…/assessment.json)")
     found = [_read(part.parent, part.parent.parent.name) for part in parts]
+    if strange := next((one.folder for one in found if one.figures["multiplier"] is None), None):
+        raise UsageError(f"{strange}: is of a car without a multiplier C, and so of no sweep")
     return sorted(found, key=lambda one: (one.kind != "synthetic", one.kind, float(one.figures["multiplier"])))
 
 

@@ -60,11 +60,10 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
     problem = out.save(write)
     if arguments.json:
         print_json(content)
-    else:
-        for line in subject.remarks:
-            print(f"skd export: warning: {line}", file=sys.stderr)
-        if not problem:
-            print(_said(going, arguments.format, out.path))
+    elif not problem:
+        print(_said(going, arguments.format, out.path))
+    for line in subject.doubts:
+        print(f"skd export: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd export: {problem}", file=sys.stderr)
     return 1 if problem else 0

@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_replace(out.path, arguments.paths)
     simulated = read_simulated(folder)
     figures = simulated.figures
-    car = CarUnderTest(str(figures["controller"]), float(figures["multiplier"]))
+    stated = figures["multiplier"]  # which only a car that has one states
+    car = CarUnderTest(str(figures["controller"]), CarUnderTest.multiplier if stated is None else float(stated))
     if car.is_external:
         raise UsageError(f"{folder}: its car ran as a node, and cannot drive the trials again in process")
     assert simulated.scenario is not None
