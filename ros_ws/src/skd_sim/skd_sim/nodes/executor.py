@@ -23,7 +23,7 @@ warnings.filterwarnings("ignore", "failed to send response", RuntimeWarning)  # 
 _LONGEST_WAIT = 0.05  # s, for a signal may come unseen; an idle node then looks at services and events
 _LOOK_PERIOD = 0.5  # s between such looks of a busy one
 _CALLBACKS_A_LOOK = 4
-_LONG_LOOK, _REST, _LONGEST_REST = 0.05, 20.0, 5.0  # s; times as long as a longer one took nobody looks again, but s
+_LONG_LOOK, _REST, _LONGEST_REST = 0.09, 20.0, 5.0  # s; times as long as a longer one took nobody looks again, but s
 _ROUNDS = 20  # messages of each topic in a row, before timers and the rest have their turn
 _NANOSECONDS = 1_000_000_000
 
@@ -133,10 +133,10 @@ class LockstepExecutor(SingleThreadedExecutor):
 
         An answer to somebody who is gone waits for them for 0.1 s: whoever asks often could have nothing else be done.
         """
-        begin = time.monotonic()
-        if begin < self._next_look:
+        if time.monotonic() < self._next_look:
             return
         for _ in range(_CALLBACKS_A_LOOK):
+            begin = time.monotonic()
             super().spin_once(timeout_sec=0.0)
             self._looked = time.monotonic()
             if (spent := self._looked - begin) > _LONG_LOOK:
