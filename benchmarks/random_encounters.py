@@ -45,6 +45,19 @@ CARS = (
     ["--controller", "cars.stop_and_go:StopAndGo"],
 )
 """SKD's own, and honest classes of a user's, which run in processes of their own and are asked again."""
+SELDOM: tuple[tuple[tuple[str, ...], tuple[Any, ...]], ...] = (
+    (("eta_max",), (0.3, 1.0, 2.0, 20.0)),
+    (("collision", "hit_speed"), (0.0, 0.1, 2.0, 6.0)),
+    (("collision", "minimum_impact_speed"), (0.2, 1.0)),
+    (("time_step",), (0.1, 0.2, 0.5)),
+    (("control_period",), (0.05, 0.1, 0.15)),
+    (("car", "dynamics"), ("multi_body", "basic")),
+    (("car", "speed_noise"), (0.0, 0.2)),
+    (("car", "acceleration_noise"), (0.0, 0.5)),
+    (("road", "friction"), (0.1, 0.5)),
+    (("adversary", "position_noise"), (0.0, 5.0)),
+)
+"""What encounters leave to be as by default, or have in common: its place, and what it may be."""
 _SMALL = ["--safe-count", "2", "--kamikaze-count", "2", "--collision-runs", "4", "--simulations", "20", "--quiet"]
 _TOLERANCE = 1e-9
 _NOT_COMPARED = ("seconds", "provenance")
@@ -60,7 +73,7 @@ def numbers_in(content: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any,
 
 
 def changed(content: dict[str, Any], rng: random.Random) -> dict[str, Any]:
-    """Return an encounter of which one to four numbers are others."""
+    """Return an encounter of which one to four numbers are others, and up to two further settings."""
     places = [place for place in numbers_in(content) if place[0] != "protocol"]
     for place in rng.sample(places, min(len(places), rng.randint(1, 4))):
         inner: Any = content
@@ -68,6 +81,11 @@ def changed(content: dict[str, Any], rng: random.Random) -> dict[str, Any]:
             inner = inner[key]
         factor = rng.choice(FACTORS) if rng.random() < 0.15 else rng.uniform(0.6, 1.6)
         inner[place[-1]] = type(inner[place[-1]])(inner[place[-1]] * factor)
+    for place, values in rng.sample(SELDOM, rng.choice([0, 1, 1, 2])):
+        inner = content
+        for key in place[:-1]:
+            inner = inner.setdefault(key, {})
+        inner[place[-1]] = rng.choice(values)
     return content
 
 

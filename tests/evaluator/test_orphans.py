@@ -169,8 +169,9 @@ def _ended_at_first(item: tuple[Path, int, int]) -> int:
     folder, number, signal_number = item
     if number == 7 and not (folder / "ended").exists():
         (folder / "ended").touch()
+        if signal_number != signal.SIGKILL:
+            signal.signal(signal_number, signal.SIG_DFL)  # a shell has what it starts in the background ignore some
         os.kill(os.getpid(), signal_number)
-        time.sleep(60.0)  # where it is ignored, the test is slow, and fails
     return 2 * number
 
 
