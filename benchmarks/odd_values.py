@@ -188,6 +188,13 @@ def _cases_of(words: list[str], parser: argparse.ArgumentParser, each: int, rng:
             yield [*words, *with_it]
 
 
+def import_commands() -> None:
+    """Import all commands, so that no process that is forked has to."""
+    for module in pkgutil.walk_packages(skd_evaluator.cli.__path__, "skd_evaluator.cli."):
+        importlib.import_module(module.name)
+    gc.freeze()
+
+
 def run(words: Sequence[str], folder: Path, limit: float) -> Run:
     """Run a command in a process of its own, and remove what it has written."""
     before = {path.name for path in folder.iterdir()}
@@ -255,14 +262,13 @@ def main() -> int:
     parser.add_argument("--limit", type=float, default=60.0, metavar="S", help="time of a command (default 60)")
     parser.add_argument("--command", action="append", help="only this one; may be given several times")
     arguments = parser.parse_args()
-    for module in pkgutil.walk_packages(skd_evaluator.cli.__path__, "skd_evaluator.cli."):
-        importlib.import_module(module.name)
+    import_commands()
     counts: collections.Counter[int | None] = collections.Counter()
     bad = 0
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)
         prepare(Path(name))
-        gc.freeze()
+        gc.freeze()  # what that has loaded, too
         rng = random.Random(arguments.seed)
         plain = [[*command.split(), *given] for command, given in GIVEN.items()]
         odd = itertools.chain(cases(arguments.each, rng), campaign_files(Path(name), arguments.each, rng))

@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import argparse
 import collections
-import gc
-import importlib
 import itertools
 import json
 import math
 import os
-import pkgutil
 import random
 import shutil
 import sys
@@ -26,10 +23,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import skd_evaluator.cli
 import skd_sim
 import yaml
-from odd_values import Run, run, wrongs
+from odd_values import Run, import_commands, run, wrongs
 from skd_evaluator.cli.arguments import whole_number
 from skd_evaluator.measure.doubt import in_doubt
 
@@ -116,12 +112,12 @@ def options(rng: random.Random) -> list[str]:
     return [*car, *more, *itertools.chain(*rng.sample(seldom, rng.randint(0, 3)))]
 
 
-def _numbers(content: Any, place: str = "") -> Iterator[tuple[str, float]]:
+def _numbers(content: Any) -> Iterator[tuple[str, float]]:
     for inner in numbers_in(content):
         value: Any = content
         for key in inner:
             value = value[key]
-        yield f"{place}{'.'.join(map(str, inner))}", float(value)
+        yield ".".join(map(str, inner)), float(value)
 
 
 def _intervals(figures: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, float, list[float]]]:
@@ -198,9 +194,7 @@ def main() -> int:
     parser.add_argument("--only", type=whole_number(0), metavar="N", help="only the encounter of this number")
     parser.add_argument("--limit", type=float, default=300.0, metavar="S", help="time of a command (default 300)")
     arguments = parser.parse_args()
-    for module in pkgutil.walk_packages(skd_evaluator.cli.__path__, "skd_evaluator.cli."):
-        importlib.import_module(module.name)
-    gc.freeze()
+    import_commands()
     counts: collections.Counter[int | None] = collections.Counter()
     bad = 0
     with tempfile.TemporaryDirectory() as name:

@@ -113,7 +113,7 @@ def doubts_of_the_stack(
         again = _run(graph, episodes, progress, limit)
         changed, count = _changed(first, again)
         lost = _lost(first, again)
-        if not changed or (lost and count <= len(first) // 2):
+        if not changed or count <= len(first) // 2:
             return lost
         once_more = _run(graph, episodes, progress, limit)
     except (AssessmentError, UsageError, OSError) as error:  # as where the stack has removed what starts it

@@ -45,8 +45,11 @@ _POLL = 0.25  # s
 _STOPPED_LIMIT = 1.0  # s without a heartbeat after which a worker that a signal has stopped is replaced
 _PATIENCE = 1.0  # s for all workers to end by themselves, or after SIGTERM
 _KEEPER_PATIENCE = 3.0  # s for a keeper to kill all that is below it
-_FAULTS = {"ILL", "TRAP", "ABRT", "BUS", "FPE", "SEGV", "SYS", "XCPU", "XFSZ"}
-# Signals that the system sends to who has done something wrong; who ends by any other was ended by somebody else.
+_FAULTS = {
+    signal.SIGILL, signal.SIGTRAP, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGSEGV, signal.SIGSYS,
+    signal.SIGXCPU, signal.SIGXFSZ,
+}  # fmt: skip
+"""What the system sends to who has done something wrong; who ends by any other signal was ended by somebody else."""
 
 _BEATS, _CALLED, _DONE, _EVER, _PID, _HALTED = 0, 1, 2, 3, 4, 5
 # What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
@@ -331,9 +334,8 @@ class WorkerPool(Executor):
         process = worker.process
         if not process.is_alive():
             code = process.exitcode or 0
-            name = _signal_name(-code)
-            how = f"was killed by {name}" if code < 0 else f"ended with exit code {code}"
-            foreign = code < 0 and name.removeprefix("SIG") not in _FAULTS
+            how = f"was killed by {_signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+            foreign = code < 0 and -code not in _FAULTS
             return _Trouble(abort_reason(AbortKind.ENDED, f"a worker process died: it {how}"), foreign)
         silent = worker.silent_for(passed)
         if not worker.task:

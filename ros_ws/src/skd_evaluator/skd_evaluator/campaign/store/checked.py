@@ -110,7 +110,9 @@ def check_result(
 
 
 def starts_that_differ(folder: Path, figures: Mapping[str, Any], stored: StoredEpisodes) -> Starts | None:
-    """Return where episodes start otherwise than in SKD's own world; None: nowhere, or they ran in another simulator.
+    """Return where episodes, or ways of margins, start otherwise than in SKD's own world; None: nowhere.
+
+    Nor does it say anything of episodes of another simulator.
 
     The world draws the car's start from the seed, so a scenario with another start, or another seed, is found here.
 
