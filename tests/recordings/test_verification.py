@@ -15,18 +15,20 @@ from common import assert_valid, run_skd
 from recordings_support import attempts, crossing
 from skd_adversary.adversary import make_adversary
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.bags.validation import Otherwise, Unverified, decide_again
+from skd_evaluator.bags.validation import Otherwise, Unverified, decide_again, examine
 from skd_evaluator.bags.verification import Sample
 from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import write_assessment
+from skd_sim.choices.actions import Actions
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import EpisodeLog, Mode
+from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.state import CarState
 
 Write = Callable[..., Path]
@@ -173,6 +175,46 @@ def test_another_simulator_moves_the_adversary_its_own_way(logs: list[EpisodeLog
     moved = honest.car.copy()
     moved[1:, 0] += 0.01
     assert decide_again(replace(honest, car=moved)) == Unverified.ELSEWHERE
+
+
+def driven(plan: Plan, mode: Mode, attempt: int) -> EpisodeLog:
+    """Someone's way in an encounter: a safe one, or one along that of the first attempt, or planned from it."""
+    safe = run_episode(plan.episode(Mode.SAFE, 0, 0, None))
+    phi = Trajectory(safe.adversary, plan.scenario.time_step, "safe")
+    return run_episode(plan.episode(mode, 0, attempt, None if mode == Mode.SAFE else phi))
+
+
+@pytest.mark.parametrize("actions", Actions)
+@pytest.mark.parametrize("name", ["cyclist", "child", "ccftap", "right_turn", "oncoming_turn", "cbtafs", "bystanders"])
+def test_whoever_crosses_on_whatever_road_other_decisions_are_found(name: str, actions: Actions) -> None:
+    """States do not tell how a cyclist turned to the last bit; that is no reason to know nothing of its decisions."""
+    plan = Plan(load_scenario(name), safe_count=1, simulations=20, seed=3, actions=actions)
+    for mode in (Mode.SAFE, Mode.REPLAY):
+        verdict = examine(driven(plan, mode, 1))
+        assert (verdict.fault, verdict.rounded) == ("", 0.0), verdict.rounded_where
+    honest = [driven(plan, Mode.KAMIKAZE, attempt) for attempt in range(3)]
+    assert [decide_again(log) for log in honest] == [None] * len(honest)
+    forged = [decide_again(log) for log in said(honest, simulations=11)]
+    assert any(isinstance(one, Otherwise) for one in forged)
+    assert all(one is None or isinstance(one, Otherwise) for one in forged)
+
+
+@pytest.mark.parametrize("name", ["cyclist", "right_turn"])
+def test_a_recording_that_rounds_otherwise_is_told_to(name: str) -> None:
+    """Of such a one nobody can say what was decided, and it is said; places of the car tell, on turning roads, too."""
+    plan = Plan(load_scenario(name), safe_count=1, simulations=20, seed=3)
+    log = driven(plan, Mode.KAMIKAZE, 0)
+    assert examine(log).rounded == 0.0
+    tick = len(log.car) // 2
+    for column in range(3):
+        car = log.car.copy()
+        car[tick, column] = np.nextafter(car[tick, column], np.inf)
+        rounded = replace(log, car=car)
+        verdict = examine(rounded)
+        assert verdict.ours
+        assert 0.0 < verdict.rounded < 1e-9
+        forged = replace(rounded, episode=replace(log.episode, simulations=11))
+        assert decide_again(forged) in {None, Unverified.ROUNDED}
 
 
 def write_result(folder: Path, plan: Plan, logs: Sequence[EpisodeLog]) -> None:

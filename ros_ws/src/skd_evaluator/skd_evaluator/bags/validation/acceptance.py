@@ -94,12 +94,12 @@ def _say(found: Sequence[Found], verdicts: Sequence[Verdict], kept: Sequence[int
                 f"{_episodes(len(foreign))} did not run in SKD's own world ({verdict.where} is off "
                 f"by {verdict.deviation:.3g}, {one.name}): another simulator's impacts are checked roughly"
             )
-        rounded = [pair for pair in of_it if pair[1].ours and pair[1].deviation > 0.0]
+        rounded = [pair for pair in of_it if pair[1].ours and pair[1].rounded > 0.0]
         if rounded:
             one, verdict = rounded[0]
             damage.warn(
                 f"{_episodes(len(rounded))} differ in the last digits from what this machine computes "
-                f"({verdict.where}, {one.name})"
+                f"({verdict.rounded_where}, {one.name})"
             )
         late = [pair for pair in of_it if pair[1].late and pair[1].ours]
         if late:

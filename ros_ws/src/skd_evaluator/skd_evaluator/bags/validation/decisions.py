@@ -70,7 +70,7 @@ def decide_again(log: EpisodeLog) -> Decided:
     except UsageError:  # an objective that is not installed here, no car model
         return Unverified.UNKNOWN
     if otherwise is not None:
-        return otherwise if verdict.deviation == 0.0 else Unverified.ROUNDED
+        return otherwise if verdict.rounded == 0.0 else Unverified.ROUNDED
     return Unverified.LATE if late else None
 
 

@@ -22,7 +22,14 @@ from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
 from skd_sim.encounter.body import Body
-from skd_sim.encounter.road import HEADING_NORTH, beside_road, is_straight_north, right_and_along, road_position
+from skd_sim.encounter.road import (
+    HEADING_NORTH,
+    beside_road,
+    is_straight_north,
+    right_and_along,
+    road_pose,
+    road_position,
+)
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
@@ -49,23 +56,54 @@ class Touch(NamedTuple):
 class Recomputed:
     """How far a recording is from what the world would have given.
 
+    What a cyclist can do next follows from how it turned, which states at ticks do not tell to the last bit; likewise a
+    road's coordinate, and a box's heading. Differences of such quantities are rounding on any machine.
+
     Attributes:
-        deviation: the greatest difference, m, m/s or s; 0: equal to the last bit.
+        deviation: the greatest difference, m, m/s or s.
         where: what it is of.
+        rounded: the greatest difference of what states tell to the last bit, m, m/s or s; 0: none, not in one bit.
+        rounded_where: what that is of.
         late: ticks in which a command was that of an earlier tick, as in real time.
     """
 
     deviation: float = 0.0
     where: str = ""
+    rounded: float = 0.0
+    rounded_where: str = ""
     late: int = 0
 
-    def note(self, differences: FloatArray | float, what: str, first_tick: int | None = None) -> None:
-        """Take differences of some quantity, one a tick from `first_tick` on, or a single one."""
-        values = np.atleast_1d(np.abs(differences))
-        worst = int(np.argmax(values)) if values.size else 0
-        if values.size and not values[worst] <= self.deviation:
-            self.deviation = float(values[worst])
-            self.where = what if first_tick is None else f"{what} at tick {first_tick + worst}"
+    def note(
+        self, differences: FloatArray | float, what: str, first_tick: int | None = None, *, exact: bool = True
+    ) -> None:
+        """Take differences of some quantity, one a tick from `first_tick` on, or a single one.
+
+        Args:
+            differences: m, m/s or s.
+            what: the quantity.
+            first_tick: tick of the first of them; None: a single one.
+            exact: whether states tell the quantity to the last bit.
+        """
+        worst, where = _worst(differences, what, first_tick)
+        if not worst <= self.deviation:
+            self.deviation, self.where = worst, where
+        if exact:
+            self.note_rounding(differences, what, first_tick)
+
+    def note_rounding(self, differences: FloatArray | float, what: str, first_tick: int | None = None) -> None:
+        """Take differences that tell no more than whether this machine rounds as the one of the recording."""
+        worst, where = _worst(differences, what, first_tick)
+        if not worst <= self.rounded:
+            self.rounded, self.rounded_where = worst, where
+
+
+def _worst(differences: FloatArray | float, what: str, first_tick: int | None) -> tuple[float, str]:
+    """Return the greatest of some differences, and what it is of."""
+    values = np.atleast_1d(np.abs(differences))
+    if not values.size:
+        return 0.0, what
+    worst = int(np.argmax(values))
+    return float(values[worst]), what if first_tick is None else f"{what} at tick {first_tick + worst}"
 
 
 @kernel
@@ -175,10 +213,10 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     if ticks == 0:
         return
     differences = np.full(ticks, math.inf)
+    user = road_user_named(episode.scenario.adversary.kind)
     if episode.mode != Mode.REPLAY:
         phi = episode.safe_trajectory
         path = walked[:1] if phi is None else phi.positions
-        user = road_user_named(episode.scenario.adversary.kind)
         choices = user.choices(episode.scenario, path, walked)
         differences = _nearest(walked, np.ones(ticks, dtype=bool), step, choices)
         if episode.mode == Mode.KAMIKAZE and episode.actions == Actions.DRAWN and user.within is not None:
@@ -192,7 +230,8 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
             choices = np.vstack([velocities, np.zeros(2)])
             differences[late] = np.minimum(differences[late], _nearest(walked, late, step, choices))
             found.late += int((differences[late] <= ROUNDING).sum())
-    found.note(differences, "the adversary's position", 1)
+    by_choice = user.kernels.own_dim == 0 and episode.actions != Actions.DRAWN
+    found.note(differences, "the adversary's position", 1, exact=episode.mode == Mode.REPLAY or by_choice)
 
 
 def follows_phi(episode: Episode) -> bool:
@@ -239,8 +278,10 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     else:
         along = right_and_along(line, states[:-1, :2])[:, 1] + distance
         x, y = beside_road(line, np.column_stack([np.zeros(ticks), along])).T
-    found.note(x - states[1:, 0], "the car's x", 1)
-    found.note(y - states[1:, 1], "the car's y", 1)
+    found.note(x - states[1:, 0], "the car's x", 1, exact=scenario.road.straight)
+    found.note(y - states[1:, 1], "the car's y", 1, exact=scenario.road.straight)
+    if not scenario.road.straight:
+        found.note_rounding(_off_its_way(line, states, distance), "the car's place", 1)
     found.note(np.minimum(0.0, states[:, 2]), "the car's speed", 0)
     if not episode.car.is_known:
         return
@@ -269,6 +310,16 @@ def _basic_car(log: EpisodeLog, found: Recomputed) -> None:
     found.note(np.where(late, other, in_time), "the car's speed", 1)
 
 
+def _off_its_way(line: FloatArray, states: FloatArray, distance: FloatArray) -> FloatArray:
+    """Return how far a car on a turning road is, after each tick, from where its path coordinate takes it, m.
+
+    The world adds up distances from the start on, so places follow to the last bit; differences add up, too.
+    """
+    along = np.cumsum(np.concatenate([[road_position(line, *states[0, :2])[0]], distance]))
+    places = np.array([road_pose(line, s)[:2] for s in along[1:].tolist()]).reshape(-1, 2)
+    return _largest(places - states[1:, :2])
+
+
 def _impact(log: EpisodeLog, found: Recomputed) -> None:
     """Compare the impact with the first touch of the recorded motion."""
     touch = first_touch(log)
@@ -279,5 +330,7 @@ def _impact(log: EpisodeLog, found: Recomputed) -> None:
         if touch is not None or log.outcome == Outcome.COLLISION:
             found.note(UNLIKE, "the touch")
         return
-    found.note(log.impact_time - (touch.tick + touch.fraction) * log.episode.scenario.time_step, "the impact's time")
-    found.note(log.impact_speed - touch.speed, "the impact's speed")
+    scenario = log.episode.scenario
+    exact = scenario.road.straight and not scenario.adversary.is_box and not scenario.others
+    found.note(log.impact_time - (touch.tick + touch.fraction) * scenario.time_step, "the impact's time", exact=exact)
+    found.note(log.impact_speed - touch.speed, "the impact's speed", exact=exact)

@@ -34,9 +34,10 @@ class Verdict:
 
     Attributes:
         fault: why it cannot have happened; empty: nothing contradicts it.
-        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s; 0: none,
-            not even in one bit.
+        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s.
         where: the quantity and tick of the deviation.
+        rounded: likewise of what states tell to the last bit; 0: none, not even in one bit.
+        rounded_where: the quantity and tick of that.
         late: ticks in which a command was that of an earlier tick, as in real time.
         whole: whether all of it could be recomputed; that is not so for cars with dynamics or clocks of their own.
     """
@@ -44,6 +45,8 @@ class Verdict:
     fault: str = ""
     deviation: float = 0.0
     where: str = ""
+    rounded: float = 0.0
+    rounded_where: str = ""
     late: int = 0
     whole: bool = True
 
@@ -70,7 +73,10 @@ def examine(log: EpisodeLog) -> Verdict:
         found = recompute(log)
     except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
         return Verdict(str(error))
-    return Verdict(fault, found.deviation, found.where, found.late, determined(log.episode.scenario))
+    return Verdict(
+        fault, found.deviation, found.where, found.rounded, found.rounded_where, found.late,
+        determined(log.episode.scenario),
+    )  # fmt: skip
 
 
 def _specification(episode: Episode) -> str:
