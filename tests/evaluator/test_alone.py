@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.judge.alone import doubts_of_driving
+from skd_evaluator.campaign.judge.alone import MANY_DRIVES, doubts_of_driving, drives_with_nobody_near
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.measure.doubt import DISBELIEF
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.known_scenarios import shipped_scenarios
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -32,6 +32,19 @@ class Towards:
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         return float(np.clip((self._speed - car.speed) / 0.3, -2.0, 2.0))
+
+
+class ByLot(Towards):
+    """Draws in `reset` whether it drives as it began or at another speed, and counts how often it does the latter."""
+
+    def __init__(self, speed: float, share: float) -> None:
+        super().__init__(CROSSING.car.start_speed)
+        self._other, self._share, self.others = speed, share, 0
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        other = rng.random() < self._share
+        self._speed = self._other if other else CROSSING.car.start_speed
+        self.others += other
 
 
 class Runner:
@@ -58,6 +71,43 @@ def test_a_car_that_slows_down_for_nobody_is_said_to(speed: float, said: str) ->
         assert last == pytest.approx(speed, rel=noise, abs=0.05)  # at 2 m/s² it is at its speed within 6 s
         assert said in line
         assert line.startswith(DISBELIEF) == (speed < 1.5 * CROSSING.collision.hit_speed)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3, 0.6])
+def test_a_car_that_stands_now_and_then_is_found(share: float, seed: int) -> None:
+    """A quarter of the drives is where doubt becomes disbelief; none of 20 drives is seen 36 % of the time at 0.05."""
+    car = ByLot(0.0, share)
+    found = doubts_of_driving(replace(PLAN, seed=seed), Runner(car))
+    assert len(found) == (car.others > 0)
+    for line in found:
+        assert f"s in {car.others} of {MANY_DRIVES} drives, and a hit begins" in line
+        assert line.startswith(DISBELIEF if car.others > MANY_DRIVES / 4 else DOUBT)
+
+
+def test_drives_differ_in_noise_and_in_what_a_controller_draws() -> None:
+    car = ByLot(0.0, 0.5)
+    drives = drives_with_nobody_near(PLAN, Runner(car), 40)
+    assert len({drive.first for drive in drives}) == 1
+    assert len({drive.last for drive in drives if drive.last > 1.0}) == 40 - car.others
+    assert abs(car.others - 20) < 4 * 40**0.5 / 2
+    assert [drive.kept for drive in drives] == sorted(drive.kept for drive in drives)
+
+
+@pytest.mark.parametrize(
+    ("speed", "share", "said"),
+    [
+        (0.3, 0.2, True),  # of its speed: it crawls in a single drive
+        (0.5, 0.3, False),  # slower than others drive, by lot; the median drive is not
+        (0.5, 0.8, True),
+        (0.8, 1.0, False),
+    ],
+)
+def test_a_car_that_crawls_for_nobody_has_a_warning(speed: float, share: float, said: bool) -> None:
+    car = ByLot(speed * CROSSING.car.start_speed, share)
+    found = doubts_of_driving(PLAN, Runner(car))
+    assert car.others > 0
+    assert [line.startswith(HARDLY_DRIVES) for line in found] == [True] * said
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())

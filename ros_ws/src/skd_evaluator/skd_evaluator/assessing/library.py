@@ -77,7 +77,7 @@ def assess(
     risk = risk_asked(behaviour)
     folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
     runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
-    runners = Runners(runner, runner, runner, fresh=partial(InProcessRunner, 1, isolated=True))
+    runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
     told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
     rating = assess_in_process(plan, objectives, runners, told, further, _origin)
     rating = replace(rating, seconds=time.perf_counter() - begin)

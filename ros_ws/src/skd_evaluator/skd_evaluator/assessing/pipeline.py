@@ -18,7 +18,7 @@ from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the
 from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
-from skd_evaluator.campaign.judge.alone import doubts_of_driving, doubts_of_standing_off
+from skd_evaluator.campaign.judge.alone import FEW_DRIVES, MANY_DRIVES, doubts_of_driving, doubts_of_standing_off
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.judge.static_tests import with_static_tests
@@ -136,6 +136,7 @@ class Runners:
             None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
             episodes show; None: nobody looks.
+        alone: runs drives with nobody near, to see whether the car drives; None: nobody looks.
     """
 
     rated: EpisodeRunner
@@ -143,10 +144,35 @@ class Runners:
     here: ExecutorRunner
     ways: EpisodeRunner | None = None
     fresh: Fresh | None = None
+    alone: EpisodeRunner | None = None
+
+    @classmethod
+    def in_process(
+        cls,
+        runner: ExecutorRunner,
+        fresh: Fresh,
+        rated: EpisodeRunner | None = None,
+        others: EpisodeRunner | None = None,
+    ) -> Runners:
+        """Return the runners of an assessment in process, whose work all is `runner`'s, by whoever keeps some of it.
+
+        Args:
+            runner: does the work.
+            fresh: see `Runners`.
+            rated: by default `runner`.
+            others: by default `runner`.
+        """
+        return cls(rated or runner, others or runner, runner, fresh=fresh, alone=runner)
 
     @classmethod
     def of_graph(
-        cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None, fresh: Fresh | None = None
+        cls,
+        plan: Plan,
+        evaluator: EpisodeRunner,
+        alone: EpisodeRunner,
+        *,
+        ways: EpisodeRunner | None = None,
+        fresh: Fresh | None = None,
     ) -> Runners:
         """Return the runners of an assessment through the node graph.
 
@@ -154,7 +180,7 @@ class Runners:
         and floors are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
-        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh)
+        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh, alone)
 
 
 @dataclass(frozen=True)
@@ -222,9 +248,10 @@ def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[st
     found: tuple[str, ...] = doubts_of_standing_off(plan.controller, rating.replays)
     if runners.fresh is not None and not plan.car.is_external:
         found += doubts_of_the_controller(rating, runners.fresh)
-    alone = runners.here if runners.ways is None and runners.fresh is not None else runners.ways
-    if alone is not None and is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes:
-        found += doubts_of_driving(plan, alone)
+    if runners.alone is not None and is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes:
+        # A graph that walks no ways drives in real time, or nobody says whether it does.
+        slow = runners.alone is not runners.here and runners.ways is None
+        found += doubts_of_driving(plan, runners.alone, FEW_DRIVES if slow else MANY_DRIVES)
     return found
 
 

@@ -95,7 +95,7 @@ def assessed_draws(
             knowledge=None if car.is_own and car.has_multiplier else Knowledge.NOTHING,
         )
         runner = make_runner(None, workers, isolated=not car.is_own)
-        runners = Runners(runner, runner, runner, fresh=partial(InProcessRunner, 1, isolated=True))
+        runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
         ways = [Trajectory(positions, scenario.time_step, name) for name, positions in safe.items()]
         further = Further(DEFAULT_MARGIN_LIMIT, risk=risk_asked(WALKERS))
         rating = assess_in_process(plan, [plan.objective], runners, _silent, further, _nowhere, safe=ways)

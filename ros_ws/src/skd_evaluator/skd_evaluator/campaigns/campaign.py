@@ -235,7 +235,7 @@ class Campaign:
         cell = self._informed(cell, runner, doubts)
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
-        runners = Runners(storing, storing, runner, fresh=_FRESH)
+        runners = Runners.in_process(runner, _FRESH, storing, storing)
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
         rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
         if doubts.seen:

@@ -14,7 +14,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.campaign.judge.alone import slowing_for_nobody
+from skd_evaluator.campaign.judge.alone import FEW_DRIVES, drives_with_nobody_near
 from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
@@ -116,14 +116,14 @@ def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | Non
 def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
     """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
     try:
-        slowing = slowing_for_nobody(plan, runner)
+        slowest, *_ = drives_with_nobody_near(plan, runner, FEW_DRIVES)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # it has a static test all the same
         return f"whether the car keeps its speed with nobody near cannot be told: {error}"
-    if slowing is None:
+    if not slowest.slows:
         return ""
-    return f"the car slows down to {KMH * slowing.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
+    return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
 def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -> Cell:

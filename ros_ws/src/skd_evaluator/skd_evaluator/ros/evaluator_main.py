@@ -123,7 +123,7 @@ class EvaluatorProcess(Evaluator):
         begin = time.perf_counter()
         plan = self._learned()
         origin = provenance(sys.argv, plan.car, car_model=plan.car_model)
-        runners = Runners.of_graph(plan, self, None)  # nobody says whether its nodes wait for one another
+        runners = Runners.of_graph(plan, self, self)  # nobody says whether its nodes wait for one another
         rating = assessed(plan, self._objectives, runners, self._say_progress, Further())
         self.publish_assessment(rating)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)

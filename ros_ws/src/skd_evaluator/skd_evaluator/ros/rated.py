@@ -151,7 +151,7 @@ def rated_through_graph(
         plan = learned_plan(plan, timed, progress, say, options, learning.believed)
         # Only nodes that wait for one another can walk a way again.
         ways = timed if options.pacing == LOCKSTEP else None
-        runners = Runners.of_graph(plan, kept_by(timed), ways, fresh)
+        runners = Runners.of_graph(plan, kept_by(timed), timed, ways=ways, fresh=fresh)
         rating = assessed(plan, objectives, runners, progress, further)
         groups, limit = [*groups_of(rating), learning.seen], timed.limit(rating.episodes)
         if run_again.here:

@@ -203,7 +203,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
     fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
-    runners = Runners(recorder, runner, runner, fresh=fresh)
+    runners = Runners.in_process(runner, fresh, rated=recorder)
     origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:

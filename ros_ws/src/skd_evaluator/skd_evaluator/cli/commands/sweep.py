@@ -121,7 +121,9 @@ def run(arguments: argparse.Namespace) -> int:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
                         car = replace(plan, multiplier=value)
-                        rating = assessed(car, objectives, Runners(runner, runner, runner), labelled, further, safe)
+                        rating = assessed(
+                            car, objectives, Runners(runner, runner, runner, alone=runner), labelled, further, safe
+                        )
                         ratings.append((kind, replace(rating, provenance=origin)))
     except KeyboardInterrupt:
         if not ratings:
