@@ -14,6 +14,7 @@ import pytest
 from common import new_domain, wait_until
 from graph_nodes import start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
@@ -23,18 +24,23 @@ MODULES = {
 }
 
 
+PATHS = str(Path(__file__).parent / "controllers")
+
+
 def node(name: str, domain: int, **parameters: object) -> Program:
     """Start one node with parameters."""
     arguments = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
     command = [sys.executable, "-m", MODULES[name], "--ros-args", *arguments]
-    return Program(command, {"ROS_DOMAIN_ID": str(domain)})
+    return Program(command, {"ROS_DOMAIN_ID": str(domain), "PYTHONPATH": PATHS})
 
 
 @pytest.fixture
-def graph() -> Iterator[int]:
-    """The domain of a graph that lacks the evaluator only."""
-    domain = new_domain()
-    programs = [node(name, domain) for name in MODULES if name != "evaluator"]
+def graph(request: pytest.FixtureRequest) -> Iterator[int]:
+    """The domain of a graph that lacks the evaluator only; the car is the basic one, or the parameter's."""
+    domain, car = new_domain(), {"controller": getattr(request, "param", "basic")}
+    programs = [
+        node(name, domain, **(car if name == "car_controller" else {})) for name in MODULES if name != "evaluator"
+    ]
     yield domain
     for program in programs:
         program.popen.send_signal(signal.SIGINT)
@@ -52,6 +58,33 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     assert_same_results(tmp_path / "node", tmp_path / "line")
     assert len(list((tmp_path / "node" / "bags").iterdir())) == 3 + 3 + 4
     assert not (tmp_path / "node" / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("graph", "begin", "said"),
+    [
+        ("remembering:Honest", "", ""),
+        ("remembering:ByLot", DISBELIEF, "drives, and a hit begins at"),
+        ("remembering:Counting", DOUBT, "went otherwise"),
+    ],
+    indirect=["graph"],
+)
+def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph: int, begin: str, said: str) -> None:
+    """Nobody says to this node which car it is: whether it drives, and is the same again, is asked of it."""
+    counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 12, "simulations": 50, "seed": 11}
+    node_of_it = node("evaluator", graph, **counts, controller="external", knowledge="nothing", out=tmp_path / "out")
+    finished = node_of_it.finish()
+    result = json.loads((tmp_path / "out" / "assessment.json").read_text())
+    against = [line for line in result["warnings"] if line.startswith((DISBELIEF, DOUBT))]
+    assert finished.code == (begin == DISBELIEF), finished.err
+    if not begin:
+        assert against == []
+        return
+    (line,) = [one for one in against if said in one]
+    assert line.startswith(begin)
+    assert any(line in printed for printed in finished.lines)
+    attempts = sum(one["attempts"] for one in result["objectives"].values())
+    assert len(list((tmp_path / "out" / "bags").iterdir())) == attempts + 12  # no drive alone, none that is run again
 
 
 @pytest.mark.parametrize(

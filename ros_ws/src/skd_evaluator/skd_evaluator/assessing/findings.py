@@ -11,6 +11,7 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_evaluator.campaign.judge.rating import Rating, hit_too_often
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
+from skd_evaluator.measure.doubt import disbelief, in_doubt
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 
 
@@ -109,6 +110,35 @@ def too_many_aborted(rating: Rating, maximum: float) -> str | None:
         f"{len(reasons)} of {rating.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
         f"{most['count']} of them: {most_frequent(reasons)}"
     )
+
+
+def why_failed(rating: Rating, maximum_aborted: float) -> list[str]:
+    """Return why an assessment counts as failed, a line each; empty if it does not.
+
+    Args:
+        rating: the rating of all episodes, aborted ones counted.
+        maximum_aborted: share of the episodes that may be aborted.
+    """
+    reasons = [undefined(rating), too_many_aborted(rating, maximum_aborted), *disbelief(rating.warnings)]
+    return [why for why in reasons if why]
+
+
+def warnings_of(rating: Rating, *, planned: bool = True, of_episodes: bool = True) -> list[str]:
+    """Return what a reader should know that is no failure, a line each.
+
+    Args:
+        rating: the rating with its figures.
+        planned: see `doubts`.
+        of_episodes: whether what is said of the episodes themselves is among it.
+    """
+    disbelieved = disbelief(rating.warnings)
+    of_them = [line for line in rating.warnings if line not in disbelieved] if of_episodes else []
+    return [*of_them, *doubts(rating, planned=planned)]
+
+
+def doubted(rating: Rating) -> bool:
+    """Tell whether an assessment's figures may be those of another car, or of one that does not drive."""
+    return bool(in_doubt(rating.warnings))
 
 
 def episode_line(log: EpisodeLog) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
 
-from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import warnings_of, why_failed
 from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.checked import check_result
@@ -24,7 +25,6 @@ from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.campaigns.cell import Cell
-from skd_evaluator.measure.doubt import disbelief
 
 FIGURES = columns("campaign")
 OF_PLANS = ("knowledge", "ranking_objective")
@@ -74,9 +74,7 @@ def done_row(
         maximum_aborted: share of its episodes that may be aborted.
         digests: SHA-256 of the files that hold its result.
     """
-    warnings = figures["warnings"]
-    disbelieved = disbelief(warnings)
-    problems = [undefined(rating), too_many_aborted(rating, maximum_aborted), *disbelieved]
+    rating = replace(rating, warnings=tuple(figures["warnings"]))
     return {
         **open_row(cell),
         "state": DONE,
@@ -85,8 +83,8 @@ def done_row(
         "ranking_objective": str(rating.for_deformation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
         "episodes": rating.episodes,
-        "problems": [one for one in problems if one],
-        "warnings": [*(line for line in warnings if line not in disbelieved), *doubts(rating)],
+        "problems": why_failed(rating, maximum_aborted),
+        "warnings": warnings_of(rating),
         "sha256": dict(digests),
     }
 

@@ -9,8 +9,13 @@ from typing import Any
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_sim.messages.to_messages import to_stamp
 
+from skd_evaluator.assessing.findings import doubted
+from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.figure_names import figure
+
+_FIGURES = ("double", "double[2]", "boolean")
+"""Kinds of fields that say something of the car; the others count episodes."""
 
 
 def _field(kind: str, value: Any) -> Any:
@@ -31,8 +36,10 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
 def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
     """Return the message of an assessment published at simulation time `stamp` (ns).
 
-    A field has the figure of its name.
+    A field has the figure of its name. Figures that may be those of another car are not defined: whoever reads a
+    message sees no warning beside it.
     """
+    settings, unsaid = keys_of(Of.SETTING), doubted(rating)
     result = rating.as_dict()
     name = "equivalent_multiplier"
     text, interval = result[f"{name}_text"], result[f"{name}_ci95_text"]
@@ -44,6 +51,7 @@ def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> Assessme
     message = AssessmentMsg()
     for field, kind in message.get_fields_and_field_types().items():
         if field != "header":
-            setattr(message, field, _field(kind, found[field]))
+            of_the_car = kind in _FIGURES and field not in settings
+            setattr(message, field, _field(kind, None if unsaid and of_the_car else found[field]))
     message.header.stamp = to_stamp(stamp)
     return message

@@ -20,7 +20,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.findings import doubts, most_frequent, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import most_frequent, warnings_of, why_failed
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.pipeline import (
     Further,
@@ -39,7 +39,6 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
-from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
@@ -80,12 +79,10 @@ def print_result(
         print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
-    disbelieved = disbelief(rating.warnings)
-    warnings = () if arguments.command == "replay" else rating.warnings  # which says them with what is damaged
-    for doubt in (*(line for line in warnings if line not in disbelieved), *doubts(rating)):
-        print(f"skd {arguments.command}: warning: {doubt}", file=sys.stderr)
-    reasons = [problem, undefined(rating), too_many_aborted(rating, arguments.max_aborted), *disbelieved]
-    failures = [why for why in reasons if why]
+    # `skd replay` says what is said of the episodes with what is damaged.
+    for line in warnings_of(rating, of_episodes=arguments.command != "replay"):
+        print(f"skd {arguments.command}: warning: {line}", file=sys.stderr)
+    failures = [*([problem] if problem else []), *why_failed(rating, arguments.max_aborted)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:
         failures.append(f"gate: nothing can be said of the car: {checks[0].text}")

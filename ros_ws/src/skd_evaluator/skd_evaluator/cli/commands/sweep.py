@@ -15,7 +15,7 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.asked import plan_of, scenario_for
-from skd_evaluator.assessing.findings import doubts, too_many_aborted
+from skd_evaluator.assessing.findings import warnings_of, why_failed
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, planners_of
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.figure_table import columns
@@ -121,9 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
                         car = replace(plan, multiplier=value)
-                        rating = assessed(
-                            car, objectives, Runners(runner, runner, runner, alone=runner), labelled, further, safe
-                        )
+                        rating = assessed(car, objectives, Runners(runner, runner, runner), labelled, further, safe)
                         ratings.append((kind, replace(rating, provenance=origin)))
     except KeyboardInterrupt:
         if not ratings:
@@ -175,11 +173,13 @@ def run(arguments: argparse.Namespace) -> int:
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
     for kind, rating in ratings:
-        for doubt in doubts(rating, planned=False):
-            print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {doubt}", file=sys.stderr)
-    failures = [problem, *(too_many_aborted(rating, arguments.max_aborted) for _, rating in ratings)]
-    if any(row["skd"] is None for row in rows):
-        failures.append("no kamikaze trajectory was found for some C")
-    for why in filter(None, failures):
+        for line in warnings_of(rating, planned=False):
+            print(f"skd sweep: warning: {kind}, C = {rating.plan.multiplier:g}: {line}", file=sys.stderr)
+    failures = [problem] if problem else []
+    for kind, rating in ratings:
+        failures += [
+            f"{kind}, C = {rating.plan.multiplier:g}: {why}" for why in why_failed(rating, arguments.max_aborted)
+        ]
+    for why in failures:
         print(f"skd sweep: {why}", file=sys.stderr)
-    return 1 if any(failures) else 0
+    return 1 if failures else 0
