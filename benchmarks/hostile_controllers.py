@@ -5,6 +5,7 @@ they keep, answers that are no numbers, a process that stops, sleeps or ends, on
 looks into other processes, remembers. Each is assessed in small, in a process that is forked from one with all imports;
 its figures stand beside those of the honest car, with what was said. A traceback, a hang or a process that is left is
 a failure. Some are just another car, the same to whoever asks, and no cheats: `ListsParent`, `TwoFloats`, `MinusZero`.
+Options that are not its own go to `skd assess`: `--scenario=cyclist` lets them meet a cyclist.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import sys
 import tempfile
 import time
 import traceback
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +45,7 @@ _LIMIT = 600.0  # s for an assessment
 _CHILD = b"sleep\x001000\x00"  # command line of what one of them starts
 
 
-def assessed(name: str, folder: Path) -> tuple[int | None, str, dict[str, Any]]:
+def assessed(name: str, folder: Path, further: Sequence[str] = ()) -> tuple[int | None, str, dict[str, Any]]:
     """Assess a controller; return the exit code (None: not within the time), what was said, and the result."""
     out, error = folder / name, folder / "error"
     error.write_bytes(b"")
@@ -53,7 +55,7 @@ def assessed(name: str, folder: Path) -> tuple[int | None, str, dict[str, Any]]:
         nowhere = os.open(os.devnull, os.O_RDWR)
         for number, file in enumerate((nowhere, nowhere, os.open(error, os.O_WRONLY))):
             os.dup2(file, number)
-        sys.argv = ["skd", "assess", "--controller", f"hostile_cars:{name}", *_OPTIONS, "--out", str(out)]
+        sys.argv = ["skd", "assess", "--controller", f"hostile_cars:{name}", *_OPTIONS, *further, "--out", str(out)]
         code: object = 99
         try:
             code = program()
@@ -82,7 +84,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     known = [line.split("(")[0].split()[1] for line in CARS.splitlines() if line.startswith("class ") and "(" in line]
     parser.add_argument("name", nargs="*", help="of a controller")
-    names = parser.parse_args().name or [name for name in known if name not in (*_HELPERS, *BASES)]
+    given, further = parser.parse_known_args()
+    names = given.name or [name for name in known if name not in (*_HELPERS, *BASES)]
     for module in pkgutil.walk_packages(skd_evaluator.cli.__path__, "skd_evaluator.cli."):
         importlib.import_module(module.name)
     broken = 0
@@ -91,14 +94,16 @@ def main() -> int:
         (folder / "hostile_cars.py").write_text(CARS)
         sys.path.insert(0, temporary)
         os.environ["PYTHONPATH"] = temporary
-        assert skd(["assess", "--controller", "hostile_cars:Batch", *_OPTIONS, "--out", str(folder / "first")]) in (
+        assert skd(
+            ["assess", "--controller", "hostile_cars:Batch", *_OPTIONS, *further, "--out", str(folder / "first")]
+        ) in (
             0,
             1,
         )
         gc.freeze()
         for name in (*BASES, *names):
             begin = time.monotonic()
-            code, error, result = assessed(name, folder)
+            code, error, result = assessed(name, folder, further)
             left = _left()
             wrong = code not in (0, 1, 2) or "Traceback" in error or bool(left)
             broken += wrong

@@ -7,7 +7,7 @@ the manifest is kept, written anew or removed. `--forged` forges whole episodes,
 `--consistent` so that all files of the result agree (`result_forgeries.py`), and says what `skd verify` finds. Then
 the result is read as `compare`, `plan`, `report`, `show` and
 `verify` read it. A mutant fails where one ends in anything but a refusal in one line, takes too long, or lets a figure
-pass that is another one than before without a word.
+pass that is another one than before without a word. Options that are not its own go to `skd assess`, as `--scenario`.
 """
 
 from __future__ import annotations
@@ -276,14 +276,15 @@ def main() -> int:
     parser.add_argument("--consistent", action="store_true", help="forge so that all files agree")
     parser.add_argument("--written", action="store_true", help="write files as other programs do")
     parser.add_argument("--verbose", action="store_true", help="print every mutant and what became of it")
-    given = parser.parse_args()
+    given, further = parser.parse_known_args()
     mutators = CONSISTENT if given.consistent else FORGERIES if given.forged else MUTATORS
     mutators = WRITERS if given.written else mutators
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         bases = [scratch / "known", scratch / "two"]
-        assert skd(["assess", *ASSESS, "--floor", "--out", str(bases[0])]) == 0
-        assert skd(["assess", *ASSESS, "--multiplier", "0.6", "--curve", "--out", str(bases[1])]) == 0
+        floor = [] if further else ["--floor"]  # there is one in straight encounters with a pedestrian alone
+        assert skd(["assess", *ASSESS, *further, *floor, "--out", str(bases[0])]) == 0
+        assert skd(["assess", *ASSESS, *further, "--multiplier", "0.6", "--curve", "--out", str(bases[1])]) == 0
         truths = [said(base) for base in bases]
         for base, true in zip(bases, truths, strict=True):
             print(read_all(base, bases[0], scratch / "warm", true), f"{len(true)} figures", flush=True)
