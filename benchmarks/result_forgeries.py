@@ -32,6 +32,8 @@ def _margin_beyond(arrays: Arrays, draw: random.Random) -> None:
 
 def _margin_way(arrays: Arrays, draw: random.Random) -> None:
     rows = np.flatnonzero(np.isfinite(arrays["margin"])).tolist()
+    if not rows:
+        return
     row, spans = draw.choice(rows), arrays["offsets"]
     low, high = arrays["margin_offsets"][row : row + 2]
     arrays["margin_positions"][low + 1 : high] += [0.0, draw.choice([1e-4, 0.01, 0.1, -0.1])]
@@ -59,6 +61,8 @@ def _floor(arrays: Arrays, draw: random.Random) -> None:
 
 def _crossings(arrays: Arrays, draw: random.Random) -> None:
     """Call hits in crossings of the risk touches by the flank, or nothing."""
+    if "risk_touch" not in arrays:  # nobody knows how a cyclist's ways vary
+        return
     touches = arrays["risk_touch"]
     hits = np.flatnonzero(touches == 1)
     touches[draw.sample(hits.tolist(), min(len(hits), draw.choice([1, 3])))] = draw.choice([0, 2])

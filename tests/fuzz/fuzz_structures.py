@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import math
@@ -25,7 +26,7 @@ JUNK: list[Any] = [
 ]  # fmt: skip
 """What may stand where something else belongs."""
 _values = st.one_of(
-    st.sampled_from(JUNK),
+    st.sampled_from(JUNK).map(copy.deepcopy),  # what is put into one of them must not stand in all, nor in itself
     st.floats(),
     st.integers(),
     st.text(max_size=8),
