@@ -60,7 +60,7 @@ def warped_distances(result: StoredResult) -> list[FloatArray]:
     episodes = read_episodes(result.folder)
     found = []
     for phi, tried in zip(episodes.safe, episodes.attempts(result.objective), strict=True):
-        psis = [episodes.until_contact(int(number))[0] for number in tried[episodes.hit[tried]]]
+        psis = [episodes.until_contact(int(number)) for number in tried[episodes.hit[tried]]]
         found.append(np.array([warped_distance(phi[: len(psi)], psi) for psi in psis]))
     return found
 

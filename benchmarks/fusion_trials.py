@@ -19,6 +19,7 @@ import numpy as np
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.fusion.trial import figures_of
+from skd_evaluator.measure.contact_place import car_until_contact
 from skd_evaluator.measure.surrogate.scenes import scene_of
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome, until_contact
@@ -79,7 +80,8 @@ def figures_in(log: EpisodeLog) -> Mapping[str, float]:
     times = np.arange(len(adversary), dtype=np.float64) * scenario.time_step
     if log.outcome == Outcome.COLLISION:
         ticks = log.impact_time / scenario.time_step
-        adversary, car, times[-1] = until_contact(adversary, ticks), until_contact(car, ticks), log.impact_time
+        adversary, times[-1] = until_contact(adversary, ticks), log.impact_time
+        car = car_until_contact(scenario, car, ticks, log.impact_speed, adversary[-1])
     found = figures_of(scene_of(scenario, times, adversary, car), hit=log.hit)
     return {**found, "clearance": 0.0} if log.outcome == Outcome.COLLISION else found
 

@@ -31,7 +31,7 @@ from skd_evaluator.measure.statistics.statistics import wilson_interval
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
-from skd_evaluator.risk.touching import missed_by, side_touched
+from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.geometry.contact import sweep
@@ -104,7 +104,8 @@ def _cross_by_time(
             until = share if share <= 1.0 else 1.0
             least = min(least, missed_by(path, here, there, until, footprint, radius, least_speed, 0.3))
             if share <= 1.0:
-                end = side_touched(path, here, there, share, footprint, radius, impact, least_speed)
+                ahead, left, _ = in_car_frame(path, here, there, share)
+                end = side_touched(ahead, left, footprint, radius, impact, least_speed, SAME)
                 break
             y, speed = y + distance, after
         touch[row], missed[row] = end, 0.0 if end == 1 else max(least, 1e-9)

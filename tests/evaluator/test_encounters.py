@@ -18,6 +18,7 @@ from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_i
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.floor.assessment_floor import check_floor, foretold
+from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
@@ -151,7 +152,7 @@ def test_the_picture_has_car_lane_and_adversary_in_it(scenario: Scenario, tmp_pa
     assessment = judge(Plan(scenario, safe_count=1), [phi], sets, [], 1.0)
     save_trajectories(tmp_path / "picture.png", Rating((assessment,), 1.0), assessment)
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
-    car_at_impact = float(np.median([log.last_car_position for log in logs]))
+    car_at_impact = float(np.median([last_car_position(log) for log in logs]))
     assert -3.0 < car_at_impact < 3.0  # its front or its side is at the crossing line
 
 

@@ -19,6 +19,7 @@ from skd_evaluator.campaign.judge.assessment import Assessment, judge
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
@@ -299,11 +300,11 @@ def test_the_approach_of_the_car_and_the_time_are_drawn(tmp_path, figures):
     what = assessment([3])
     draw(tmp_path / "picture.png", what)
     (panel,) = figures[0].axes
-    log = sorted(what.kamikaze[0].logs, key=lambda one: one.last_car_position)[1]
+    log = sorted(what.kamikaze[0].logs, key=last_car_position)[1]
     drawn = {round(float(line[0, 1]), 6) for line in lines(panel, palette.CAR.lower()) if line[0, 1] == line[1, 1]}
     fronts = [y + CROSSING.car.front for y in log.car[:-1, 1].tolist()]
     assert {round(y, 6) for y in fronts if y > panel.get_ylim()[0]} <= drawn
-    last = round(log.last_car_position + CROSSING.car.front, 6)
+    last = round(last_car_position(log) + CROSSING.car.front, 6)
     assert last in {round(float(patch.get_xy()[:, 1].max()), 6) for patch in panel.patches}
     said = [text.get_text() for text in panel.texts]
     assert {"0.0 s", "0.9 s", "1.8 s"} <= set(said)

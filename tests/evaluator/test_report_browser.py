@@ -157,7 +157,7 @@ def test_the_player_says_what_the_measures_say(opened, subjects):
         wanted = int(words[words.index("--safe-number") + 1]) << 32 | int(words[words.index("--attempt") + 1])
         same = (episodes.episode_id & (1 << 48) - 1 == wanted) & (episodes.objective == objective)
         (number,) = np.flatnonzero(same)
-        course = course_of(episodes.adversary[number], episodes.car[number], episodes.time_step, None)
+        course = course_of(mine.scenario, episodes.adversary[number], episodes.car[number], None)
         scene = scene_of(mine.scenario, *course)
         time, braking = float(collision_times(scene)[0]), float(required_decelerations(scene)[0])
         opened.page.focus("#time")

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.risk.touching import CREEPING, missed_by, side_touched
+from skd_evaluator.risk.touching import CREEPING, IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
 
 FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
 
@@ -79,16 +79,32 @@ FRONT, ELSEWHERE, NO_HIT = 1, 2, 3
 )
 @pytest.mark.parametrize(("impact", "hits"), [(5.0, True), (HIT_SPEED, True), (0.999 * HIT_SPEED, False)])
 def test_a_touch_counts_by_its_side_and_by_the_speed(footprint, place, counts, impact, hits):
-    path = driving(5.0)
-    path[:, 1] = 0.0
-    found = side_touched(path, place, place, 0.5, footprint, RADIUS, impact, HIT_SPEED)
-    assert found == (counts if hits else NO_HIT)
+    right, ahead = place
+    for same in (SAME, IN_A_CURVE):
+        found = side_touched(ahead, -right, footprint, RADIUS, impact, HIT_SPEED, same)
+        assert found == (counts if hits else NO_HIT)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "left", "exactly", "in_a_curve"),
+    [
+        (2.2, 1.1499, FRONT, ELSEWHERE),  # nothing but a side is there, a tenth of a millimetre off
+        (2.2, -1.1499, FRONT, ELSEWHERE),
+        (2.26, 1.1499, FRONT, FRONT),  # at a corner
+        (2.2, 1.13, FRONT, FRONT),  # too deep to have just touched a side
+        (2.26, 1.15, ELSEWHERE, ELSEWHERE),
+    ],
+)
+def test_in_a_curve_who_is_not_ahead_of_the_front_touches_a_side(ahead, left, exactly, in_a_curve):
+    for same, wanted in ((SAME, exactly), (IN_A_CURVE, in_a_curve)):
+        assert side_touched(ahead, left, FOOTPRINT, RADIUS, 5.0, HIT_SPEED, same) == wanted
 
 
 def test_the_side_is_that_of_the_moment_of_contact():
     path, here, there = driving(20.0), (0.5, 2.75), (1.15, 1.0)  # before the front, then beside the car
-    assert side_touched(path, here, there, 0.25, FOOTPRINT, RADIUS, 5.0, HIT_SPEED) == FRONT
-    assert side_touched(path, here, there, 1.0, FOOTPRINT, RADIUS, 5.0, HIT_SPEED) == ELSEWHERE
+    for share, wanted in ((0.25, FRONT), (1.0, ELSEWHERE)):
+        ahead, left, _ = in_car_frame(path, here, there, share)
+        assert side_touched(ahead, left, FOOTPRINT, RADIUS, 5.0, HIT_SPEED, SAME) == wanted
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -43,7 +43,9 @@ def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Course
     along = begin + scenario.car.start_speed * times - 0.25 * times**2
     places = np.array([scenario.road.place(0, s)[:2] for s in along.tolist()])
     car = np.column_stack([places, scenario.car.start_speed - 0.5 * times])
-    return course_of(adversary, car, step, times[-2] + 0.37 * step if contact and not whole_ticks else None)
+    return course_of(
+        scenario, adversary, car, (times[-2] + 0.37 * step, car[-1, 2]) if contact and not whole_ticks else None
+    )
 
 
 def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, stem: str = "kamikaze") -> Recorded:

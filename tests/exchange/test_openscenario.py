@@ -67,7 +67,7 @@ def test_another_library_reads_each_way_as_it_was(result: Path, skd_here, tmp_pa
 
     done = skd_here("export", result, "--format", "openscenario", "--out", "out", "--json")
     assert done.returncode == 0, done.stderr
-    episodes = read_episodes(result)
+    episodes, scenario = read_episodes(result), load_scenario("bystanders")
     numbers = {(str(episodes.objective[k]), int(episodes.episode_id[k])): k for k in range(len(episodes))}
     files = json.loads(done.stdout)["files"]
     kamikazes = [one for one in files if one["mode"] == "kamikaze"]
@@ -87,7 +87,7 @@ def test_another_library_reads_each_way_as_it_was(result: Path, skd_here, tmp_pa
             adversary, car, contact = episodes.safe[one["phi"]], None, None
         else:
             number = numbers[one["objective"], one["episode_id"]]
-            adversary, car = episodes.until_contact(number)
+            adversary, car = episodes.until_contact(number), episodes.car_until_contact(number, scenario)
             contact = float(episodes.impact_time[number]) if episodes.collided[number] else None
         times, places = lines["Adversary"]
         assert np.abs(places - adversary).max() < 1e-6

@@ -63,7 +63,7 @@ def test_asams_own_library_reads_the_same_states(result: Path, skd_here, tmp_pat
             for k in range(len(episodes))
             if (str(episodes.objective[k]), int(episodes.episode_id[k])) == (one["objective"], one["episode_id"])
         )
-        adversary, car = episodes.until_contact(number)
+        adversary, car = episodes.until_contact(number), episodes.car_until_contact(number, scenario)
         assert np.array_equal(found[2][:, 1:3], adversary)
         assert np.array_equal(found[1][:, 1:3], car[:, :2])  # the reference point is the middle of this car
         assert found[1][:, 3] == pytest.approx(np.pi / 2)

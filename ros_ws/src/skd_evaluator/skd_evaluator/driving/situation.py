@@ -111,15 +111,15 @@ def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
 
     Without φ, or where the car was not seen, there are none.
     """
-    step = log.episode.scenario.time_step
-    ended = log.impact_time if log.outcome == Outcome.COLLISION else None
+    scenario = log.episode.scenario
+    ended = (log.impact_time, log.impact_speed) if log.outcome == Outcome.COLLISION else None
     apart: list[float] = []
     if len(log.car) > 1 and np.isfinite(log.car).all():
-        apart = clearances(scene_of(log.episode.scenario, *course_of(log.adversary, log.car, step, ended))).tolist()
+        apart = clearances(scene_of(scenario, *course_of(scenario, log.adversary, log.car, ended))).tolist()
     if log.episode.safe_trajectory is None:
         return apart, []
     phi, psi = log.episode.safe_trajectory.positions, log.trajectory.positions
     whole = [float(count) for count in range(len(psi))]
     if ended is not None:
-        whole[-1] = ended / step
+        whole[-1] = log.impact_time / scenario.time_step
     return apart, [deformation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]

@@ -25,6 +25,7 @@ from skd_evaluator import palette
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet
+from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_fronts, draw_road
 from skd_evaluator.report.terminal import car_name, counted
@@ -226,16 +227,16 @@ def _draw_approach(axes: Axes, scenario: Scenario, logs: Sequence[EpisodeLog], l
         logs: logs of at least one episode that collided.
         low: least y of the panel, m; what is below is left out.
     """
-    log = sorted(logs, key=lambda one: one.last_car_position)[len(logs) // 2]
+    log = sorted(logs, key=last_car_position)[len(logs) // 2]
     along = right_and_along(scenario.road.line, np.ascontiguousarray(log.car[:, :2]))[:-1, 1]
     visible = along[along + scenario.car.front > low] if scenario.road.straight else along
-    draw_car(axes, scenario, log.last_car_position, "car, median at impact", 0.6)
+    draw_car(axes, scenario, last_car_position(log), "car, median at impact", 0.6)
     draw_fronts(axes, scenario, visible, "its front at the ticks before, with their times")
     if not scenario.road.straight:
         return
     for number, place in enumerate(along.tolist()):
         front = place + scenario.car.front
-        if low < front < log.last_car_position + scenario.car.front - 0.35:
+        if low < front < last_car_position(log) + scenario.car.front - 0.35:
             time, beside = number * scenario.time_step, scenario.car.half_width + 0.15
             axes.text(beside, front, f"{time:.1f} s", fontsize=TYPE, va="center", zorder=3, clip_on=True)
 
@@ -284,7 +285,7 @@ def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown:
     road = scenario.road
     if not road.straight:  # where the car comes from and goes to is not below and above the crossing
         everything += [car_outline(scenario, along) for along in (-_APPROACH, 0.0)]
-        everything += [car_outline(scenario, log.last_car_position) for group in groups for log in group.logs[:shown]]
+        everything += [car_outline(scenario, last_car_position(log)) for group in groups for log in group.logs[:shown]]
     points = np.concatenate(everything)
     starts = [right_and_along(road.line, log.car[:1, :2])[0, 1] for group in groups for log in group.logs[:shown]]
     low = min(points[:, 1].min() - 1.0, -_APPROACH)

@@ -11,19 +11,21 @@ from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.contact import rectangle_distance
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
 from skd_sim.state import AdversaryState
 
+from skd_evaluator.campaign.judge.struck import ADVERSARY, struck
 from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.behaviour.walking import walked
+from skd_evaluator.measure.contact_place import Pose, car_at_contact, goes_straight
 from skd_evaluator.measure.risks import Touch
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
-from skd_evaluator.risk.touching import in_car_frame, missed_by, side_touched
+from skd_evaluator.risk.touching import IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
 
-_TOUCHES: Final = 0.05  # m; the car's way within a tick is taken as straight
+NOWHERE: Final = (0.0, 0.0, 0.0)
+"""Pose at a contact where there is none."""
 
 
 class AnyCar:
@@ -91,15 +93,21 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     if log.outcome == Outcome.ABORTED:
         return Touch.ABORTED, math.inf
     scenario, last = log.episode.scenario, len(log.car) - 2
-    footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
     collided = log.outcome == Outcome.COLLISION
-    passed = log.impact_time / scenario.time_step - last if collided else 1.0
+    pose, passed = car_at_contact(log) if collided else (NOWHERE, 1.0)
     headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
     touch, missed = ended(
-        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings, collided, passed, footprint,
-        scenario.adversary.reach, log.impact_speed, scenario.collision.hit_speed, scenario.time_step,
+        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings, struck(log) == ADVERSARY, passed,
+        pose, collided and not goes_straight(scenario, log.car[-2:]), footprint_of(scenario), scenario.adversary.reach,
+        log.impact_speed, scenario.collision.hit_speed, SAME if scenario.road.straight else IN_A_CURVE,
+        scenario.time_step,
     )  # fmt: skip
     return Touch(touch), missed
+
+
+def footprint_of(scenario: Scenario) -> tuple[float, float, float]:
+    """Return front, rear and half width of the car, m."""
+    return scenario.car.front, scenario.car.rear, scenario.car.half_width
 
 
 def _heading(scenario: Scenario, ends: FloatArray) -> float:
@@ -115,12 +123,15 @@ def ended(
     users: FloatArray,
     cars: FloatArray,
     headings: FloatArray,
-    collided: bool,
+    touched: bool,
     passed: float,
+    pose: Pose,
+    carried: bool,
     footprint: tuple[float, float, float],
     radius: float,
     impact: float,
     hit_speed: float,
+    same: float,
     time_step: float,
 ) -> tuple[int, float]:
     """Return how a crossing ended, a `Touch`, and the least time by which the front of the moving car missed, s.
@@ -129,12 +140,15 @@ def ended(
         users: places of somebody at ticks, n × 2, m.
         cars: places (m) and speeds (m/s) of the car at ticks, n × 3.
         headings: of the car in each tick, n − 1, rad.
-        collided: whether the last tick ended in a collision, with whomever.
-        passed: share of the last tick that counts: up to the contact, or all of it.
+        touched: whether the car touched somebody in the last tick, and not one of the others.
+        passed: share of the last tick that counts: up to the contact, with whomever, or all of it.
+        pose: of the car at the contact, m and rad.
+        carried: whether that is not where it would be between both ends of the tick.
         footprint: of the car: front, rear and half width, m.
         radius: of the disc, m.
         impact: speed of the car at the contact, m/s.
         hit_speed: of a hit, at the least, m/s.
+        same: how exactly it is known how far beside the car somebody is, m.
         time_step: duration of a tick, s.
     """
     least, path, last = math.inf, np.empty((2, 4)), headings.shape[0] - 1
@@ -144,12 +158,13 @@ def ended(
             path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 2]
         here, there = (users[tick, 0], users[tick, 1]), (users[tick + 1, 0], users[tick + 1, 1])
         until = passed if tick == last else 1.0
+        if carried and tick == last:  # the tick ends at the contact
+            path[1, 0], path[1, 1], path[1, 2], path[1, 3] = pose[0], pose[1], pose[2], impact
+            there = (here[0] + passed * (there[0] - here[0]), here[1] + passed * (there[1] - here[1]))
+            until = 1.0
         least = min(least, missed_by(path, here, there, until, footprint, radius, hit_speed, time_step))
-    if not collided:
+    if not touched:
         return 0, max(least, 1e-9)
-    here, there = (users[last, 0], users[last, 1]), (users[last + 1, 0], users[last + 1, 1])
-    ahead, left, _ = in_car_frame(path, here, there, passed)
-    if rectangle_distance(ahead, left, footprint[0], footprint[1], footprint[2]) > radius + _TOUCHES:
-        return 0, max(least, 1e-9)  # it is one of the others whom the car touches
-    side = side_touched(path, here, there, passed, footprint, radius, impact, hit_speed)
+    ahead, left, _ = in_car_frame(path, here, there, until)
+    side = side_touched(ahead, left, footprint, radius, impact, hit_speed, same)
     return side, 0.0 if side == 1 else max(least, 1e-9)

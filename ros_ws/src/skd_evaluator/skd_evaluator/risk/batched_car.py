@@ -13,8 +13,10 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.side_by_side import replayed, why_not_side_by_side
-from skd_evaluator.risk.any_car import AnyCar, ended
+from skd_evaluator.measure.contact_place import goes_straight, pose_at_contact
+from skd_evaluator.risk.any_car import NOWHERE, AnyCar, ended, footprint_of
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.touching import SAME
 
 BLOCK: Final = 250
 """Crossings side by side; the same whoever computes, so that no figure depends on that."""
@@ -83,7 +85,6 @@ def _crossed(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
     car = encounter.plan.car
     found = replayed(episodes, lambda: apart(car), lambda: apart(car, confirming=True))
     scenario = episodes[0].scenario
-    footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
     heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
     touch, missed = np.empty(len(episodes), np.int64), np.empty(len(episodes))
     for row, (ticks, share, impact) in enumerate(
@@ -91,9 +92,14 @@ def _crossed(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
     ):
         last, collided = ticks - 1, share <= 1.0
         passed = (last + share) * step / step - last if collided else 1.0  # as of a log, which has times
+        cars, pose = found.cars[row, : ticks + 1], NOWHERE
+        if collided:
+            pose = pose_at_contact(scenario, cars[-2:], passed, impact)
         touch[row], missed[row] = ended(
-            found.users[row, : ticks + 1], found.cars[row, : ticks + 1], np.full(ticks, heading), collided, passed,
-            footprint, scenario.adversary.reach, impact, scenario.collision.hit_speed, scenario.time_step,
+            found.users[row, : ticks + 1], cars, np.full(ticks, heading), collided, passed, pose,
+            collided and not goes_straight(scenario, cars[-2:]),
+            footprint_of(scenario), scenario.adversary.reach, impact, scenario.collision.hit_speed, SAME,
+            scenario.time_step,
         )  # fmt: skip
     logs = []
     for row in job.wanted:

@@ -16,7 +16,7 @@ from skd_sim.kernels.compilation import kernel
 
 from skd_evaluator.measure.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
-from skd_evaluator.risk.touching import missed_by, side_touched
+from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
 
 
 class Course(NamedTuple):
@@ -104,7 +104,8 @@ def cross(
         near = missed_by(path, here, there, until, footprint, course.radius, course.hit_speed, course.time_step)
         least = min(least, near)
         if contact:
-            side = side_touched(path, here, there, share, footprint, course.radius, impact, course.hit_speed)
+            ahead, left, _ = in_car_frame(path, here, there, share)
+            side = side_touched(ahead, left, footprint, course.radius, impact, course.hit_speed, SAME)
             return side, 0.0 if side == 1 else max(least, 1e-9), tick + 1
         x, y, speed = path[1, 0], path[1, 1], after
     return 0, max(least, 1e-9), count - 1

@@ -11,6 +11,8 @@ from skd_sim.kernels.compilation import kernel
 
 SAME: Final = 1e-6
 """m by which a touching disc's distance may differ from its radius."""
+IN_A_CURVE: Final = 0.01
+"""The same in a curve, whose arcs the contact test takes for chords."""
 _PARTS: Final = 4  # of a tick, at whose ends it is looked at by how much a hit is missed
 _SLOWEST: Final = 0.2  # m/s; somebody beside the car's way who stands, or goes away, counts as if walking there so
 
@@ -36,37 +38,35 @@ def in_car_frame(
 
 @kernel
 def side_touched(
-    path: FloatArray,
-    here: tuple[float, float],
-    there: tuple[float, float],
-    share: float,
+    ahead: float,
+    left: float,
     footprint: tuple[float, float, float],
     radius: float,
     impact: float,
     hit_speed: float,
+    same: float,
 ) -> int:
     """Return how a touch counts, a `Touch`.
 
     A disc that touches a side has its centre a radius beside it; one whose centre is nearer to the axis touches front
-    or rear, or one of their corners.
+    or rear, or one of their corners. In a curve it is not known as exactly how far beside it is, and near the radius it
+    tells whether the centre is ahead of the front, where nothing but a corner is.
 
     Args:
-        path: of the car in the tick, its two ends, 2 × 4.
-        here: where somebody is when the tick begins, m.
-        there: and when it ends, m.
-        share: of the tick at the contact.
+        ahead: how far the disc's centre is ahead of the car's reference point at the contact, m.
+        left: how far it is to the left of the car's axis, m.
         footprint: of the car: front, rear and half width, m.
         radius: of the disc, m.
         impact: speed of the car at the contact, m/s.
         hit_speed: of a hit, at the least, m/s.
+        same: how exactly the offset to the left is known, m: `SAME`, or `IN_A_CURVE`.
     """
     if impact < hit_speed:
         return 3
-    ahead, left, _ = in_car_frame(path, here, there, share)
     front, rear, half_width = footprint
     if abs(left) >= half_width + radius - SAME or ahead <= 0.5 * (front - rear):
         return 2
-    return 1
+    return 2 if ahead <= front and abs(left) >= half_width + radius - same else 1
 
 
 @kernel

@@ -9,7 +9,6 @@ from enum import IntEnum
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import check_knowledge
 from skd_sim.choices.options import EpisodeOptions
-from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.command_ages import UNTIMED, Timing
 from skd_sim.errors import UsageError
@@ -157,19 +156,10 @@ class EpisodeLog:
 
         ψ ends where car and adversary touch: its last point is the place of the first contact, within the last tick.
         """
-        return Trajectory(self._until_contact(self.adversary), self.episode.scenario.time_step)
-
-    @property
-    def last_car_position(self) -> float:
-        """Path coordinate of the car's reference point at the end, m: at the first contact, if there is one."""
-        along = right_and_along(self.episode.scenario.road.line, self.car[:, :2])
-        return float(self._until_contact(along)[-1, 1])
-
-    def _until_contact(self, positions: FloatArray) -> FloatArray:
-        """Return positions per tick, the last of them moved back to the time of the contact."""
-        if self.outcome != Outcome.COLLISION:
-            return positions
-        return until_contact(positions, self.impact_time / self.episode.scenario.time_step)
+        positions, step = self.adversary, self.episode.scenario.time_step
+        if self.outcome == Outcome.COLLISION:
+            positions = until_contact(positions, self.impact_time / step)
+        return Trajectory(positions, step)
 
 
 def until_contact(positions: FloatArray, duration: float) -> FloatArray:

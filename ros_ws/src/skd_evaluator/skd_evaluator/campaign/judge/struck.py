@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 from skd_sim.state import RoadUserState
+
+from skd_evaluator.measure.contact_place import car_at_contact
 
 ADVERSARY = -1
 _PER_EDGE = 40
@@ -26,7 +27,7 @@ def struck(log: EpisodeLog) -> int | None:
         return None
     if not scenario.others:
         return ADVERSARY
-    pose, share = _car_at_impact(log)
+    pose, share = car_at_contact(log)
     outlines = [scenario.adversary.outline(log.trajectory.positions)]
     for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
         state = before.moved(after, share * scenario.time_step)
@@ -42,7 +43,7 @@ def closing_speed(log: EpisodeLog) -> float:
     who = struck(log)
     if who is None:
         return math.nan
-    heading = _car_at_impact(log)[0][2]
+    heading = car_at_contact(log)[0][2]
     vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
     if who != ADVERSARY:
         vx, vy = _others_in_last_tick(log)[who][1][2:4]
@@ -51,17 +52,9 @@ def closing_speed(log: EpisodeLog) -> float:
 
 def speed_ahead(log: EpisodeLog) -> float:
     """Return how fast the adversary moves the way that the car points, when the two collide, m/s."""
-    heading = _car_at_impact(log)[0][2]
+    heading = car_at_contact(log)[0][2]
     vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
     return float(vx * math.cos(heading) + vy * math.sin(heading))
-
-
-def _car_at_impact(log: EpisodeLog) -> tuple[tuple[float, float, float], float]:
-    """Return the car's pose at the impact (m, rad), and the share of the last tick at which that is."""
-    share = log.impact_time / log.episode.scenario.time_step - (len(log.adversary) - 2)
-    x, y = log.car[-2, :2] + share * (log.car[-1, :2] - log.car[-2, :2])
-    line = log.episode.scenario.road.line
-    return road_pose(line, road_position(line, x, y)[0]), share
 
 
 def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserState]]:

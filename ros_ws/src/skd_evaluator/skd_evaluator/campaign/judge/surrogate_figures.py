@@ -87,7 +87,10 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     logs: Sequence[EpisodeLog] = [log for log, _ in kept]
     courses = (
         course_of(
-            log.adversary, log.car, scenario.time_step, log.impact_time if log.outcome == Outcome.COLLISION else None
+            scenario,
+            log.adversary,
+            log.car,
+            (log.impact_time, log.impact_speed) if log.outcome == Outcome.COLLISION else None,
         )
         for log in logs
     )

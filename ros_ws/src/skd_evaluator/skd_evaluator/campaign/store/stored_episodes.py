@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Mode, Outcome, until_contact
 from skd_sim.errors import UsageError
 
 from skd_evaluator.arrays import FARTHEST, Column, read_arrays, within_reach
 from skd_evaluator.campaign.plan.plan import Stage
+from skd_evaluator.measure.contact_place import car_until_contact
 from skd_evaluator.measure.distances.deformation import deformation_pairs
 from skd_evaluator.measure.distances.frechet import discrete_frechet_pairs
 
@@ -154,12 +156,23 @@ class StoredEpisodes:
         with np.errstate(invalid="ignore"):
             return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
 
-    def until_contact(self, number: int) -> tuple[FloatArray, FloatArray]:
-        """Return adversary (n × 2) and car (n × 3) of an episode, the last row moved back to the contact, if any."""
+    def contact(self, number: int) -> tuple[float, float] | None:
+        """Return time (s) and speed of the car (m/s) at the contact of an episode; None without one."""
+        return (float(self.impact_time[number]), float(self.impact_speed[number])) if self.collided[number] else None
+
+    def until_contact(self, number: int) -> FloatArray:
+        """Return the adversary's places in an episode, n × 2, the last one moved back to the contact, if any."""
         if not self.collided[number]:
-            return self.adversary[number], self.car[number]
+            return self.adversary[number]
+        return until_contact(self.adversary[number], float(self.impact_time[number]) / self.time_step)
+
+    def car_until_contact(self, number: int, scenario: Scenario) -> FloatArray:
+        """Return the car's states in an episode of a scenario, n × 3, the last moved back to the contact, if any."""
+        if not self.collided[number]:
+            return self.car[number]
         ticks = float(self.impact_time[number]) / self.time_step
-        return until_contact(self.adversary[number], ticks), until_contact(self.car[number], ticks)
+        impact, adversary = float(self.impact_speed[number]), self.until_contact(number)[-1]
+        return car_until_contact(scenario, self.car[number], ticks, impact, adversary)
 
     @cached_property
     def deformation(self) -> FloatArray:
@@ -167,7 +180,7 @@ class StoredEpisodes:
         found = np.full(len(self), np.nan)
         for index, phi in enumerate(self.safe):
             mine = np.flatnonzero(self.collided & (self.safe_index == index))
-            psis = [self.until_contact(int(number))[0] for number in mine]
+            psis = [self.until_contact(int(number)) for number in mine]
             found[mine] = deformation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
         return found
 
@@ -178,7 +191,7 @@ class StoredEpisodes:
         kamikaze = self.collided & (self.mode == Mode.KAMIKAZE)
         for index, phi in enumerate(self.safe):
             mine = np.flatnonzero(kamikaze & (self.safe_index == index))
-            found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number))[0] for number in mine])
+            found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number)) for number in mine])
         return found
 
     def attempts(self, objective: str) -> list[IntArray]:

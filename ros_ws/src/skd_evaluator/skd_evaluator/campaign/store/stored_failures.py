@@ -21,7 +21,7 @@ from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.measure.behaviour.model import NAMES
 from skd_evaluator.measure.risks import Risks, Touch
 
-_SAME, _TOUCHES = 1e-9, 0.05  # m: between two computations of a place; the car's way within a tick is taken as straight
+_SAME, _TOUCHES = 1e-9, 0.05  # m: between two computations of a place; to where the car was at a contact, and to spare
 
 
 def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
@@ -122,7 +122,7 @@ def _fault(found: Failures, row: int, failing: StoredEpisodes, number: int, walk
         return "is of somebody who walks otherwise"
     if not failing.hit[number]:
         return "is no hit"
-    body, car = (one[-1].tolist() for one in failing.until_contact(number))
+    body, car = failing.until_contact(number)[-1].tolist(), failing.car_until_contact(number, scenario)[-1].tolist()
     heading = road_pose(scenario.road.line, road_position(scenario.road.line, car[0], car[1])[0])[2]
     ahead, left = to_car_frame(body[0], body[1], car[0], car[1], heading)
     footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)

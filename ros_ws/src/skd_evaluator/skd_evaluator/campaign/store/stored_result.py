@@ -167,7 +167,7 @@ def _distances(
     step, distances, prefixes = stored.time_step, [], []
     for phi, mine in zip(stored.safe, attempts, strict=True):
         hit = mine[stored.collided[mine]]
-        psis = [Trajectory(stored.until_contact(number)[0], step) for number in hit.tolist()]
+        psis = [Trajectory(stored.until_contact(number), step) for number in hit.tolist()]
         distances.append(stored.frechet[hit])
         prefixes.append(prefix_distances(Trajectory(phi, step), psis))
     return tuple(distances), tuple(prefixes)

@@ -139,7 +139,8 @@ def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> li
 def shown_episode(subject: Subject, number: int, kept: Sequence[KeptFailure] = ()) -> ShownEpisode:
     """Return an episode of a result as it is drawn; with `kept`, one of the failures that are kept."""
     episodes = subject.episodes
-    adversary, car = episodes.until_contact(number)
+    adversary = episodes.until_contact(number)
+    car = episodes.car_until_contact(number, subject.scenario)
     times = [tick * episodes.time_step for tick in range(len(adversary))]
     if episodes.collided[number]:
         times[-1] = float(episodes.impact_time[number])
@@ -161,8 +162,7 @@ def _measures(subject: Subject, number: int) -> dict[str, Any]:
     adversary, car = episodes.adversary[number], episodes.car[number]
     if len(car) < 2 or not np.isfinite(car).all():
         return {}
-    contact = float(episodes.impact_time[number]) if collided else None
-    course = course_of(adversary, car, episodes.time_step, contact)
+    course = course_of(subject.scenario, adversary, car, episodes.contact(number))
     phi = episodes.safe[int(episodes.safe_index[number])]
     return episode_measures(subject.scenario, course, phi, collided=collided)
 

@@ -105,8 +105,8 @@ def _phi(subject: Subject, index: int) -> Going:
 def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Going:
     episodes = subject.episodes
     hit = bool(episodes.collided[number])
-    contact = float(episodes.impact_time[number]) if hit and not whole_ticks else None
-    course = course_of(episodes.adversary[number], episodes.car[number], episodes.time_step, contact)
+    contact = None if whole_ticks else episodes.contact(number)
+    course = course_of(subject.scenario, episodes.adversary[number], episodes.car[number], contact)
     scene = actors_of(subject.scenario, course, with_car=True)
     x, y, heading, speed = scene[0].states[0].tolist()
     mode, objective = Mode(int(episodes.mode[number])), str(episodes.objective[number])
@@ -138,7 +138,7 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
         "outcome": outcome,
         "impact_time": float(episodes.impact_time[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
-        "contact": episodes.until_contact(number)[0][-1].tolist() if hit else None,
+        "contact": episodes.until_contact(number)[-1].tolist() if hit else None,
         "deformation": float(episodes.deformation[number]) if hit else None,
     }
     return Going(recorded, entry)

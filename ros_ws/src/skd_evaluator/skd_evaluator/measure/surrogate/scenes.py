@@ -14,6 +14,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import until_contact
 from skd_sim.kernels.compilation import kernel
 
+from skd_evaluator.measure.contact_place import car_until_contact
 from skd_evaluator.measure.surrogate.scene import Scene
 
 
@@ -31,22 +32,27 @@ class Course(NamedTuple):
     car: FloatArray
 
 
-def course_of(adversary: FloatArray, car: FloatArray, time_step: float, contact: float | None) -> Course:
+def course_of(
+    scenario: Scenario, adversary: FloatArray, car: FloatArray, contact: tuple[float, float] | None
+) -> Course:
     """Return the course of an episode whose states are at ticks.
 
     Args:
+        scenario: road, time step, and how the car moves within a tick.
         adversary: n × 2 positions at ticks, m.
         car: n × 3: reference point (x, y), m, and speed, m/s.
-        time_step: duration of a tick, s.
-        contact: time of the contact, which is in the last tick, s; None without one.
+        contact: time of the contact, which is in the last tick, s, and the car's speed then, m/s; None without one.
     """
+    time_step = scenario.time_step
     times = np.arange(len(adversary), dtype=np.float64) * time_step
     if contact is None:
         return Course(times, adversary, car)
-    if contact <= times[-2]:  # at the tick itself
+    time, impact = contact
+    if time <= times[-2]:  # at the tick itself
         return Course(times[:-1], adversary[:-1], car[:-1])
-    times[-1] = contact
-    return Course(times, until_contact(adversary, contact / time_step), until_contact(car, contact / time_step))
+    times[-1], ticks = time, time / time_step
+    walked = until_contact(adversary, ticks)
+    return Course(times, walked, car_until_contact(scenario, car, ticks, impact, walked[-1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,7 +131,8 @@ def objective_names(subjects: Sequence[Subject]) -> list[str]:
 
 def _way(subject: Subject, number: int) -> Array:
     """Return positions, speeds and headings of an episode as the page has them."""
-    adversary, car = subject.episodes.until_contact(number)
+    adversary = subject.episodes.until_contact(number)
+    car = subject.episodes.car_until_contact(number, subject.scenario)
     heading = 10.0 * headings(subject.scenario, car)
     return _steps(np.column_stack([adversary, car, heading]))
 

@@ -1,0 +1,173 @@
+"""What happened within the ticks of an episode, by a brute force that shares nothing with the contact test.
+
+Everything that the world asks of the car's dynamics is written down: where the car was every few milliseconds, after a
+contact, too. Who was touched first, where and how fast is then looked up moment by moment.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.measure.risks import Touch
+from skd_sim.controllers import Controller
+from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.simulation.simulator import Frame, WorldSimulator
+
+STEP = 5e-4  # s between the moments that are looked at
+UNSURE = 2e-3  # m to the corner's beginning within which it is not said which side touches
+
+
+class Seen(NamedTuple):
+    """What the car and whom it touched did: who (−1: the adversary), when (s), the car's pose and speed, which side."""
+
+    who: int
+    time: float
+    car: tuple[float, float, float, float]
+    touch: Touch | None  # None: it is too near to the corner's beginning to say
+
+
+class Driven:
+    """A car's dynamics that write down where the car was."""
+
+    def __init__(self, dynamics) -> None:
+        self.dynamics = dynamics
+        self.times, self.states = [0.0], []
+
+    def advance(self, acceleration, duration, noise):
+        path = self.dynamics.advance(acceleration, duration, noise)
+        if not self.states:
+            self.states.append(path[0])
+        for part in range(1, len(path)):
+            self.times.append(self.times[0] + duration * part / (len(path) - 1))
+            self.states.append(path[part])
+        self.times[0] = self.times[-1]
+        return path
+
+    def __getattr__(self, name):
+        return getattr(self.dynamics, name)
+
+
+class WatchedWorld(WorldSimulator):
+    """SKD's own world, whose car is watched within the ticks."""
+
+    def reset(self, episode: Episode) -> Frame:
+        frame = super().reset(episode)
+        self.driven = Driven(self._world._dynamics)
+        self._world._dynamics = self.driven
+        return frame
+
+    def course(self) -> tuple[np.ndarray, np.ndarray]:
+        """Moments, s, and x, y, heading and speed then."""
+        states = np.array(self.driven.states)
+        states[:, 2] = np.unwrap(states[:, 2])
+        return np.array([0.0, *self.driven.times[1:]]), states
+
+
+def watched(episode: Episode, controller: Controller | None = None) -> tuple[EpisodeLog, Seen | None]:
+    """Run an episode, and return its log and what was seen: None where nobody was touched."""
+    world = WatchedWorld()
+    log = run_episode(episode, controller, simulator=world)
+    return log, seen(log, *world.course())
+
+
+def seen(log: EpisodeLog, times: np.ndarray, states: np.ndarray) -> Seen | None:
+    """Return the first touch in an episode in which the car was in these states at these times."""
+    scenario = log.episode.scenario
+    last = scenario.time_step * (len(log.adversary) - 1)
+    standing = [scenario.others_at(tick) for tick in range(len(log.adversary))]
+
+    def car(moments):
+        return np.column_stack([np.interp(moments, times, column) for column in states.T])
+
+    def apart(moments):
+        poses, walked = car(moments), np.arange(len(log.adversary)) * scenario.time_step
+        body = np.column_stack([np.interp(moments, walked, column) for column in log.adversary.T])
+        found = [distances(poses, body, scenario) - scenario.adversary.reach]
+        for number, other in enumerate(scenario.others):
+            ends = np.array([(one[number].x, one[number].y) for one in standing])
+            body = np.column_stack([np.interp(moments, walked, column) for column in ends.T])
+            radius, *_ = other.shape
+            if radius > 0.0:
+                found.append(distances(poses, body, scenario) - radius)
+                continue
+            later = np.minimum((moments / scenario.time_step + 1e-9).astype(int) + 1, len(standing) - 1)
+            turned = np.array([standing[tick][number].heading for tick in later])
+            found.append(boxes_apart(poses, body, turned, scenario, other.shape[1:]))
+        return np.array(found)
+
+    moments = np.append(np.arange(0.0, last, STEP), last)
+    touched = (apart(moments) <= 0.0).any(axis=0)
+    if not touched.any():
+        return None
+    first = int(np.argmax(touched))
+    low, high = moments[max(0, first - 1)], moments[first]
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if (apart(np.array([middle])) <= 0.0).any() else (middle, high)
+    at = np.array([high])
+    who = int(np.argmin(apart(at)[:, 0])) - 1
+    pose = car(at)[0]
+    walked = np.arange(len(log.adversary)) * scenario.time_step
+    body = np.array([[np.interp(high, walked, column) for column in log.adversary.T]])
+    touch = Touch.NONE if who >= 0 else side(pose, body, scenario)
+    return Seen(who, float(high), tuple(pose.tolist()), touch)
+
+
+def in_frame(poses: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far ahead and to the left of the car places are."""
+    ahead = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    off = places - poses[:, :2]
+    return (off * ahead).sum(axis=1), off[:, 1] * ahead[:, 0] - off[:, 0] * ahead[:, 1]
+
+
+def distances(poses: np.ndarray, places: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """Return how far places are from the nearest point of the car's rectangle."""
+    ahead, left = in_frame(poses, places)
+    car = scenario.car
+    return np.hypot(ahead - np.clip(ahead, -car.rear, car.front), left - np.clip(left, -car.half_width, car.half_width))
+
+
+def boxes_apart(
+    poses: np.ndarray, places: np.ndarray, turned: np.ndarray, scenario: Scenario, half: tuple[float, float]
+) -> np.ndarray:
+    """Return the widest gap between the car's rectangle and another's over the directions of their edges, m."""
+    car = scenario.car
+    middle = 0.5 * (car.front - car.rear)
+    first = poses[:, :2] + middle * np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    corners = []
+    for centres, headings, (length, width) in (
+        (first, poses[:, 2], (0.5 * (car.front + car.rear), car.half_width)),
+        (places, turned, half),
+    ):
+        ahead, left = directions(headings), directions(headings + 0.5 * math.pi)
+        corners.append(np.stack([
+            centres + i * length * ahead + j * width * left for i in (-1, 1) for j in (-1, 1)
+        ], axis=1))  # fmt: skip
+    gaps = []
+    for heading in (poses[:, 2], poses[:, 2] + 0.5 * math.pi, turned, turned + 0.5 * math.pi):
+        one, other = (np.einsum("nkd,nd->nk", box, directions(heading)) for box in corners)
+        gaps.append(np.maximum(one.min(axis=1) - other.max(axis=1), other.min(axis=1) - one.max(axis=1)))
+    return np.max(gaps, axis=0)
+
+
+def directions(headings: np.ndarray) -> np.ndarray:
+    """Return where headings point, n × 2."""
+    return np.column_stack([np.cos(headings), np.sin(headings)])
+
+
+def side(pose: np.ndarray, body: np.ndarray, scenario: Scenario) -> Touch | None:
+    """Return which side of the car a disc touches: the one that holds the nearest point of the rectangle."""
+    ahead, left = (float(one[0]) for one in in_frame(pose[None], body))
+    car, speed = scenario.car, pose[3]
+    if abs(speed - scenario.collision.hit_speed) < 1e-6:
+        return None
+    if speed < scenario.collision.hit_speed:
+        return Touch.STANDING
+    if abs(left) > car.half_width and abs(ahead - car.front) < UNSURE:
+        return None
+    assert math.isfinite(ahead)
+    return Touch.FRONT if ahead > car.front else Touch.FLANK
