@@ -8,7 +8,8 @@ half of its way behind it. Where it was follows from its speed. After a contact 
 drives in that time is missing from the tick's way. Of a car with tyres neither part goes straight: by what the way is
 longer or shorter than both together, each of them is. A simulator that ends its tick with the contact leaves the way
 up to there alone. Held against what the world itself did, places are right to 4 mm of cars without tyres, and to 7 mm
-of cars with them (tests/evaluator/test_risk_touches.py).
+of cars with them (tests/evaluator/test_risk_touches.py); in 28,000 crossings with ticks of up to 0.5 s and cars that
+command something else in every period, to 7 cm.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ Pose = tuple[float, float, float]
 
 
 _SAME = 1e-6  # m between two computations of a way
-_OFF = 0.01  # m, at the most, by which a place is wrong
+_OFF = 0.05  # m, at the most, by which a place is mended
+_AT_A_CORNER = 0.9  # of the radius: by how much the front is missed to the side at most
 _BENT = 0.1  # m by which the way up to a contact may differ from that of a speed that goes straight
 
 
@@ -76,7 +78,7 @@ def _off_the_front(scenario: Scenario, pose: Pose, adversary: FloatArray) -> flo
     """Return how far the car has to be moved ahead to touch a disc with its front, m; 0 where it does not touch so."""
     ahead, left = to_car_frame(float(adversary[0]), float(adversary[1]), *pose)
     radius, aside = scenario.adversary.shape[0], max(0.0, abs(left) - scenario.car.half_width)
-    if aside >= radius:
+    if aside >= _AT_A_CORNER * radius:  # it is the side that touches, or nearly so
         return 0.0
     off = ahead - scenario.car.front - math.sqrt(radius * radius - aside * aside)
     return off if abs(off) <= _OFF else 0.0

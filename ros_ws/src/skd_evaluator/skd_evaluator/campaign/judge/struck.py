@@ -7,14 +7,13 @@ import math
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import EpisodeLog, Outcome
-from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 from skd_sim.state import RoadUserState
 
-from skd_evaluator.measure.contact_place import car_at_contact
+from skd_evaluator.measure.contact_place import Pose, car_at_contact
+from skd_evaluator.measure.surrogate.clearance import clearances
+from skd_evaluator.measure.surrogate.scene import Scene
 
 ADVERSARY = -1
-_PER_EDGE = 40
-"""Points of an edge of an outline that are held against the car."""
 
 
 def struck(log: EpisodeLog) -> int | None:
@@ -28,11 +27,12 @@ def struck(log: EpisodeLog) -> int | None:
     if not scenario.others:
         return ADVERSARY
     pose, share = car_at_contact(log)
-    outlines = [scenario.adversary.outline(log.trajectory.positions)]
+    body = scenario.adversary
+    apart = [_apart(log, pose, body.shape, log.trajectory.positions[-1], body.last_heading(log.adversary))]
     for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
         state = before.moved(after, share * scenario.time_step)
-        outlines.append(other.outline_at(np.array(state[:2]), state.heading))
-    return int(np.argmin([_away(log, outline, pose) for outline in outlines])) - 1
+        apart.append(_apart(log, pose, other.shape, np.array(state[:2]), state.heading))
+    return int(np.argmin(apart)) - 1
 
 
 def closing_speed(log: EpisodeLog) -> float:
@@ -63,9 +63,9 @@ def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserS
     return list(zip(scenario.others_at(tick), scenario.others_at(tick + 1), strict=True))
 
 
-def _away(log: EpisodeLog, outline: FloatArray, pose: tuple[float, float, float]) -> float:
-    """Return the distance (m) of an outline (k × 2, m) to the car's footprint at a pose (m, rad)."""
-    car, shares = log.episode.scenario.car, np.linspace(0.0, 1.0, _PER_EDGE)[:, None]
-    points = [one + shares * (other - one) for one, other in zip(outline, np.roll(outline, -1, axis=0), strict=True)]
-    seen = (to_car_frame(float(x), float(y), *pose) for x, y in np.concatenate(points).tolist())
-    return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
+def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place: FloatArray, heading: float) -> float:
+    """Return the distance of the car at a pose to somebody at a place (m) with a heading (rad), m."""
+    car = log.episode.scenario.car
+    footprint, nobody_moves = (car.front, car.rear, car.half_width), np.zeros((1, 2))
+    states, turned = np.array([[*pose, 0.0]]), np.array([heading])
+    return float(clearances(Scene(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])

@@ -19,9 +19,11 @@ from skd_evaluator.campaign.judge.failures import Failures, Walkers, failures_of
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.measure.behaviour.model import NAMES
+from skd_evaluator.measure.contact_place import goes_straight
 from skd_evaluator.measure.risks import Risks, Touch
 
-_SAME, _TOUCHES = 1e-9, 0.05  # m: between two computations of a place; to where the car was at a contact, and to spare
+_SAME = 1e-9  # m, between two computations of a place
+_TOUCHES, _ROUGHLY = 0.05, 0.15  # m to where the car was at a contact: moving uniformly and straight on, or not
 
 
 def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
@@ -126,6 +128,8 @@ def _fault(found: Failures, row: int, failing: StoredEpisodes, number: int, walk
     heading = road_pose(scenario.road.line, road_position(scenario.road.line, car[0], car[1])[0])[2]
     ahead, left = to_car_frame(body[0], body[1], car[0], car[1], heading)
     footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
-    if abs(rectangle_distance(ahead, left, *footprint) - scenario.adversary.reach) > _TOUCHES:
+    exact = goes_straight(scenario, failing.car[number][-2:])
+    apart = abs(rectangle_distance(ahead, left, *footprint) - scenario.adversary.reach)
+    if apart > (_TOUCHES if exact else _ROUGHLY):
         return "ends where nobody touches the car"
     return ""
