@@ -181,11 +181,20 @@ def parse(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
         class ParsedError(Exception):
             pass
 
+        known = argparse.ArgumentParser.parse_known_args
+
         def parse_args(parser: argparse.ArgumentParser, *given: object) -> None:
-            assert parser.parse_known_args()[1] == []
+            assert known(parser)[1] == []
+            raise ParsedError
+
+        def parse_known_args(parser: argparse.ArgumentParser, *given: object) -> None:
+            further = known(parser)[1]  # are options of an assessment
+            monkeypatch.undo()
+            check_command(shlex.join(["scripts/skd", "assess", *further]))
             raise ParsedError
 
         monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_args)
+        monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", parse_known_args)
         monkeypatch.setattr(sys, "argv", [*call.words])
         monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
         with pytest.raises(ParsedError):

@@ -303,7 +303,7 @@ def test_a_car_is_told_the_same_scenario_whatever_the_episode(cars: Path) -> Non
         "a crossing of the risk": (AnyCar(encounter, None).episodes(crude_crossings(encounter, 1), 1.0)[0], scenario),
         "a way of the margin": (walked(attempt, [(1.0, 0.0)]), scenario),
         "a probe": (probe_episodes(scenario, 1, seed=1, controller="carla")[0], scenario),
-        "nobody near": (_episode(plan), scenario),
+        "nobody near": (_episode(plan, 3), scenario),
         "a static test": (static_episodes(regulators, CarUnderTest("carla"))[0], regulators),
     }
     for what, (episode, expected) in told.items():
