@@ -132,6 +132,26 @@ def test_long_gaps_jumps_and_what_safe_refuses_are_left_out(tmp_path: Path, skd_
     assert table[0, 1] < 0.0 < table[-1, 1]
 
 
+def test_the_same_way_comes_in_once(tmp_path: Path, skd_here):
+    """`--safe` refuses a way that is there twice, and some of the φ that SKD draws are the same."""
+    times = np.arange(0.0, 2.41, 0.3)
+    for name, rate in (("first", 1), ("second", 1), ("finer", 2)):
+        at = np.linspace(0.0, times[-1], rate * (len(times) - 1) + 1)
+        rows = [f"{t!r},{x!r},0.0" for t, x in zip(at.tolist(), (2.5 * at - 3.0).tolist(), strict=True)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["t,x,y", *rows]) + "\n")
+    files = ["first.csv", "finer.csv", "second.csv"]
+    done = skd_here("import", *files, "--out", "a", "--json")
+    content = json.loads(done.stdout)
+    assert [one["source"] for one in content["files"]] == ["first.csv", "finer.csv"]
+    (one,) = content["left_out"]
+    assert (one["source"], one["why"].split(",")[0]) == ("second.csv", "is the way of first.csv once more")
+    done = skd_here("import", *files, "--scenario", "crossing", "--out", "b")  # at its ticks all three are the same
+    assert sorted(path.name for path in (tmp_path / "b" / "safe").iterdir()) == ["first.csv"]
+    assert "and 1 more, see import.json, left out: is the way of first.csv once more" in done.stderr
+    assert "--safe-count 1 " in done.stdout
+    assert len(load_safe_trajectories(tmp_path / "b" / "safe", load_scenario("crossing"), 1)) == 1
+
+
 # --- bags
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -104,14 +104,28 @@ def check_once(ways: Iterable[tuple[str, FloatArray]], *, moved: bool = True) ->
     Raises:
         UsageError: two are the same to a hundredth of a millimetre.
     """
-    known: dict[bytes, str] = {}
-    for name, positions in ways:
+    named = list(ways)
+    for second, first in repeated([positions for _, positions in named], moved=moved):
+        raise UsageError(f"{named[second][0]}: {once_more(named[first][0])}; leave one of them out")
+
+
+def repeated(ways: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int, int]]:
+    """Yield the index of each way (n × 2, m) that is there once more, and that of the first that it is the same as.
+
+    Args:
+        ways: positions of each; with a third column, that is compared as well.
+        moved: also the same way from another place.
+    """
+    known: dict[bytes, int] = {}
+    for index, positions in enumerate(ways):
         if len(positions) < _TOLD:
             continue
         key = (np.round(positions - positions[0] * moved, 5) + 0.0).tobytes()  # + 0: −0 is 0
-        if key in known:
-            raise UsageError(
-                f"{name}: is the way of {known[key]} once more, and would count as another person's; leave one of them "
-                "out"
-            )
-        known[key] = name
+        first = known.setdefault(key, index)
+        if first != index:
+            yield index, first
+
+
+def once_more(name: str) -> str:
+    """Return what is said of the way that is that of `name` once more."""
+    return f"is the way of {name} once more, and would count as another person's"

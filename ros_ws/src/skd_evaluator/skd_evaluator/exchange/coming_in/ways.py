@@ -197,17 +197,18 @@ def _around_crossing(scenario: Scenario, times: FloatArray, places: FloatArray) 
     return begin, end, f"cut to the horizon: {before:.2f} s before and {behind:.2f} s after left out"
 
 
-def check_safe(way: Way, scenario: Scenario) -> None:
-    """Refuse a way that `--safe` would refuse with a scenario.
+def read_as_safe(way: Way, scenario: Scenario) -> FloatArray:
+    """Return a way as `--safe` reads it with a scenario: positions at its ticks, n × 2, m.
 
     Raises:
         UnusableError: it would.
     """
     path = way.source.path
     try:
-        safe_trajectory(way.times, way.places, scenario, path, np.arange(len(way.times)))
+        read = safe_trajectory(way.times, way.places, scenario, path, np.arange(len(way.times)))
     except UsageError as error:
         raise UnusableError(re.sub(r"^(, line \d+)?: ", "", str(error).removeprefix(str(path)))) from error
+    return read.positions
 
 
 def entry(way: Way, file: str) -> Mapping[str, Any]:

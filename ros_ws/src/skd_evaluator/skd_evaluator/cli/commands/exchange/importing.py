@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from skd_adversary.safe_trajectories.believable import once_more, repeated
+from skd_sim.arrays import FloatArray
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
@@ -19,7 +22,7 @@ from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.exchange_options import BY_CAR
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
-from skd_evaluator.exchange.coming_in.ways import UnusableError, Way, check_safe, entry, way_of
+from skd_evaluator.exchange.coming_in.ways import UnusableError, Way, entry, read_as_safe, way_of
 from skd_evaluator.exchange.names import IMPORT
 from skd_evaluator.fusion.track import Frame
 from skd_evaluator.version import version
@@ -82,6 +85,7 @@ def _taken(
 ) -> tuple[list[Way], list[tuple[Path, str, str]]]:
     """Return the ways that can be used, and of the others file, name and why they cannot."""
     ways: list[Way] = []
+    read: list[FloatArray] = []
     left_out: list[tuple[Path, str, str]] = []
     files, beside = files_in(arguments.paths)
     left_out += [(path, "its adversary", "a kamikaze or a run along φ, which is no safe trajectory") for path in beside]
@@ -89,19 +93,25 @@ def _taken(
         for source in read_sources(path, asked):
             try:
                 way = way_of(source, frame, arguments.longest_gap, scenario)
-                if scenario is not None:
-                    check_safe(way, scenario)
+                read.append(
+                    np.column_stack([way.places, way.times]) if scenario is None else read_as_safe(way, scenario)
+                )
                 ways.append(way)
             except UnusableError as error:
                 left_out.append((path, source.found.name, str(error)))
-    return ways, left_out
+    again = dict(repeated(read, moved=False))  # drawn ways may be the same; --safe refuses them
+    left_out += [
+        (ways[index].source.path, ways[index].source.found.name, once_more(str(ways[first].source.path)))
+        for index, first in again.items()
+    ]
+    return [way for index, way in enumerate(ways) if index not in again], left_out
 
 
 def _said_of(left_out: Sequence[tuple[Path, str, str]]) -> list[str]:
     """Return what is said of ways that are left out: those that differ by numbers alone in one line."""
     alike: dict[str, list[tuple[Path, str, str]]] = {}
     for one in left_out:
-        alike.setdefault(re.sub(r"\d+(\.\d+)?", "…", one[2]), []).append(one)
+        alike.setdefault(re.sub(r"\S*\d+(\.\d+)?\S*", "…", one[2]), []).append(one)
     found = []
     for (path, name, why), *rest in alike.values():
         more = f" and {len(rest)} more, see {IMPORT}," if rest else ""
