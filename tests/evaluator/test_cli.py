@@ -213,6 +213,29 @@ def test_sweep_whose_figures_do_not_vary(here):
     assert json.loads(done.stdout)["spearman_with_multiplier"]["synthetic"]["collision_rate"] is None
 
 
+@pytest.mark.parametrize(
+    ("asked", "multipliers", "code"),
+    [(["--collision-runs", "12"], ("0", "1.5"), 0), (["--max-distance", "0.1"], ("1.125", "8"), 1)],
+)
+def test_sweep_says_of_each_car_what_its_assessment_says(here, asked, multipliers, code):
+    """One is hit along its φ, one is further than is looked: a warning, and a failure."""
+    options = [*SMALL, *asked, "--quiet"]
+    done = skd("sweep", *options, "--multipliers", *multipliers, cwd=here)
+    alone = [skd("assess", *options, "--multiplier", value, cwd=here) for value in multipliers]
+    assert done.returncode == max(one.returncode for one in alone) == code
+    said = [
+        line.removeprefix("skd assess: ").replace("warning: ", "")
+        for one in alone
+        for line in one.stderr.splitlines()
+        if "planned kamikazes needed" not in line  # a column of the sweep's table
+    ]
+    heard = [
+        re.sub(r"^synthetic, C = \S+: ", "", line.removeprefix("skd sweep: ").removeprefix("warning: "))
+        for line in done.stderr.splitlines()
+    ]
+    assert heard == said != []
+
+
 def test_reader_of_the_pipe_goes_away(here):
     command = [sys.executable, "-m", "skd_evaluator", "assess", *SMALL, "--json"]
     with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
