@@ -77,6 +77,7 @@ _ROOT_ONLY = ("-k", f"(root or same_generator or counted_once or readable) and n
 _KERNELS_ONLY = (
     "leaving_cells_out or pseudometric or similaritymeasures or lies_between or shapely or textbook or repeating"
 )
+_TOUCHES = ("-k", "not (world_reports or closing_speed or often] or bystander or hundred or last)")
 _ROADS = ("tests/sim/test_road.py", "tests/sim/test_scenario.py", "tests/sim/test_world_roads.py")
 TARGETS = (
     Target("skd_evaluator.measure.distances.frechet", _FRECHET, ("-k", f"not ({_KERNELS_ONLY})")),
@@ -105,6 +106,12 @@ TARGETS = (
     Target("skd_evaluator.measure.vulnerability_curve", (_evaluator("vulnerability_curve"),)),
     Target("skd_evaluator.assessing.otherwise", (_evaluator("otherwise"),)),
     Target("skd_evaluator.assessing.again_graph", (_evaluator("again_graph"),)),
+    Target(
+        "skd_evaluator.campaign.judge.alone",
+        (_evaluator("standing_off"), _evaluator("alone")),
+        ("-k", "not drive_in_every"),
+    ),
+    Target("skd_evaluator.measure.contact_place", (_evaluator("risk_touches"),), _TOUCHES),
     Target("skd_evaluator.risk.touching", (_evaluator("touching"),)),
     Target("skd_evaluator.ncap.points", (_evaluator("ncap_calculator"),)),
     Target("skd_evaluator.ncap.colours", (_evaluator("ncap_calculator"),)),

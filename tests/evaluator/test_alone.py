@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.judge.alone import MANY_DRIVES, doubts_of_driving, drives_with_nobody_near
+from skd_evaluator.campaign.judge.alone import MANY_DRIVES, Drive, doubts_of_driving, drives_with_nobody_near
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.known_scenarios import shipped_scenarios
 from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import AssessmentError
 from skd_sim.state import AdversaryState, CarState
 
@@ -53,6 +55,18 @@ class Runner:
 
     def run(self, episodes):
         return (run_episode(episode, self._controller) for episode in episodes)
+
+
+class Kept:
+    """Keeps what another runner has run."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner, self.logs = runner, []
+
+    def run(self, episodes):
+        for log in self._runner.run(episodes):
+            self.logs.append(log)
+            yield log
 
 
 @pytest.mark.parametrize(
@@ -108,6 +122,70 @@ def test_a_car_that_crawls_for_nobody_has_a_warning(speed: float, share: float, 
     found = doubts_of_driving(PLAN, Runner(car))
     assert car.others > 0
     assert [line.startswith(HARDLY_DRIVES) for line in found] == [True] * said
+
+
+class Driven:
+    """Runs no car: each drive ends at a speed that is given, or is aborted where that is not a number."""
+
+    def __init__(self, *speeds: float) -> None:
+        self._speeds = speeds
+
+    def run(self, episodes):
+        for episode, last in zip(episodes, self._speeds, strict=True):
+            way = episode.safe_trajectory.positions
+            speeds = np.linspace(CROSSING.car.start_speed, last, len(way))
+            car = np.column_stack([np.zeros(len(way)), np.cumsum(speeds), speeds])
+            outcome = Outcome.ABORTED if math.isnan(last) else Outcome.TIMEOUT
+            yield EpisodeLog(episode, outcome, way, car, reason="controller ended")
+
+
+STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed
+
+
+@pytest.mark.parametrize(
+    ("speeds", "begins", "often"),
+    [
+        ([0.71 * STARTS] * 4, None, ""),
+        ([0.69 * STARTS] * 4, HARDLY_DRIVES, ""),
+        ([0.69 * STARTS, 0.69 * STARTS, STARTS, STARTS, STARTS], None, ""),  # of which the median is
+        ([0.69 * STARTS] * 3 + [STARTS] * 2, HARDLY_DRIVES, " in 3 of 5 drives"),
+        ([0.36 * STARTS, STARTS, STARTS], None, ""),
+        ([0.34 * STARTS, STARTS, STARTS], HARDLY_DRIVES, " in 1 of 3 drives"),
+        ([1.51 * LIMIT] * 4, HARDLY_DRIVES, ""),
+        ([1.49 * LIMIT] * 4, DISBELIEF, ""),
+        ([1.49 * LIMIT, STARTS, STARTS, STARTS], DOUBT, " in 1 of 4 drives"),  # a quarter is not more
+        ([1.49 * LIMIT, 0.0, STARTS, STARTS], DISBELIEF, " in 2 of 4 drives"),
+        ([STARTS, math.nan], DOUBT, ""),
+    ],
+)
+def test_where_each_word_begins(speeds: list[float], begins: str | None, often: str) -> None:
+    lines = doubts_of_driving(PLAN, Driven(*speeds), len(speeds))
+    assert len(lines) == (begins is not None)
+    for line in lines:
+        assert line.startswith(begins)
+        assert ("controller ended" in line) == math.isnan(sum(speeds))
+        assert re.findall(r" in \d+ of \d+ drives", line) == [often] * bool(often)
+
+
+def test_how_fast_it_was_is_of_the_drive_in_the_middle_of_those_that_are_meant() -> None:
+    (line,) = doubts_of_driving(PLAN, Driven(1.0, 1.2, 1.4, STARTS, STARTS), 5)
+    assert f"from {STARTS:.1f} to 1.2 m/s in 6.0 s in 3 of 5 drives" in line
+
+
+def test_a_car_that_begins_standing_slows_down_for_nobody() -> None:
+    assert (Drive(0.0, 0.0, 6.0).kept, Drive(0.0, 5.0, 6.0).kept, Drive(8.0, 4.0, 6.0).kept) == (1.0, 1.0, 0.5)
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_nobody_is_near_in_any_encounter(name: str) -> None:
+    """For six seconds, or as long as an episode lasts."""
+    scenario = load_scenario(name)
+    runner = Kept(Runner(Towards(scenario.car.start_speed)))
+    for drive in drives_with_nobody_near(replace(PLAN, scenario=scenario), runner, 2):
+        assert drive.seconds == pytest.approx(min(6.0, scenario.ticks * scenario.time_step), abs=scenario.time_step)
+    for log in runner.logs:
+        assert log.episode.scenario.others == ()
+        assert np.hypot(*(log.adversary - log.car[:, :2]).T).min() > 1000.0
 
 
 @pytest.mark.parametrize("name", shipped_scenarios())

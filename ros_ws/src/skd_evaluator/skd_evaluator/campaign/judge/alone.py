@@ -147,6 +147,8 @@ def _far(scenario: Scenario) -> float:
 
 
 def _stood_far_off(log: EpisodeLog) -> bool:
+    if log.hit:  # it drove on
+        return False
     scenario = log.episode.scenario
     slower = log.car[:, 2] < scenario.collision.hit_speed
     begins = int(np.argmin(slower))  # who stands at first may have to start
