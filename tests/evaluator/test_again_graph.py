@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import TypeAlias
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing.again_graph import doubts_of_the_stack
+from skd_evaluator.assessing import again_graph
+from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -149,3 +152,60 @@ def test_what_was_aborted_is_not_run_again() -> None:
         yield
 
     assert doubts_of_the_stack("external", [logs], unwanted, lambda *_told: None, anew=True, limit=60.0) == ()
+
+
+# --- how long it takes
+
+
+class Clock:
+    """Stands in for the clock; whoever runs takes so long for each episode."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+        self.now, self._seconds = 100.0, seconds
+        monkeypatch.setattr(again_graph, "time", SimpleNamespace(perf_counter=lambda: self.now))
+
+    def run(self, logs: Sequence[EpisodeLog]) -> Iterator[EpisodeLog]:
+        for log in logs:
+            self.now += self._seconds
+            yield log
+
+    @contextmanager
+    def graph(self, logs: Sequence[EpisodeLog]) -> Iterator[EpisodeRunner]:
+        yield SimpleNamespace(run=lambda _episodes: self.run(logs))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "asked", "limit"),
+    [(2.0, 3, 60.0), (2.0, 2, 60.0), (2.0, 4, 600.0), (40.0, 3, 240.0), (200.0, 4, 1200.0)],
+)
+def test_how_long_it_may_take_goes_by_how_long_it_took(monkeypatch, seconds: float, asked: int, limit: float):
+    """Twice as long as all of them, a minute at the least; of some that nobody has seen running, ten minutes."""
+    clock = Clock(monkeypatch, seconds)
+    timed = TimedRunner(SimpleNamespace(run=clock.run))
+    for _ in timed.run(["one", "two", "three"]):
+        clock.now += 1000.0  # of whoever asked for them
+    assert (timed.count, timed.seconds) == (3, 3 * seconds)
+    assert timed.limit(asked) == limit
+
+
+@pytest.mark.parametrize(
+    ("seconds", "outcome", "limit", "said"),
+    [
+        (25.0, Outcome.ABORTED, 1000.0, "silent: nobody answers"),  # more than a minute of them
+        (25.0, Outcome.MISSED, 60.0, "after 75 s only 3 were over"),
+        (20.0, Outcome.MISSED, 60.0, "after 80 s only 4 were over"),
+        (1.0, Outcome.MISSED, 60.0, ""),
+    ],
+)
+def test_who_takes_too_long_is_in_doubt(monkeypatch, seconds: float, outcome: Outcome, limit: float, said: str):
+    logs = list(graph_of(lambda *_seen: 0.0).run([PLAN.episode(Mode.REPLAY, 0, 0, PHI[0])])) * 12
+    clock = Clock(monkeypatch, seconds)
+    again = [replace(log, outcome=outcome, reason="silent: nobody answers") for log in logs]
+    first = [replace(log, outcome=Outcome.MISSED) for log in logs]
+    lines = doubts_of_the_stack("x", [first], lambda: clock.graph(again), lambda *_: None, anew=True, limit=limit)
+    assert len(lines) == bool(said)
+    for line in lines:
+        assert line.startswith(f"{DOUBT}when 12 episodes were run again")
+        assert said in line
+    if outcome == Outcome.ABORTED:
+        assert clock.now == 175.0
