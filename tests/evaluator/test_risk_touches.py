@@ -189,6 +189,12 @@ def test_after_a_contact_the_speed_goes_straight_to_the_end_of_the_tick(after, s
     assert last_car_position(log) == pytest.approx(-14.4)
 
 
+@pytest.mark.parametrize(("share", "place"), [(0.0, -16.0), (1.0, -13.6)])
+def test_a_contact_as_a_tick_begins_or_ends_is_where_the_car_is_then(share, place):
+    log = ended([[0.0, -16.0, 8.0], [0.0, -13.6, 8.0]], share, 8.0, control_period=0.1)
+    assert last_car_position(log) == pytest.approx(place)
+
+
 def test_a_car_that_stands_before_the_tick_ends_has_not_driven_further_than_it_did():
     """From 2 m/s at the contact, after 0.2 s at that speed, it stops at 10 m/s² within 0.1 of 0.2 s."""
     log = ended([[0.0, -16.0, 2.0], [0.0, -15.7, 0.0]], 1.0 / 3.0, 2.0, control_period=0.05)
