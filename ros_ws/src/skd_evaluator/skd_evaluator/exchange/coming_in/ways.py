@@ -201,7 +201,7 @@ def read_as_safe(way: Way, scenario: Scenario) -> FloatArray:
     """Return a way as `--safe` reads it with a scenario: positions at its ticks, n × 2, m.
 
     Raises:
-        UnusableError: it would.
+        UnusableError: `--safe` would refuse it.
     """
     path = way.source.path
     try:

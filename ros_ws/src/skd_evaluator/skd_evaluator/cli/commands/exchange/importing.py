@@ -108,10 +108,10 @@ def _taken(
 
 
 def _said_of(left_out: Sequence[tuple[Path, str, str]]) -> list[str]:
-    """Return what is said of ways that are left out: those that differ by numbers alone in one line."""
+    """Return what is said of ways that are left out: those that differ in words with digits alone in one line."""
     alike: dict[str, list[tuple[Path, str, str]]] = {}
     for one in left_out:
-        alike.setdefault(re.sub(r"\S*\d+(\.\d+)?\S*", "…", one[2]), []).append(one)
+        alike.setdefault(re.sub(r"\S*\d\S*", "…", one[2]), []).append(one)
     found = []
     for (path, name, why), *rest in alike.values():
         more = f" and {len(rest)} more, see {IMPORT}," if rest else ""
