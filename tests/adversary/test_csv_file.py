@@ -136,11 +136,13 @@ def test_sources_that_are_none(tmp_path: Path) -> None:
         ("0,-3,0\n0.3,-2.5,0\n0.6,37.5,0\n", r"line 4: moves 40 m in 0.3 s \(133 m/s\); .* at most 12 m/s"),
         ("0,-3000,0\n3,3000,0\n", "line 3: moves"),
         ("0,-3,0\n1,-2,0\n1.3,-2,9\n3,3,0\n", "line 4: moves 9 m"),
+        ("0,-3,0\n1e-310,-2,0\n", r"line 3: moves 1 m in 1e-310 s \(inf m/s\)"),
         ("0,3,0\n3,-3,0\n", "walks West, from x = 3 to -3 m"),
         ("0,-3,0\n1,0,0\n2,-4,0\n", "walks West"),
     ],
-    ids=["jump", "millimetres", "sideways", "west", "back"],
+    ids=["jump", "millimetres", "sideways", "no time", "west", "back"],
 )
+@pytest.mark.filterwarnings("error")
 def test_walks_that_are_none_are_refused_by_row(tmp_path, rows, message):
     path = tmp_path / "phi.csv"
     path.write_text("t,x,y\n" + rows)

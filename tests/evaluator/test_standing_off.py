@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.measure.doubt import DISBELIEF
+from skd_sim.encounter.other import Other, Waypoint
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
@@ -26,7 +27,7 @@ def run(
     """A run in which the front of the car is so far from somebody, aside and ahead, all the time."""
     direction = np.array([0.6, 0.8])
     car = np.column_stack([np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), speeds])
-    adversary = car[:, :2] + (away + scenario.car.front) * direction
+    adversary = car[:, :2] + (away + scenario.car.front + scenario.adversary.reach) * direction
     episode = Episode(scenario, Mode.REPLAY, 1, 1, safe_trajectory=Trajectory(adversary, scenario.time_step))
     time = (len(speeds) - 1.5) * scenario.time_step
     return EpisodeLog(episode, outcome, adversary, car, time, impact, reason="failed: x")
@@ -71,16 +72,36 @@ def test_the_distance_goes_by_the_speed_at_which_the_car_starts():
         assert len(doubts_of_standing_off("a.b:C", [run([20.0, 0.0, 0.0], away=away, scenario=fast)])) == found
 
 
-def test_aborted_runs_and_those_with_others_say_nothing():
+def test_aborted_runs_say_nothing():
     aborted = replace(STANDS, outcome=Outcome.ABORTED)
     assert doubts_of_standing_off("a.b:C", []) == ()
     assert doubts_of_standing_off("a.b:C", [aborted] * 9) == ()
     assert doubts_of_standing_off("a.b:C", [aborted] * 9 + [DRIVES]) == ()
     (line,) = doubts_of_standing_off("a.b:C", [aborted, STANDS])
     assert "in 1 of 1 runs" in line
-    bystanders = load_scenario("bystanders")
-    assert bystanders.others
-    assert doubts_of_standing_off("a.b:C", [run([0.0, 0.0, 0.0], scenario=bystanders)]) == ()
+
+
+def other(away: float, length: float = 6.0) -> Other:
+    """A lorry that at the third tick is so far ahead of the front of the car, and 3 km away a second later."""
+    car = STANDS.car[2]
+    y = float(car[1]) + CROSSING.car.front + away + 0.5 * math.hypot(length, 2.0)
+    time = 2 * CROSSING.time_step
+    way = (Waypoint(0.0, float(car[0]), y), Waypoint(time, float(car[0]), y), Waypoint(time + 1.0, 3000.0, y))
+    return Other(kind="lorry", length=length, width=2.0, way=way)
+
+
+@pytest.mark.parametrize("speeds", [[STARTS, 4.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+@pytest.mark.parametrize(("away", "found"), [([FAR + 15], 1), ([FAR - 10], 0), ([200.0, FAR - 10], 0), ([1.0], 0)])
+def test_a_car_may_have_to_stand_for_others_that_are_near(speeds: list[float], away: list[float], found: int):
+    """The car of `run` goes 10 m: one that is near at the third tick was at most 7 m further at the first."""
+    others = replace(CROSSING, others=tuple(map(other, away)))
+    assert len(doubts_of_standing_off("a.b:C", [run(speeds, scenario=others)])) == found
+
+
+@pytest.mark.parametrize(("away", "found"), [(FAR + 0.1, 1), (FAR - 0.1, 0)])
+def test_others_count_where_they_are_as_the_car_begins_to_stand(away: float, found: int):
+    log = run([STARTS, 4.0, 0.0, 0.0], scenario=replace(CROSSING, others=(other(away),)))
+    assert len(doubts_of_standing_off("a.b:C", [log])) == found
 
 
 def test_the_distance_is_that_of_the_moment_from_which_the_car_stands():
@@ -92,4 +113,5 @@ def test_the_distance_is_that_of_the_moment_from_which_the_car_stands():
     near = log.adversary.copy()
     near[2] = log.car[2, :2] + [0.0, CROSSING.car.front + 1.0]
     assert doubts_of_standing_off("a.b:C", [replace(log, adversary=near)]) == ()
-    assert math.isclose(math.dist(log.adversary[2], log.car[2, :2]), 100.0 + CROSSING.car.front)
+    away = math.dist(log.adversary[2], log.car[2, :2]) - CROSSING.adversary.reach
+    assert math.isclose(away, 100.0 + CROSSING.car.front)

@@ -103,8 +103,8 @@ def too_fast(times: FloatArray, positions: FloatArray, fastest: float) -> tuple[
     if not len(wrong):
         return None
     row = int(wrong[0])
-    speed = moved[row] / passed[row]
-    return row + 1, f"moves {moved[row]:.3g} m in {passed[row]:.3g} s ({speed:.3g} m/s)"
+    metres, seconds = float(moved[row]), float(passed[row])  # of Python's: their quotient may be infinite
+    return row + 1, f"moves {metres:.3g} m in {seconds:.3g} s ({metres / seconds:.3g} m/s)"
 
 
 def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:

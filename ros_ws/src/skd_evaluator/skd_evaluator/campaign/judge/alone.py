@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import replace
@@ -128,15 +129,14 @@ def doubts_of_standing_off(controller: str, logs: Sequence[EpisodeLog]) -> tuple
         controller: name of the car.
         logs: its runs along φ.
     """
-    # Of a scenario with others a car may have to stand for these.
-    runs = [one for one in logs if one.outcome != Outcome.ABORTED and not one.episode.scenario.others]
+    runs = [one for one in logs if one.outcome != Outcome.ABORTED]
     still = sum(map(_stood_far_off, runs))
     if not runs or still < _NEARLY_ALL * len(runs):
         return ()
     scenario = runs[0].episode.scenario
     return (
         f"{DISBELIEF}in {still} of {len(runs)} runs along φ {controller} was slower than "
-        f"{scenario.collision.hit_speed:g} m/s, at which a hit begins, all the time or while whoever crossed was "
+        f"{scenario.collision.hit_speed:g} m/s, at which a hit begins, all the time or while everybody was "
         f"more than {_far(scenario):.0f} m away: {_HITS_NOBODY}",
     )
 
@@ -151,10 +151,21 @@ def _stood_far_off(log: EpisodeLog) -> bool:
         return False
     scenario = log.episode.scenario
     slower = log.car[:, 2] < scenario.collision.hit_speed
+    if slower.all():
+        return _nearest_other(log, 0) > _far(scenario)
     begins = int(np.argmin(slower))  # who stands at first may have to start
     stands = begins + int(np.argmax(slower[begins:]))
-    away = float(np.hypot(*(log.adversary[stands] - log.car[stands, :2]))) - scenario.car.front
-    return bool(slower.all()) or (bool(slower[stands]) and stands > begins and away > _far(scenario))
+    away = float(np.hypot(*(log.adversary[stands] - log.car[stands, :2])))
+    away = min(away - scenario.car.front - scenario.adversary.reach, _nearest_other(log, stands))
+    return bool(slower[stands]) and stands > begins and away > _far(scenario)
+
+
+def _nearest_other(log: EpisodeLog, tick: int) -> float:
+    """Return how far the nearest of a scenario's others is at a tick, m; a car may have to stand for it."""
+    scenario, (x, y, *_) = log.episode.scenario, log.car[tick]
+    others = zip(scenario.others, scenario.others_at(tick), strict=True)
+    away = [math.hypot(state.x - x, state.y - y) - other.reach for other, state in others]
+    return min(away, default=math.inf) - scenario.car.front
 
 
 def _episode(plan: Plan, number: int) -> Episode:
