@@ -64,12 +64,23 @@ def test_effect_size_is_in_deviations_within_a_phi():
 
 @pytest.mark.parametrize(
     ("value", "error", "leaning"),
-    [(1.1, 2.0, 1), (1.0, 2.0, 0), (-1.0, 2.0, 0), (-1.1, 2.0, -1), (0.1, None, 1), (0.0, None, 0)],
+    [(1.1, 2.0, 1), (1.0, 2.0, 0), (-1.0, 2.0, 0), (-1.1, 2.0, -1), (0.1, None, 1), (-0.1, None, -1), (0.0, None, 0)],
 )
 def test_it_points_one_way_beyond_half_a_standard_error(value, error, leaning):
     found = Difference(value, (value - 4.0, value + 4.0), 0.95, 0.5, error, 5.0, None, paired=True)
     assert found.leaning == leaning
     assert found.direction == 0
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [([[1.0], [2.0]], [[3.0], [5.0]]), ([[1.0, 1.0], [2.0, 2.0]], [[3.0, 3.0], [5.0, 5.0]])],
+    ids=["one value a φ", "values of a φ alike"],
+)
+@pytest.mark.parametrize("paired", [True, False])
+def test_where_nothing_varies_within_a_phi_there_is_no_effect_size(first, second, paired):
+    found = difference(first, second, paired=paired)
+    assert (found.value, found.effect_size) == (2.5, None)
 
 
 def test_cars_that_never_vary_differ_surely_apart_as_well():

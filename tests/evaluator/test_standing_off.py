@@ -82,11 +82,12 @@ def test_aborted_runs_say_nothing():
 
 
 def other(away: float, length: float = 6.0) -> Other:
-    """A lorry that at the third tick is so far ahead of the front of the car, and 3 km away a second later."""
+    """A lorry that at the third tick is so far from the front of the car, and 3 km away a second later."""
     car = STANDS.car[2]
-    y = float(car[1]) + CROSSING.car.front + away + 0.5 * math.hypot(length, 2.0)
+    metres = CROSSING.car.front + away + 0.5 * math.hypot(length, 2.0)
+    x, y = float(car[0]) - 0.6 * metres, float(car[1]) + 0.8 * metres
     time = 2 * CROSSING.time_step
-    way = (Waypoint(0.0, float(car[0]), y), Waypoint(time, float(car[0]), y), Waypoint(time + 1.0, 3000.0, y))
+    way = (Waypoint(0.0, x, y), Waypoint(time, x, y), Waypoint(time + 1.0, 3000.0, y))
     return Other(kind="lorry", length=length, width=2.0, way=way)
 
 
