@@ -27,6 +27,7 @@ from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
 from skd_evaluator.margin.reference import Asked as ReferenceAsked
 from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margins import Margins
+from skd_evaluator.ncap.doubts import SHARES, Seen, has_noise, shaken
 from skd_evaluator.ncap.matrices import Matrix, MatrixPoint
 from skd_evaluator.ncap.result import Cell, Grid
 from skd_evaluator.ncap.tested import in_matrix, with_test
@@ -54,7 +55,7 @@ class Asked:
     equivalent: bool = False
 
 
-def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, tests: list[EpisodeLog]) -> Grid:
+def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, seen: Seen) -> Grid:
     """Return the cells of an encounter.
 
     Args:
@@ -62,7 +63,7 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
         asked: what is asked of each cell.
         runner: runs episodes and computes margins; it has been started.
         progress: called with how far the work is.
-        tests: what happened in the static tests is put at its end.
+        seen: what happens is added to it.
 
     Raises:
         UsageError: there is no such encounter.
@@ -75,14 +76,16 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
         done_tests = list(runner.run([episode for _, _, episode in begun if episode is not None]))
     except UsageError as error:  # what a car cannot drive it says when its first episode begins
         refused = str(error)
-    tests += done_tests
+    seen.tests += done_tests
+    if not asked.plan.car.is_own:
+        _shake(done_tests, runner, seen)
     logs = iter(done_tests)
     cells: list[Cell] = []
     for done, ((cell, plan, _), one) in enumerate(zip(begun, wanted, strict=True), start=1):
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
-            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, asked, runner)
+            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, asked, runner, seen)
         cells.append(cell)
         progress(source, done, len(wanted))
     scenario = load_scenario(source)
@@ -126,7 +129,21 @@ def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
     return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
-def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -> Cell:
+def _shake(tests: Sequence[EpisodeLog], runner: ExecutorRunner, seen: Seen) -> None:
+    """Drive static tests once more with shares of the noise that the car has elsewhere."""
+    noisy = [log for log in tests if has_noise(log.episode)]
+    for share in SHARES:
+        try:
+            again = list(runner.run([shaken(log.episode, share) for log in noisy]))
+        except OutOfReachError:
+            raise
+        except AssessmentError as error:  # it has its static tests all the same
+            seen.failed = str(error)
+            return
+        seen.shaken.setdefault(share, []).extend(zip(noisy, again, strict=True))
+
+
+def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, seen: Seen) -> Cell:
     """Return a cell with the margin around its test and, if that was asked for, what planned kamikazes needed."""
     (phi,) = safe_trajectories(plan, runner)
     logs: list[EpisodeLog] = []
@@ -134,6 +151,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
         if asked.planned:
             sets = kamikaze_sets(plan, [phi], runner)
             logs = sets[0].in_order
+            seen.kamikazes += logs
             cell = replace(cell, deformation=judge(plan, [phi], sets, (), 0.0).deformation.mean)
         if why := why_no_margin(plan, asked.margin_limit):
             return replace(cell, margin_why=why)
@@ -151,7 +169,9 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner) -
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
+    seen.led += found.led
     if otherwise:
+        seen.otherwise += 1
         why = "the car answered otherwise when nobody made copies of it: the margin would be that of another car"
         return replace(cell, margin_why=f"on {otherwise} of {len(found.led)} ways that the search tried, {why}")
     margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.options import options_of, values_of
-from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import doubts_of_episodes
@@ -27,6 +26,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.measure.doubt import disbelief
+from skd_evaluator.ncap.doubts import Seen, clipped, doubts_of
 from skd_evaluator.ncap.judging import Asked, judged_grid
 from skd_evaluator.ncap.points import HOW, points_of, with_calculator
 from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = asked_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
-    tests: list[EpisodeLog] = []
+    seen = Seen()
     try:
         with runner_of(arguments, isolated=not asked.plan.car.is_own) as runner:
             if asked.margin_limit:
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
             runner.start()
             with progress_bar(quiet=arguments.quiet) as progress:
                 for source in sources:
-                    grids.append(judged_grid(source, asked, runner, progress, tests))
+                    grids.append(judged_grid(source, asked, runner, progress, seen))
     except KeyboardInterrupt:
         if not grids:
             raise
@@ -64,11 +64,12 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return _INTERRUPTED
-    found = _found(arguments, asked, grids)
-    if not asked.plan.car.is_own:
-        found = replace(
-            found, warnings=doubts_of_episodes(asked.plan.car, tests, (), partial(InProcessRunner, 1, isolated=True))
-        )
+    warnings = tuple(clipped(seen))
+    if not (car := asked.plan.car).is_own:
+        fresh = partial(InProcessRunner, 1, isolated=True)
+        again = doubts_of_episodes(car, seen.kamikazes, seen.led, fresh, seen.tests)
+        warnings = (*again, *doubts_of(car, seen), *warnings)
+    found = replace(_found(arguments, asked, grids), warnings=warnings)
     content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
 
     def write(folder: Path) -> None:
