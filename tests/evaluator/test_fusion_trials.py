@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.fusion.measured import Recorder
+from skd_evaluator.fusion.measured import Recorder, overruled
 from skd_evaluator.fusion.recording import read_tracks
 from skd_evaluator.fusion.simulated import read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.track import Frame, Track
 from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.measure.doubt import DOUBT
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 
@@ -176,6 +177,51 @@ def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
         recorder().measured(path, Trial("walk", {"clearance": 4.0}, None, "t.csv, line 3"))
     with pytest.raises(UsageError, match="'walkk' was not simulated; did you mean 'walk'"):
         recorder().measured(path, Trial("walkk"))
+
+
+def reached(x: float) -> float:
+    """The gap from which the car comes to the crossing line when the road user is there, m."""
+    return SPEED * (x + 3.5) / WALKED
+
+
+@pytest.mark.parametrize("said", [{"hit": 0.0}, {"clearance": 0.2}])
+def test_a_table_that_denies_a_recorded_hit_is_refused(tmp_path: Path, said: dict[str, float]):
+    """In the middle of the car's front: the car is 0.9 m to either side, and the road user inside of it."""
+    path = tracked(tmp_path / "a.csv", gap=reached(0.0))
+    assert recorder().measured(path, Trial("walk")).values["hit"] == 1.0
+    with pytest.raises(UsageError, match=r"line 3: says that the car did not hit.*more than 0\.3 m inside.*6\.0 m/s"):
+        recorder().measured(path, Trial("walk", said, None, "t.csv, line 3"))
+
+
+def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
+    """The road user has nearly left the car's strip, and is 0.15 m inside the corner at the most."""
+    edge = SCENARIO.car.half_width + SCENARIO.adversary.reach
+    path = tracked(tmp_path / "a.csv", gap=reached(edge - 0.15))
+    seen = recorder().measured(path, Trial("walk"))
+    assert seen.values["hit"] == 1.0
+    kept = recorder().measured(path, Trial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
+    assert (kept.values["hit"], kept.values["clearance"], kept.seen_hit) == (0.0, 0.0, True)
+    missed = recorder().measured(tracked(tmp_path / "b.csv", gap=25.0), Trial("walk", {"hit": 0.0}))
+    assert missed.seen_hit is False
+    (line,) = overruled([missed, kept])
+    assert line.startswith(f"{DOUBT}in 1 of 2 trials the table says that the car did not hit")
+    assert not overruled([missed, seen])
+
+
+def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
+    """A dummy that a touch throws aside, and a table that says nobody was hit."""
+    gap = reached(SCENARIO.car.half_width + SCENARIO.adversary.reach - 0.15)
+    path = tracked(tmp_path / "a.csv", gap=gap)
+    head, *rows = rows_of(path)
+    for row in rows:
+        if row[1] == "other":
+            row[3] = repr(0.9 * max(0.0, float(row[0]) - 7.3 - gap / SPEED))
+    path.write_text("\n".join(map(",".join, [head, *rows])), encoding="utf-8")
+    assert recorder().measured(path, Trial("walk")).values["hit"] == 1.0
+    with pytest.raises(
+        UsageError, match=r"did not hit, and in the recording it touches the road user; then, .*off its φ"
+    ):
+        recorder().measured(path, Trial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ The recording's clock says nothing of when φ began, so that is the moment from 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.fusion.recording import read_tracks
 from skd_evaluator.fusion.track import Frame, Track
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
+from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.measure.surrogate.clearance import clearances
 from skd_evaluator.measure.surrogate.scene import Scene
 
@@ -65,20 +66,35 @@ class Recorder:
         Raises:
             UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
         """
-        scene = self.laid(path, trial)
-        touched = bool(clearances(scene)[-1] <= 0.0)
+        scene, deeper = self.laid(path, trial), 0.0
+        touched = _touches(scene, deeper)
+        seen = touched and self.scenario.collision.is_hit(float(scene.car[-1, 3]))
+        if touched and _says_apart(trial):
+            scene, deeper = self._laid_apart(path, trial), _MARGIN
+            touched = _touches(scene, deeper)
         if not touched and trial.values.get("hit") != 1.0:
             self._check_whole(scene, self.safe[trial.phi], path)
         hit = touched and self.scenario.collision.is_hit(float(scene.car[-1, 3]))
+        if hit and deeper:
+            raise UsageError(
+                f"{trial.where}: says that the car did not hit, and in the recording it is more than {deeper:g} m "
+                f"inside the road user's outline, at {scene.car[-1, 3]:.1f} m/s; that is a hit (hit = 1)"
+            )
         values = figures_of(scene, hit=hit)
         _check_agrees(trial, values)
         if trial.values.get("hit") == 1.0:
             values["clearance"] = 0.0
         gap = gap_to_crossing(self.scenario, scene.car[0])
-        return replace(trial, values={**values, **trial.values}, gap=gap if trial.gap is None else trial.gap)
+        said = gap if trial.gap is None else trial.gap
+        return replace(trial, values={**values, **trial.values}, gap=said, seen_hit=seen)
 
-    def laid(self, path: Path, trial: Trial) -> Scene:
+    def laid(self, path: Path, trial: Trial, deeper: float = 0.0) -> Scene:
         """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
+
+        Args:
+            path: the recording.
+            trial: which it is.
+            deeper: how far inside each other the outlines have to be for a contact, m.
 
         Raises:
             UsageError: it cannot be read, does not follow φ, or does not fit the road.
@@ -89,13 +105,23 @@ class Recorder:
         phi = self.safe[trial.phi]
         begin = self._beginning(other, phi, path)
         scene = self._scene(car, other, begin, self.scenario.time_step * (len(phi) - 1))
-        touching = np.flatnonzero(clearances(scene) <= 0.0)
+        touching = np.flatnonzero(clearances(_shrunk(scene, deeper)) <= 0.0)
         if touching.size:
             scene = _until(scene, int(touching[0]) + 1)
         self._check_follows(scene, phi, path)
         self._check_road(scene, path)
         self._check_drives(scene, path)
         return scene
+
+    def _laid_apart(self, path: Path, trial: Trial) -> Scene:
+        """Return the recording of a trial of which the table says that nobody was hit, to a contact beyond noise."""
+        try:
+            return self.laid(path, trial, _MARGIN)
+        except UsageError as error:
+            raise UsageError(
+                f"{trial.where}: says that the car did not hit, and in the recording it touches the road user; then, "
+                f"{error}"
+            ) from error
 
     def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
         """Return when φ began, s on the recording's clock."""
@@ -189,6 +215,34 @@ class Recorder:
                 f"{path}: the car goes {math.degrees(aside.max()):.0f}° aside of where it points: is its heading in "
                 "rad, counter-clockwise from the x axis of the recording's frame?"
             )
+
+
+def overruled(trials: Sequence[Trial]) -> list[str]:
+    """Return, in a line, in how many trials a table says that the car did not hit although its recording has a hit."""
+    other = [one for one in trials if one.seen_hit and one.values["hit"] == 0.0]
+    if not other:
+        return []
+    seen = sum(map(bool, (one.seen_hit for one in trials)))
+    return [
+        f"{DOUBT}in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
+        f"it does, less than {_MARGIN:g} m deep, which may be noise: the table counts; by the recordings it hits in "
+        f"{seen} (first: {other[0].where})"
+    ]
+
+
+def _says_apart(trial: Trial) -> bool:
+    return trial.values.get("hit") == 0.0 or trial.values.get("clearance", 0.0) > 0.0
+
+
+def _shrunk(scene: Scene, by: float) -> Scene:
+    """Return a scene whose car has an outline that is so much smaller on each side, m."""
+    front, rear, half_width = scene.footprint
+    return replace(scene, footprint=(front - by, rear - by, max(0.0, half_width - by)))
+
+
+def _touches(scene: Scene, deeper: float) -> bool:
+    """Return whether the outlines are so far inside each other in the end, m."""
+    return bool(clearances(_shrunk(scene, deeper))[-1] <= 0.0)
 
 
 def _until(scene: Scene, count: int) -> Scene:

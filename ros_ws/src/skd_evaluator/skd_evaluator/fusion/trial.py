@@ -25,12 +25,14 @@ class Trial:
         values: by key of `figures.FIGURES`.
         gap: timing: how far the car's front was before the crossing line when φ began, m; None where it is not known.
         where: file and line, for messages.
+        seen_hit: whether the car hits by its recording, whatever the table says; None without a recording.
     """
 
     phi: str
     values: Mapping[str, float] = field(default_factory=dict)
     gap: float | None = None
     where: str = ""
+    seen_hit: bool | None = None
 
 
 def figures_of(scene: Scene, *, hit: bool) -> dict[str, float]:

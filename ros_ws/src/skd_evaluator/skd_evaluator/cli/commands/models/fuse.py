@@ -15,7 +15,7 @@ from skd_evaluator.cli.arguments import output_path, refuse_to_replace
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
-from skd_evaluator.fusion.measured import Recorder
+from skd_evaluator.fusion.measured import Recorder, overruled
 from skd_evaluator.fusion.simulated import Simulated, by_phi, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.track import Frame
@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     recorder = recorder_of(simulated, arguments)
     trials = read_trials(table, None if recorder is None else recorder.measured)
     fusion = fuse(trials, simulated.trials, looks=arguments.looks, tolerance=arguments.gap_tolerance)
-    figures, warnings = fusion.figures, [*simulated.remarks, *fusion.left_out]
+    figures, warnings = fusion.figures, [*simulated.remarks, *overruled(trials), *fusion.left_out]
     content = {
         "simulated": simulated.source,
         "physical": str(table),
