@@ -159,14 +159,24 @@ def test_a_recording_that_ends_while_the_two_come_nearer_is_refused(tmp_path: Pa
     assert recorder().laid(path, Trial("walk")).times[-1] < 3.0  # enough to calibrate by
 
 
-def test_a_trial_counts_once(tmp_path: Path):
-    for name, clock in (("a", 7.3), ("b", 8.3), ("c", 7.3)):
-        tracked(tmp_path / f"{name}.csv", clock=clock, gap=GAP + (name == "b"))
+@pytest.mark.parametrize("gap", [GAP, SPEED * 3.5 / WALKED], ids=["passed by", "hit"])
+def test_a_trial_counts_once(tmp_path: Path, gap: float):
+    """Under its name, another way to it, a link and a copy, also one of another clock and one that ends earlier."""
+    for name, clock in (("a", 7.3), ("b", 8.3), ("copy", 7.3), ("later", 1e5)):
+        tracked(tmp_path / f"{name}.csv", clock=clock, gap=gap + 0.3 * (name == "b"))
+    head, *rows = rows_of(tmp_path / "a.csv")
+    short = "\n".join(map(",".join, [head, *(row for row in rows if float(row[0]) < 11.8)]))
+    (tmp_path / "short.csv").write_text(short, encoding="utf-8")
+    (tmp_path / "link.csv").symlink_to("a.csv")
+    (tmp_path / "x").mkdir()
     table = tmp_path / "trials.csv"
-    for files in (["a", "b", "./a"], ["a", "b", "c"]):
-        table.write_text("phi,file\n" + "".join(f"walk,{name}.csv\n" for name in files), encoding="utf-8")
+    for again in ("a", "./a", "x/../a", "link", "copy", "later", "short"):
+        files = "".join(f"walk,{name}.csv\n" for name in ("a", "b", again))
+        table.write_text(f"phi,file\n{files}", encoding="utf-8")
         with pytest.raises(UsageError, match=r"line 4: is the recording of .*line 2 once more"):
             read_trials(table, recorder().measured)
+    table.write_text("phi,file\nwalk,a.csv\nwalk,b.csv\n", encoding="utf-8")
+    assert len(read_trials(table, recorder().measured)) == 2
 
 
 def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
@@ -182,6 +192,17 @@ def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
 def reached(x: float) -> float:
     """The gap from which the car comes to the crossing line when the road user is there, m."""
     return SPEED * (x + 3.5) / WALKED
+
+
+def test_a_timing_that_its_recording_contradicts_is_refused(tmp_path: Path):
+    path = tracked(tmp_path / "a.csv", gap=25.0)
+    kept = recorder().measured(path, Trial("walk", {}, 25.3, "t.csv, line 3"))
+    assert kept.gap == 25.3
+    with pytest.raises(
+        UsageError, match=r"line 3: gap is said to be 25\.80 m, and the recording gives 2[45]\.\d\d, more "
+    ):
+        recorder().measured(path, Trial("walk", {}, 25.8, "t.csv, line 3"))
+    assert recorder(gap_tolerance=1.0).measured(path, Trial("walk", {}, 25.8)).gap == 25.8
 
 
 @pytest.mark.parametrize("said", [{"hit": 0.0}, {"clearance": 0.2}])

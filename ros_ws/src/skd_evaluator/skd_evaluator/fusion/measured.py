@@ -18,6 +18,7 @@ from skd_sim.encounter.road import right_and_along, road_pose
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
+from skd_evaluator.fusion.pairs import GAP_TOLERANCE
 from skd_evaluator.fusion.recording import read_tracks
 from skd_evaluator.fusion.track import Frame, Track
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
@@ -50,6 +51,7 @@ class Recorder:
         frame: where `map` lies in the recording's frame.
         reference: how far ahead of the scenario's reference point of the car the tracked point is, m.
         tolerance: m that the road user may be off φ.
+        gap_tolerance: m that the timing of a table may be off that of the recording.
     """
 
     scenario: Scenario
@@ -59,6 +61,7 @@ class Recorder:
     frame: Frame = field(default_factory=Frame)
     reference: float = 0.0
     tolerance: float = PATH_TOLERANCE
+    gap_tolerance: float = GAP_TOLERANCE
 
     def measured(self, path: Path, trial: Trial) -> Trial:
         """Return a trial with timing and figures as its recording has them.
@@ -67,6 +70,7 @@ class Recorder:
             UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
         """
         scene, deeper = self.laid(path, trial), 0.0
+        track = track_of(scene)
         touched = _touches(scene, deeper)
         seen = touched and self.scenario.collision.is_hit(float(scene.car[-1, 3]))
         if touched and _says_apart(trial):
@@ -85,8 +89,13 @@ class Recorder:
         if trial.values.get("hit") == 1.0:
             values["clearance"] = 0.0
         gap = gap_to_crossing(self.scenario, scene.car[0])
+        if trial.gap is not None and abs(trial.gap - gap) > self.gap_tolerance:
+            raise UsageError(
+                f"{trial.where}: gap is said to be {trial.gap:.2f} m, and the recording gives {gap:.2f}, more than "
+                f"{self.gap_tolerance:g} m off: leave it out, or does --reference say which point is tracked?"
+            )
         said = gap if trial.gap is None else trial.gap
-        return replace(trial, values={**values, **trial.values}, gap=said, seen_hit=seen)
+        return replace(trial, values={**values, **trial.values}, gap=said, seen_hit=seen, track=track)
 
     def laid(self, path: Path, trial: Trial, deeper: float = 0.0) -> Scene:
         """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
@@ -215,6 +224,11 @@ class Recorder:
                 f"{path}: the car goes {math.degrees(aside.max()):.0f}° aside of where it points: is its heading in "
                 "rad, counter-clockwise from the x axis of the recording's frame?"
             )
+
+
+def track_of(scene: Scene) -> FloatArray:
+    """Return where car and road user were at each moment of a trial, n × 4, m."""
+    return np.column_stack([scene.car[:, :2], scene.other])
 
 
 def overruled(trials: Sequence[Trial]) -> list[str]:

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import read_text
+from skd_sim.inputs.outside import read_text, real_path
 
 from skd_evaluator.fusion.figures import FIGURES, checked_value
 from skd_evaluator.fusion.trial import Trial
@@ -20,6 +21,7 @@ NAME = "trials.csv"
 _PHI, _FILE, _GAP = "phi", "file", "gap"
 _COLUMNS = (_PHI, _FILE, _GAP, *FIGURES)
 _FARTHEST = 1000.0  # m that a car may start off
+_SAME = 1e-3  # m that no two drives agree by at every moment: any sensor's noise is more
 
 
 def table_in(path: Path) -> Path:
@@ -54,7 +56,7 @@ def read_trials(path: Path, measured: Callable[[Path, Trial], Trial] | None = No
         _check_header(path, header, recordings=measured is not None)
         rows.fieldnames = header
         found: list[Trial] = []
-        known: dict[object, str] = {}
+        known: dict[Path, Trial] = {}
         for row in rows:
             where = f"{path}, line {rows.line_num}"
             if None in row or None in row.values():
@@ -90,15 +92,21 @@ def _check_header(path: Path, header: list[str], *, recordings: bool) -> None:
         )
 
 
-def _check_once(known: dict[object, str], file: Path, trial: Trial) -> None:
-    """Refuse a recording that was there before, by its file or, of a copy, by its figures: it would count twice."""
-    keys: list[object] = [file]
-    if trial.values.get("clearance", 0.0) > 0.0:  # of two hits it is 0, and of no two others the same to the last bit
-        keys.append(tuple(sorted(trial.values.items())))
-    for key in keys:
-        if key in known:
-            raise UsageError(f"{trial.where}: is the recording of {known[key]} once more; give each trial its own")
-        known[key] = trial.where
+def _check_once(known: dict[Path, Trial], file: Path, trial: Trial) -> None:
+    """Refuse a recording that was there before, by its file or, of a copy, by its tracks: it would count twice."""
+    path = real_path(file)
+    before = known.get(path) or next((one for one in known.values() if _same_track(one, trial)), None)
+    if before is not None:
+        raise UsageError(f"{trial.where}: is the recording of {before.where} once more; give each trial its own")
+    known[path] = trial
+
+
+def _same_track(one: Trial, other: Trial) -> bool:
+    """Return whether two trials are of one drive; one of the recordings may end earlier."""
+    if one.track is None or other.track is None:
+        return False
+    count = min(len(one.track), len(other.track))
+    return bool(np.abs(one.track[:count] - other.track[:count]).max() < _SAME)
 
 
 def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path, Trial], Trial] | None) -> Trial:

@@ -26,6 +26,8 @@ class Trial:
         gap: timing: how far the car's front was before the crossing line when φ began, m; None where it is not known.
         where: file and line, for messages.
         seen_hit: whether the car hits by its recording, whatever the table says; None without a recording.
+        track: where car and road user were from the beginning of φ to its end, or to the contact, by the recording,
+            n × 4, m; None without one.
     """
 
     phi: str
@@ -33,6 +35,7 @@ class Trial:
     gap: float | None = None
     where: str = ""
     seen_hit: bool | None = None
+    track: FloatArray | None = field(default=None, repr=False, compare=False)
 
 
 def figures_of(scene: Scene, *, hit: bool) -> dict[str, float]:

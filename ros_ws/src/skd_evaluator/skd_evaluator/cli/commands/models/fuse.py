@@ -16,6 +16,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.fusion.measured import Recorder, overruled
+from skd_evaluator.fusion.pairs import GAP_TOLERANCE
 from skd_evaluator.fusion.simulated import Simulated, by_phi, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.track import Frame
@@ -31,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_replace(out.path, [arguments.simulated, arguments.physical])
     simulated = _simulated(arguments.simulated)
     table = table_in(arguments.physical)
-    recorder = recorder_of(simulated, arguments)
+    recorder = recorder_of(simulated, arguments, arguments.gap_tolerance)
     trials = read_trials(table, None if recorder is None else recorder.measured)
     fusion = fuse(trials, simulated.trials, looks=arguments.looks, tolerance=arguments.gap_tolerance)
     figures, warnings = fusion.figures, [*simulated.remarks, *overruled(trials), *fusion.left_out]
@@ -75,7 +76,9 @@ def _simulated(path: Path) -> Simulated:
     return Simulated(str(path), by_phi(read_trials(table_in(path))))
 
 
-def recorder_of(simulated: Simulated, arguments: argparse.Namespace) -> Recorder | None:
+def recorder_of(
+    simulated: Simulated, arguments: argparse.Namespace, gap_tolerance: float = GAP_TOLERANCE
+) -> Recorder | None:
     """Return what reads recordings of trials on simulated φ; None where road and shapes are not known."""
     if simulated.scenario is None or simulated.safe is None:
         return None
@@ -87,6 +90,7 @@ def recorder_of(simulated: Simulated, arguments: argparse.Namespace) -> Recorder
         _frame(arguments.frame),
         arguments.reference,
         arguments.path_tolerance,
+        gap_tolerance,
     )
 
 

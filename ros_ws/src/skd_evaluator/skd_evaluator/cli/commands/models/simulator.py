@@ -26,7 +26,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
-from skd_evaluator.fusion.measured import PATH_TOLERANCE
+from skd_evaluator.fusion.measured import PATH_TOLERANCE, track_of
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
@@ -127,11 +127,9 @@ def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: arg
     assert recorder is not None
 
     def keep(path: Path, trial: Trial) -> Trial:
-        one = recorded(world, recorder.laid(path, trial), trial.phi, trial.where)
-        if again := [before for before in found if np.array_equal(before.car, one.car)]:
-            raise UsageError(f"{trial.where}: is the recording of {again[0].where} once more; give each trial its own")
-        found.append(one)
-        return trial
+        scene = recorder.laid(path, trial)
+        found.append(recorded(world, scene, trial.phi, trial.where))
+        return replace(trial, track=track_of(scene))
 
     trials = read_trials(table, keep)
     if len(found) < len(trials):
