@@ -23,6 +23,7 @@ from skd_evaluator.fusion.figures import FIGURES
 from skd_evaluator.fusion.fusion import NotSaidError, fuse, fused_figure
 from skd_evaluator.fusion.pairs import Pairs, paired
 from skd_evaluator.fusion.trial import Trial
+from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
 
@@ -137,6 +138,69 @@ def test_rates_hold_and_stay_rates():
     assert used > 300
     assert held / used >= 0.94
     assert first / second > 1.4
+
+
+def hits_of(*groups: tuple[int, int]) -> list[np.ndarray]:
+    """Hits and trials of each φ."""
+    return [np.array([1.0] * hits + [0.0] * (trials - hits)) for hits, trials in groups]
+
+
+def score_ends(rate: float, error: float, most: float, quantile: float) -> list[float]:
+    """The rates p with (rate − p)² = quantile² p (1 − p) / effective."""
+    share = quantile**2 / min(rate * (1.0 - rate) / error**2, most)
+    return sorted(np.roots([1.0 + share, -2.0 * rate - share, rate**2]).real)
+
+
+def test_a_hit_rate_counts_phi_alike():
+    """The mean of the φ's rates and its error, by scipy; the interval by the quadratic equation that it solves."""
+    groups = hits_of((1, 3), (3, 3), (0, 3), (2, 3), (0, 3), (1, 3), (0, 3), (3, 3))
+    rates = [group.mean() for group in groups]
+    found = alone_rate(groups)
+    assert found.value == pytest.approx(np.mean(rates))
+    assert found.error == pytest.approx(stats.sem(rates))
+    assert found.interval == pytest.approx(score_ends(np.mean(rates), stats.sem(rates), 24.0, stats.t.ppf(0.975, 7)))
+    unequal = hits_of((1, 1), (0, 25), (2, 4), (0, 25), (1, 2), (0, 1))
+    rates = [1.0, 0.0, 0.5, 0.0, 0.5, 0.0]
+    assert alone_rate(unequal).value == pytest.approx(1 / 3)
+    assert alone_rate(unequal).error == pytest.approx(stats.sem(rates))
+
+
+def test_trials_of_harmless_phi_again_and_again_make_no_safer_car():
+    once = alone_rate(hits_of(*[(1, 1)] * 4, *[(0, 1)] * 8))
+    many = alone_rate(hits_of(*[(1, 1)] * 4, *[(0, 25)] * 8))
+    assert many.value == once.value == 4 / 12
+    assert many.interval == pytest.approx(once.interval)
+    assert alone_rate(hits_of(*[(0, 25)] * 12)).interval == pytest.approx(alone_rate(hits_of(*[(0, 1)] * 12)).interval)
+    (fused_hits,) = fuse(
+        [Trial(f"phi{index}", {"hit": float(index < 4)}) for index in range(12) for _ in range(1 if index < 4 else 25)],
+        simulated_of(np.resize([0.0, 1.0], 40), "hit"),
+    ).figures
+    assert fused_hits.stands.value == pytest.approx(4 / 12)
+    one_phi = [Trial(f"phi{index}", {"hit": float(not index)}) for index in range(8) for _ in range(9 - index)]
+    (often,) = fuse(one_phi, simulated_of(np.resize([1.0, 0.0], 40), "hit")).figures
+    assert often.why_alone == "there are fewer than 3 φ with a hit, or without one"
+
+
+def test_of_one_trial_on_each_phi_a_rate_is_that_of_all_trials_to_the_last_bit():
+    for hits in range(13):
+        groups = hits_of(*[(1, 1)] * hits, *[(0, 1)] * (12 - hits))
+        found = clustered_rate([(1, 1)] * hits + [(0, 1)] * (12 - hits))
+        one = alone_rate(groups)
+        assert found is not None
+        assert (one.value, one.interval, one.error) == (found.value, found.interval, found.standard_error)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_intervals_of_rates_hold_with_trials_unequally_often(alike: bool):
+    """25 trials on some φ and one on others: where φ are alike, and where each is a yes or a no."""
+    rng, held = np.random.default_rng(17), 0
+    for _ in range(300):
+        counts = np.where(rng.random(20) < 2 / 3, 25, 1)
+        own = np.full(20, 0.15) if alike else (rng.random(20) < 0.15).astype(float)
+        groups = [(rng.random(count) < rate).astype(float) for count, rate in zip(counts, own, strict=True)]
+        low, high = alone_rate(groups).interval
+        held += low <= 0.15 <= high
+    assert held / 300 >= 0.91  # 3.5 standard errors below 95 %
 
 
 def trials_of(values: np.ndarray, key: str = "clearance", **more: float) -> list[Trial]:

@@ -233,7 +233,7 @@ def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float)
         return None, "the simulator says the same of all these φ"
     if figure.is_rate:
         if not enough_of_each(pairs.groups):
-            return None, (f"there are fewer than {LEAST_OF_EACH} trials with a hit, or without one")
+            return None, f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
         return fused_rate(y, x, population, line, confidence), ""
     reach = _reach(pairs, line, confidence, by_line=True)
     if line.predicts:

@@ -15,27 +15,39 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.fusion.estimate.control_variate import Line, Mean, regressed
-from skd_evaluator.measure.statistics.clustered import student_quantile
-from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
+from skd_evaluator.measure.statistics.clustered import cluster_error, components_of, student_quantile
 from skd_evaluator.measure.statistics.statistics import checked_confidence, score_interval
 
 LEAST_OF_EACH = 3
-"""Trials with a hit, and trials without, below which a line through hits says nothing: physical trials stand alone."""
+"""φ with a hit, and φ with a trial without one, below which a line through hits says nothing: physical trials stand
+alone."""
 _ADDED = 2.0
 
 
 def alone_rate(groups: Sequence[FloatArray], confidence: float = 0.95) -> Mean:
-    """Return the rate of hits of physical trials by themselves, every trial counting as much as any other.
+    """Return the rate of hits of physical trials by themselves, every φ counting as much as any other.
+
+    It is the mean of the φ's own rates, as that with the simulator is; somebody who drives harmless φ again and again
+    does not get a safer car. Trials of one φ are at best independent of each other, so that they are no more than
+    n²/Σ 1/mᵢ effective trials (m trials on each of n φ), however alike chance has made the φ. Where all φ have one rate
+    nothing is known of how much less that is, and several trials of a φ are one.
 
     Args:
         groups: 1 for each trial of a φ with a hit, else 0; at least two φ.
         confidence: two-sided.
     """
-    found = clustered_rate([(int(one.sum()), one.size) for one in groups], confidence)
-    assert found is not None
-    assert found.interval is not None
-    assert found.standard_error is not None
-    return Mean(found.value, found.interval, found.standard_error)
+    counts = np.array([one.size for one in groups], dtype=np.float64)
+    rates = np.array([one.sum() for one in groups]) / counts
+    phi = len(groups)
+    components = components_of(rates, counts, math.fsum(counts * rates * (1.0 - rates)))
+    error, freedom = cluster_error(rates, counts, components, np.full(phi, 1.0 / phi))
+    assert error is not None
+    assert freedom is not None
+    rate = math.fsum(rates) / phi
+    effective = float(phi)
+    if error > 0.0:
+        effective = min(rate * (1.0 - rate) / error**2, phi**2 / math.fsum(1.0 / counts))
+    return Mean(rate, score_interval(rate, effective, student_quantile(freedom, confidence)), error)
 
 
 def fused_rate(y: FloatArray, x: FloatArray, population: FloatArray, line: Line, confidence: float = 0.95) -> Mean:
@@ -51,6 +63,5 @@ def fused_rate(y: FloatArray, x: FloatArray, population: FloatArray, line: Line,
 
 
 def enough_of_each(groups: Sequence[FloatArray]) -> bool:
-    """Return whether there are enough trials with a hit, and enough without one."""
-    trials = np.concatenate(groups)
-    return LEAST_OF_EACH <= int(trials.sum()) <= trials.size - LEAST_OF_EACH
+    """Return whether there are enough φ with a hit, and enough with a trial without one."""
+    return min(sum(bool(one.any()) for one in groups), sum(not one.all() for one in groups)) >= LEAST_OF_EACH

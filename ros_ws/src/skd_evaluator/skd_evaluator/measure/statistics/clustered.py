@@ -186,7 +186,7 @@ def group_notes(filled: int, asked: int) -> list[str]:
 
 
 def cluster_error(
-    means: FloatArray, counts: FloatArray, components: VarianceComponents
+    means: FloatArray, counts: FloatArray, components: VarianceComponents, shares: FloatArray | None = None
 ) -> tuple[float | None, float | None]:
     """Return standard error and degrees of freedom of the mean over all values; None below two groups.
 
@@ -198,10 +198,12 @@ def cluster_error(
         means: mean of each group.
         counts: number of values in each group, ≥ 1.
         components: variances between and within groups, as `variance_components` returns them.
+        shares: that each group has in the mean; None: that of its values. The error of a mean in which all have the
+            same share is unbiased however much they differ in size.
     """
     if len(means) < 2:
         return None, None
-    shares = counts / counts.sum()
+    shares = counts / counts.sum() if shares is None else shares
     weights = shares**2 / (1.0 - shares)
     centred = np.eye(len(means)) - shares[None, :]
     deviations = means - math.fsum(shares * means)
