@@ -94,6 +94,76 @@ def test_a_plan_says_what_was_to_be_said_of_what_it_plans_with(
             assert f"{DOUBT}it counts" in capsys.readouterr().err
 
 
+PLAN = ("plan", "--physical", "--figure", "clearance", "--width", "0.1")
+
+
+def edited_fusion(fused: Path, folder: Path, manifest: bool, figure: dict[str, object], **top: object) -> Path:
+    """A copy of a fusion in which somebody has changed entries."""
+    shutil.copytree(fused, folder)
+    if not manifest:
+        (folder / "manifest.sha256").unlink()
+    content = json.loads((folder / "fusion.json").read_text("utf-8"))
+    content["figures"]["clearance"].update(figure)
+    (folder / "fusion.json").write_text(json.dumps({**content, **top}), "utf-8")
+    return folder
+
+
+def test_a_fusion_that_was_changed_is_refused(fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = edited_fusion(fused, tmp_path / "a", manifest=True, figure={"deviation": 0.03})
+    assert run_skd(*PLAN, folder) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "fusion.json: is not what was written: its SHA-256 is another than in manifest.sha256" in line
+    assert run_skd(*PLAN, edited_fusion(fused, tmp_path / "b", manifest=False, figure={})) == 0
+    assert "has no manifest.sha256: nothing says that fusion.json is what skd fuse wrote" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("figure", "top", "says"),
+    [
+        ({"correlation": "0.9"}, {}, "figures.clearance.correlation must be a number from -1 to 1"),
+        ({"correlation": [1]}, {}, "figures.clearance.correlation must be a number"),
+        ({"correlation": 1.5}, {}, "must be a number from -1 to 1 (no unit), got 1.5"),
+        ({"correlation": -0.9}, {}, "says that the simulator predicts it, and its correlation is -0.9"),
+        ({"correlation": None}, {}, "says that the simulator predicts it, and its correlation is 0"),
+        ({"deviation": True}, {}, "figures.clearance.deviation must be a number from 0 to 100"),
+        ({"deviation": "1_0"}, {}, "figures.clearance.deviation must be a number"),
+        ({"deviation": 1e300}, {}, "figures.clearance.deviation must be a number from 0 to 100"),
+        ({"deviation": None}, {}, "missing key figures.clearance.deviation"),
+        ({"deviation": 0.0}, {}, "is the same on every φ, so nothing can be planned"),
+        ({"simulated_phi": 400.5}, {}, "figures.clearance.simulated_phi must be a whole number"),
+        ({"simulated_phi": -3}, {}, "figures.clearance.simulated_phi must be a number from 5"),
+        ({"trials": True}, {}, "figures.clearance.trials must be a number from 5"),
+        ({"predicts": 1}, {}, "figures.clearance.predicts must be true or false"),
+        ({}, {"warnings": "fine"}, "warnings must be a list of texts"),
+        ({}, {"warnings": [1]}, "warnings must be a list of texts"),
+        ({}, {"figures": {"clearance": 3}}, "figures.clearance must be a mapping"),
+        ({}, {"figures": []}, "no result of skd fuse: it has no figures"),
+    ],
+)
+def test_entries_that_a_fusion_cannot_have(
+    fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], figure, top, says
+):
+    assert run_skd(*PLAN, edited_fusion(fused, tmp_path / "a", manifest=False, figure=figure, **top)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert says in line
+
+
+def test_words_of_others_begin_no_line(fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """Neither in the warnings of a file, nor in the name of a φ."""
+    folder = edited_fusion(fused, tmp_path / "a", manifest=False, figure={}, warnings=["x\nskd plan: fine"])
+    assert run_skd(*PLAN, folder) == 0
+    assert "skd plan: warning: x skd plan: fine\n" in capsys.readouterr().err
+    for name in ("simulated.csv", "real.csv"):
+        text = (fused.parent / name).read_text("utf-8")
+        (tmp_path / name).write_text(
+            text.replace("\nw", '\n"w\nskd fuse: fine').replace(",", '",').replace('phi"', "phi")
+        )
+    assert run_skd("fuse", tmp_path / "simulated.csv", tmp_path / "real.csv", "--out", tmp_path / "fused") == 0
+    said = capsys.readouterr()
+    assert "largest on w skd fuse: fine" in said.out
+    assert not [line for line in (said.out + said.err).splitlines() if line.startswith("skd fuse: fine")]
+
+
 def test_figures_and_runs_of_a_result_are_of_one_moment(sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """One that is replaced while it is read gave the margins of one car and the runs of another."""
     first, second = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
