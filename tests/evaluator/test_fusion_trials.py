@@ -353,6 +353,8 @@ def test_trials_calibrate_the_simulator(
     assert scenario.car.brake_delay == delay["value"]
     assert scenario.car.dynamics == "multi_body"
     assert content["sentences"][0] in capsys.readouterr().out
+    again = (*words, "--out", out, "--overwrite")
+    assert run_skd("fit", "--simulator", simulated, trials, *NAMES, *again) == 0
     assert run_skd("fit", simulated, "--draws", "3", "--out", tmp_path / "other") == 2
     assert "--draws goes with --simulator" in capsys.readouterr().err
     assert run_skd("fit", "--simulator", simulated, "--out", tmp_path / "other") == 2

@@ -6,17 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from common import run_skd
 from report_support import edited
 from scipy import special, stats
-from skd_evaluator.assessing.propagated import propagated
+from skd_evaluator.assessing.propagated import draw_doubts, propagated
 from skd_evaluator.cli.commands.models.simulator import doubts
 from skd_evaluator.fusion.calibration.estimate import estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
+from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_evaluator.measure.surrogate.scene import Scene
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -190,6 +192,36 @@ def test_what_is_not_known_of_the_simulator_is_in_the_interval():
     mixed = np.mean([special.ndtr((places - middle) / (0.2 / 1.959964)) for middle in (0.8, 1.0, 1.2)], axis=0)
     assert found.interval == pytest.approx(np.interp([0.025, 0.975], mixed, places), abs=2e-3)
     assert propagated([{"margin": None}], "margin", (0.0, 5.0)) is None
+
+
+def draw(**changes: object) -> dict[str, Any]:
+    """The content of assessment.json of a draw of which nothing is to be said, but for changes."""
+    known = {"warnings": [], "margin": 1.8, "margin_note": "", "risk_1": 0.0, "risk_note": "", "eta_max": 5.0}
+    search = {"margin_converged": True, "margin_budget": 64, "margin_how": "whole", "margin_beyond": 0}
+    ran = {"margin_attempts": 12, "collision_runs": 125, "objectives": {"deformation": {"attempts": 12}}, "aborted": 0}
+    return {**known, **search, **ran, "aborted_reasons": {}, **changes}
+
+
+def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
+    late = {"no answer": {"count": 3, "first": "no answer\nfor a second"}}
+    assert draw_doubts([draw(), draw()], 0.05) == []
+    said = draw_doubts([draw(), draw(margin_converged=False, margin_budget=1024), draw(margin_beyond=5)], 0.05)
+    assert said == [
+        "in 1 of 3 draws the search for the margin had not converged at 1024 whole episodes an attempt: the margin may "
+        "be less",
+        "in 1 of 3 draws nobody could be hit within η_max (5 m) in attempts of which the margin is made, 5 of 36 in "
+        "all; they count as η_max: the margin may be more",
+    ]
+    (few,) = draw_doubts([draw(), draw(aborted=3, aborted_reasons=late)], 0.05)
+    assert few == "3 episodes in 1 of 2 draws were aborted (no answer for a second); they count in no figure"
+    (many,) = draw_doubts([draw(), draw(aborted=8, aborted_reasons=late)], 0.05)  # of 137 that were not
+    assert many.startswith(f"{DISBELIEF}8 episodes in 1 of 2 draws were aborted")
+    lacking = draw(margin=None, margin_note="nothing was found", margin_converged=None, margin_beyond=None)
+    assert draw_doubts([draw(), lacking], 0.05) == [
+        "the margin is not said: in 1 of 2 draws it is not known (nothing was found)"
+    ]
+    doubted = draw(warnings=[f"{DOUBT}it counts", "the car was clipped"])
+    assert draw_doubts([doubted, doubted], 0.05) == [f"{DOUBT}it counts"]
 
 
 def test_every_parameter_is_a_key_of_a_scenario():

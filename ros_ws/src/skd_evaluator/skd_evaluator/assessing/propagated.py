@@ -26,6 +26,8 @@ from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.doubt import DISBELIEF, in_doubt
+from skd_evaluator.measure.margins import unit_of_search
 from skd_evaluator.risk.asked import risk_asked
 
 ATTEMPTS, RUNS = 2, 125
@@ -70,7 +72,7 @@ def assessed_draws(
     workers: int,
     progress: Progress,
 ) -> list[dict[str, Any]]:
-    """Return the figures of a car in each of some worlds, on the same φ and with the same draws.
+    """Return the content of assessment.json of a car in each of some worlds, on the same φ and with the same draws.
 
     Args:
         worlds: scenarios.
@@ -123,6 +125,49 @@ def propagated(figures: Sequence[Mapping[str, Any]], key: str, limits: tuple[flo
     low, high = np.quantile(mixed, [0.025, 0.975])
     interval = float(min(low, values.mean())), float(max(high, values.mean()))
     return Propagated(key, float(values.mean()), interval, float(np.ptp(ends, axis=1).mean()), tuple(values.tolist()))
+
+
+def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) -> list[str]:
+    """Return what a reader should know of figures over draws, a line each, as of those of one assessment.
+
+    Args:
+        figures: content of assessment.json of each draw.
+        maximum_aborted: share of a draw's episodes that may be aborted.
+    """
+    count = len(figures)
+    found = list(dict.fromkeys(line for one in figures for line in in_doubt(one["warnings"])))
+    for what, key, note in (("margin", "margin", "margin_note"), ("risk", "risk_1", "risk_note")):
+        if unknown := [one for one in figures if one[key] is None]:
+            why = unknown[0][note] or "no reason is given"
+            found.append(f"the {what} is not said: in {len(unknown)} of {count} draws it is not known ({why})")
+    searched = [one for one in figures if one["margin"] is not None]
+    if loose := [one for one in searched if not one["margin_converged"]]:
+        budget = max(one["margin_budget"] for one in loose)
+        found.append(
+            f"in {len(loose)} of {count} draws the search for the margin had not converged at {budget} "
+            f"{unit_of_search(loose[0])} an attempt: the margin may be less"
+        )
+    if beyond := [one for one in searched if one["margin_beyond"]]:
+        attempts, every = (sum(one[key] for one in searched) for key in ("margin_beyond", "margin_attempts"))
+        found.append(
+            f"in {len(beyond)} of {count} draws nobody could be hit within η_max ({beyond[0]['eta_max']:g} m) in "
+            f"attempts of which the margin is made, {attempts} of {every} in all; they count as η_max: the margin may "
+            "be more"
+        )
+    if aborted := [one for one in figures if one["aborted"]]:
+        kind, reasons = next(iter(aborted[0]["aborted_reasons"].items()))
+        line = (
+            f"{sum(one['aborted'] for one in aborted)} episodes in {len(aborted)} of {count} draws were aborted "
+            f"({reasons.get('first') or kind}); they count in no figure"
+        )
+        worst = max(one["aborted"] / (one["aborted"] + _ran(one)) for one in aborted)
+        found.append(f"{DISBELIEF}{line}" if worst > maximum_aborted else line)
+    return [" ".join(line.split()) for line in found]
+
+
+def _ran(figures: Mapping[str, Any]) -> int:
+    """Return how many episodes of an assessment were not aborted: kamikazes, and runs along φ."""
+    return int(figures["collision_runs"]) + sum(int(one["attempts"]) for one in figures["objectives"].values())
 
 
 def _silent(*_told: object) -> None:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from rich.table import Table
+from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
+from skd_sim.inputs.keys import Range
 from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.result_file import understood
+from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.fusion.estimate.control_variate import LEAST_PAIRS
 from skd_evaluator.fusion.estimate.planning import trials_for_width
 from skd_evaluator.fusion.figures import FIGURES, Figure
 from skd_evaluator.fusion.simulated import read_simulated
@@ -36,6 +41,17 @@ class _Source:
     simulated: int
     text: str
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Fused:
+    """What is read of a figure in fusion.json."""
+
+    deviation: Annotated[float, Range(0.0, 100.0, "in its unit")]
+    simulated_phi: Annotated[int, Range(LEAST_PAIRS, 1e9, "φ")]
+    trials: Annotated[int, Range(LEAST_PAIRS, 1e9, "trials")]
+    predicts: bool
+    correlation: Annotated[float, Range(-1.0, 1.0, "no unit")] = 0.0
 
 
 def run_physical(arguments: argparse.Namespace) -> int:
@@ -96,19 +112,7 @@ def _source(arguments: argparse.Namespace) -> _Source:
     path: Path = arguments.paths[0]
     key = arguments.figure
     if (path / FUSION).exists():
-        content = read_json(path / FUSION)
-        with understood(path / FUSION):
-            if key not in content["figures"]:
-                raise UsageError(f"{path}: has no {key} but {', '.join(content['figures'])}")
-            one = content["figures"][key]
-            known = one["correlation"] if one["predicts"] else None
-            return _Source(
-                _positive(float(one["deviation"]), path, FIGURES[key]),
-                known,
-                int(one["simulated_phi"]),
-                f"by {counted(int(one['trials']), 'physical trial')} in {path}",
-                tuple(map(str, content.get("warnings") or ())),
-            )
+        return _fused_source(path, key)
     simulated = read_simulated(path)
     means = [np.mean([one.values[key] for one in trials if key in one.values]) for trials in simulated.trials.values()
              if any(key in one.values for one in trials)]  # fmt: skip
@@ -117,6 +121,44 @@ def _source(arguments: argparse.Namespace) -> _Source:
     text = f"as simulated in {path}: the physical car may vary more"
     deviation = _positive(float(np.std(means, ddof=1)), path, FIGURES[key])
     return _Source(deviation, None, len(means), text, simulated.remarks)
+
+
+def _fused_source(folder: Path, key: str) -> _Source:
+    """Return what skd fuse found, as far as it is what it wrote, and can be.
+
+    Raises:
+        UsageError: it was changed, or has an entry that cannot be there.
+    """
+    path = folder / FUSION
+    written = check_unchanged(folder, (FUSION,))
+    content = read_json(path)
+    figures = content.get("figures") if isinstance(content, Mapping) else None
+    if not isinstance(figures, Mapping) or not figures:
+        raise UsageError(f"{path}: no result of skd fuse: it has no figures")
+    if key not in figures:
+        raise UsageError(f"{folder}: has no {key} but {', '.join(figures)}")
+    one, names = figures[key], [field.name for field in fields(_Fused)]
+    known = {name: one[name] for name in names if one.get(name) is not None} if isinstance(one, Mapping) else one
+    found = build(_Fused, known, str(path), f"figures.{key}")
+    if found.predicts and not found.correlation > 0.0:
+        raise UsageError(
+            f"{path}: figures.{key} says that the simulator predicts it, and its correlation is {found.correlation:g}; "
+            "it must be above 0"
+        )
+    warnings = content.get("warnings", [])
+    if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
+        raise UsageError(f"{path}: warnings must be a list of texts, got {short(warnings)}")
+    # A text may hold several lines, of which the others could pass for SKD's own.
+    lines = [" ".join(line.split()) for line in warnings]
+    if not written:
+        lines.append(f"{folder}: has no {MANIFEST}: nothing says that {FUSION} is what skd fuse wrote")
+    return _Source(
+        _positive(found.deviation, folder, FIGURES[key]),
+        found.correlation if found.predicts else None,
+        found.simulated_phi,
+        f"by {counted(found.trials, 'physical trial')} in {folder}",
+        tuple(lines),
+    )
 
 
 def _positive(deviation: float, path: Path, figure: Figure) -> float:

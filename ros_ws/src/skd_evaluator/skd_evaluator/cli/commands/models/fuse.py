@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import output_path, refuse_to_replace
@@ -156,7 +157,7 @@ def gap_lines(one: FusedFigure) -> list[str]:
     span = "" if gap.interval is None else f" [{gap.interval[0]:+.2f}, {gap.interval[1]:+.2f}]"
     found = [f"physical less simulated: {gap.mean:+.2f}{unit}{span} on average of {len(one.pairs.names)} φ"]
     worst = int(abs(gap.by_phi).argmax())
-    found.append(f"largest on {one.pairs.names[worst]}: {gap.by_phi[worst]:+.2f}{unit}")
+    found.append(f"largest on {one_line(one.pairs.names[worst])}: {gap.by_phi[worst]:+.2f}{unit}")
     if one.figure.is_rate:
         return found  # a single hit has a trend
     trends = (("with the simulated figure", gap.by_simulated), ("from trial to trial", gap.by_order))

@@ -17,10 +17,10 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.propagated import Propagated, assessed_draws, propagated
+from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_doubts, propagated
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.cli.arguments import MAXIMUM_ABORTED, output_path, refuse_to_replace
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
@@ -30,7 +30,7 @@ from skd_evaluator.fusion.measured import PATH_TOLERANCE, track_of
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
-from skd_evaluator.measure.doubt import disbelief, in_doubt
+from skd_evaluator.measure.doubt import disbelief
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
@@ -168,15 +168,14 @@ def _with_draws(
     eta_max: float,
     arguments: argparse.Namespace,
 ) -> tuple[list[Propagated], list[str]]:
-    """Return figures over draws, and why those of some draw may be of another car, a line each."""
+    """Return figures over draws, and what is to be known of them, a line each."""
     if not worlds:
         return [], []
     safe = dict(list((simulated.safe or {}).items())[: arguments.draw_phi])
     with progress_bar(quiet=arguments.quiet) as progress:
         found = assessed_draws(worlds, car, safe, seed, workers, progress)
     every = [propagated(found, key, (0.0, eta_max if key == "margin" else 1.0)) for key in _KEYS]
-    doubted = list(dict.fromkeys(line for one in found for line in in_doubt(one["warnings"])))
-    return [one for one in every if one is not None], doubted
+    return [one for one in every if one is not None], draw_doubts(found, MAXIMUM_ABORTED)
 
 
 def doubts(calibration: Calibration) -> list[str]:
