@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MARKERS = (
     "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
     "fusion.json", "encounters.json", "behaviour.yaml", "ncap.json", "reference.json", "trend.json",
-    "export.json", "import.json",
+    "export.json", "import.json", "simulator.json",
 )  # fmt: skip
 """A folder with one of these holds results of ours."""
 
