@@ -179,6 +179,12 @@ def test_a_trial_counts_once(tmp_path: Path, gap: float):
     assert len(read_trials(table, recorder().measured)) == 2
 
 
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path):
+    (tmp_path / "trials.csv").write_text("phi,file\nwalk,a\0b\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"line 2: file must be the path of a recording, got 'a"):
+        read_trials(tmp_path / "trials.csv", lambda _path, trial: trial)
+
+
 def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
     path = tracked(tmp_path / "a.csv", gap=25.0)
     with pytest.raises(UsageError, match=r"line 3: says that the car hit, and in the recording it stays 1\.\d+ m away"):

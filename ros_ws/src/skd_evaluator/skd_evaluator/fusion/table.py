@@ -12,6 +12,7 @@ from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text, real_path
+from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.fusion.figures import FIGURES, checked_value
 from skd_evaluator.fusion.trial import Trial
@@ -124,6 +125,8 @@ def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path
         raise UsageError(f"{where}: gap must be from 0 to {_FARTHEST:g} m, got {gap:g}")
     trial = Trial(row[_PHI], values, gap, where)
     if row.get(_FILE):
+        if "\0" in row[_FILE]:
+            raise UsageError(f"{where}: file must be the path of a recording, got {short(row[_FILE])}")
         assert measured is not None
         return measured(path.parent / row[_FILE], trial)
     if not values:
