@@ -310,7 +310,7 @@ def add_output_arguments(
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
-    if metavar == "DIR":
+    if metavar != "FILE":
         group.add_argument(
             "--sign", type=Path, metavar="KEY", help="private key of OpenSSH's, with which the results are signed"
         )

@@ -15,8 +15,8 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.report.encounter.picture import save_encounter
@@ -30,6 +30,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.multipliers and arguments.action != "reference":
         raise UsageError("--multipliers goes with skd encounters reference")
+    if arguments.sign is not None and (
+        arguments.action == "campaign" or (arguments.action, arguments.out) == ("list", None)
+    ):
+        raise UsageError(
+            "--sign is for a folder of results; skd encounters campaign, and list without --out, write none"
+        )
     if arguments.action == "list":
         if arguments.names:
             raise UsageError("skd encounters list takes no names; skd encounters show does")
@@ -78,7 +84,7 @@ def _show(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
     entries = [
         {**encounter_data(one, why), "picture": name} for one, why, name in zip(scenarios, known, names, strict=True)
     ]
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
 
     def write(folder: Path) -> None:
         for one, drawn, name in zip(scenarios, ways, names, strict=True):

@@ -11,8 +11,8 @@ from pathlib import Path
 from rich.table import Table
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
-from skd_evaluator.cli.arguments import output_path, refuse_to_replace
+from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
@@ -29,7 +29,7 @@ _SMALL = 0.05  # p-value of a trend that is said
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    out = ResultFolder(output_path(arguments), overwrite=arguments.overwrite)
+    out = result_folder(arguments)
     refuse_to_replace(out.path, [arguments.simulated, arguments.physical])
     simulated = _simulated(arguments.simulated)
     table = table_in(arguments.physical)
