@@ -24,6 +24,7 @@ from skd_sim.former_names import scenario_of_today
 from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
+from skd_evaluator.assessing.inputs import lies_in
 from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.results import MARKERS
 from skd_evaluator.campaigns.cell import Cell
@@ -55,12 +56,21 @@ class CampaignFolder:
         resume: bool = False,
         overwrite: bool = False,
         signer: Signer | None = None,
+        reads: Sequence[Path] = (),
     ) -> None:
-        """Take the folder, and begin a campaign in it or go on with the one that is there; `signer` signs cells.
+        """Take the folder, and begin a campaign in it or go on with the one that is there.
+
+        Args:
+            path: path of the folder.
+            cells: what is asked for.
+            resume: whether to go on with what is there.
+            overwrite: whether to replace what is there.
+            signer: signs the cells.
+            reads: files and folders that the campaign reads: none may be in the folder of a cell, which is replaced.
 
         Raises:
-            UsageError: it holds something else, another process works in it, or what was asked for then is not what is
-                asked for now.
+            UsageError: it holds something else, or what is read, another process works in it, or what was asked for
+                then is not what is asked for now.
             OSError: it cannot be written.
         """
         self.path = path
@@ -73,7 +83,7 @@ class CampaignFolder:
         path.mkdir(parents=True, exist_ok=True)
         self._lock()
         try:
-            self.resumed = self._begin(cells, resume=resume, overwrite=overwrite)
+            self.resumed = self._begin(cells, reads, resume=resume, overwrite=overwrite)
         except BaseException:
             self.close()
             raise
@@ -84,7 +94,7 @@ class CampaignFolder:
             os.close(self._descriptor)
             self._descriptor = None
 
-    def _begin(self, cells: Sequence[Cell], *, resume: bool, overwrite: bool) -> bool:
+    def _begin(self, cells: Sequence[Cell], reads: Sequence[Path], *, resume: bool, overwrite: bool) -> bool:
         for left in self.path.glob(f"{PREFIX}*"):  # by one that was killed: the lock is ours
             if left.is_dir() and not left.is_symlink():
                 shutil.rmtree(left, ignore_errors=True)
@@ -92,11 +102,13 @@ class CampaignFolder:
                 left.unlink(missing_ok=True)
         known = self.path / CELLS
         asked = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
+        before = _read_json(known) if known.exists() else {"cells": []}
+        self._refuse_read([str(cell["name"]) for cell in (*asked["cells"], *before["cells"])], reads)
         if not known.exists():
             write_safely(known, _json(asked))
             return False
         if resume:
-            self._refuse_changed(asked, _read_json(known))
+            self._refuse_changed(asked, before)
             return True
         if not overwrite:
             raise UsageError(f"{self._option}: holds a campaign; add --resume to go on with it, --overwrite to replace")
@@ -111,6 +123,16 @@ class CampaignFolder:
         others = [one.name for one in self.path.iterdir() if one.name != _LOCK and not one.name.startswith(PREFIX)]
         if others:
             raise UsageError(f"{self._option}: is not empty and holds no campaign ({others[0]:.60}); give a new folder")
+
+    def _refuse_read(self, cells: Sequence[str], reads: Sequence[Path]) -> None:
+        """Refuse cells in whose folders something is that is read: they are replaced."""
+        for path in (one for one in reads if lies_in(one, self.path)):
+            for name in cells:
+                if lies_in(path, self.path / name) or lies_in(path, self.path / f"{name}.logs"):
+                    raise UsageError(
+                        f"{self._option}: the folder of cell {name} holds {path}, which this campaign reads; give "
+                        "another folder"
+                    )
 
     def _lock(self) -> None:
         # Of POSIX: a worker that has been forked does not share it, so it ends with this process however that ends.

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
-from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
@@ -339,18 +337,14 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
     """Take the folder for the results.
 
     Raises:
-        UsageError: it cannot be taken, or --sign names no key that signs.
+        UsageError: it cannot be taken, holds what the command reads, or --sign names no key that signs.
     """
+    from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
     from skd_evaluator.campaign.store.results import ResultFolder
 
-    return ResultFolder(output_path(arguments), overwrite=arguments.overwrite, signer=signer_of(arguments))
-
-
-def refuse_to_replace(out: Path, paths: Sequence[Path]) -> None:
-    """Refuse an output folder that holds files which the command reads: --overwrite would delete them."""
-    for path in paths:
-        if real_path(path).is_relative_to(real_path(out)):
-            raise UsageError(f"--out {out}: holds {path}, which this command reads; give another folder")
+    out = output_path(arguments)
+    refuse_to_replace(out, inputs_of(vars(arguments)))
+    return ResultFolder(out, overwrite=arguments.overwrite, signer=signer_of(arguments))
 
 
 def output_path(arguments: argparse.Namespace) -> Path:

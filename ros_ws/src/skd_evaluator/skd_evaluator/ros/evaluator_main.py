@@ -26,6 +26,7 @@ from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack
 from skd_evaluator.assessing.asked import default_folder, plan_of, scenario_for, with_asked_period
 from skd_evaluator.assessing.findings import episode_line, warnings_of, why_failed
 from skd_evaluator.assessing.graph_options import EvaluatorOptions, managed_nodes
+from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph
 from skd_evaluator.assessing.written import fill, fill_episode, write_with_scratch
 from skd_evaluator.campaign.judge.rating import Rating
@@ -87,6 +88,7 @@ class EvaluatorProcess(Evaluator):
             clocked = with_asked_period(scenario, values["control_period"] or None)
         self._plan = replace(self._plan, scenario=clocked)
         folder = Path(values["out"]).expanduser() if values["out"] else default_folder(values["task"])
+        refuse_to_replace(folder, inputs_of(values))
         self._out = ResultFolder(folder, overwrite=values["overwrite"])
 
     def work(self) -> int:

@@ -14,10 +14,11 @@ from typing import Any
 from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessing.inputs import inputs_of
 from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
 from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaigns.campaign import Campaign, planned_rows
-from skd_evaluator.campaigns.campaign_file import read_campaign
+from skd_evaluator.campaigns.campaign_file import Combination, read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import DONE, FAILED, Row
@@ -42,7 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
-    cells = make_cells(read_campaign(arguments.path))
+    combinations = read_campaign(arguments.path)
+    cells = make_cells(combinations)
     if arguments.dry_run:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
@@ -50,7 +52,12 @@ def run(arguments: argparse.Namespace) -> int:
     _prepare_graphs(cells, arguments)
     out = output_path(arguments)
     folder = CampaignFolder(
-        out, cells, resume=arguments.resume, overwrite=arguments.overwrite, signer=signer_of(arguments)
+        out,
+        cells,
+        resume=arguments.resume,
+        overwrite=arguments.overwrite,
+        signer=signer_of(arguments),
+        reads=_read_by(combinations, arguments),
     )
     try:
         campaign = Campaign(cells, folder, arguments.command_line, maximum_aborted=arguments.max_aborted)
@@ -68,6 +75,16 @@ def run(arguments: argparse.Namespace) -> int:
         return _say_result(campaign, arguments, out)
     finally:
         folder.close()
+
+
+def _read_by(combinations: Sequence[Combination], arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that a campaign reads: its own, and those of its cells."""
+    named = ("safe", "car_model", "behaviour", "message_folder", "controller")  # as `inputs_of` looks at
+    different = dict.fromkeys((one.scenario, *(one.values[name] for name in named)) for one in combinations)
+    found = inputs_of(vars(arguments))
+    for values in different:
+        found += inputs_of(dict(zip(("scenario", *named), values, strict=True)))
+    return list(dict.fromkeys(found))
 
 
 def _prepare_graphs(cells: Sequence[Cell], arguments: argparse.Namespace) -> None:

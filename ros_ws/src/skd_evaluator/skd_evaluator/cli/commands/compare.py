@@ -22,7 +22,7 @@ from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.measure.behaviour import WALKERS
@@ -49,7 +49,6 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     cars = [one for one in rated if one is not None]
     behind = [] if arguments.reference is None else _reference(arguments.reference, results[0])
     out = result_folder(arguments)
-    refuse_to_replace(out.path, [*arguments.paths, *([arguments.reference] if arguments.reference else [])])
     rows = [
         {
             "car": name,

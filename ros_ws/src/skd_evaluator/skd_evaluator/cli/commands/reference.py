@@ -20,7 +20,7 @@ from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
@@ -45,7 +45,6 @@ def run(arguments: argparse.Namespace) -> int:
         if Path(name) not in results:
             load_scenario(name)
     out = result_folder(arguments)
-    refuse_to_replace(out.path, results)
     entries, tables = [], []
     with runner_of(arguments) as runner:
         warm_up_margins()

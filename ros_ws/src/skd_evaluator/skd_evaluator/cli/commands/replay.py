@@ -16,7 +16,7 @@ from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.bags.validation import Damage
 from skd_evaluator.bags.verification import Sample, verified
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
@@ -37,7 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
     recorded = read_bags(arguments.paths, damage)
     try:

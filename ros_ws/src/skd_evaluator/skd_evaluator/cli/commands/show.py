@@ -16,7 +16,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.surrogate.episode import episode_measures
 from skd_evaluator.measure.surrogate.scenes import course_of
@@ -50,7 +50,6 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
     else:
         subject = replace(subject, episodes=subject.failing)
     out = result_folder(arguments)
-    refuse_to_replace(out.path, [arguments.path])
     names = [f"{place}.{arguments.format}" for place in range(1, len(numbers) + 1)]
     commands = [_command(subject, number, kept) for number in numbers]
     needed = {name: content for words in commands for name, content in files_of(subject.figures, words).items()}

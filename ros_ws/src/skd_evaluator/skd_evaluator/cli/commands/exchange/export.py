@@ -11,7 +11,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.exchange.going_out.chosen import Going, chosen, going_out
 from skd_evaluator.exchange.going_out.formats import FORMATS, Format
@@ -38,7 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> int:
     numbers = chosen(subject, arguments.episode, arguments.worst, arguments.objective)
     out = result_folder(arguments)
-    refuse_to_replace(out.path, [arguments.path])
     going = going_out(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
     content: dict[str, Any] = {
         "export": 1,

@@ -18,7 +18,7 @@ from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.exchange_options import BY_CAR
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
@@ -39,7 +39,6 @@ def run(arguments: argparse.Namespace) -> int:
     frame = None if arguments.frame == BY_CAR else _frame(*arguments.frame)
     asked = Asked(arguments.road_user, arguments.car, arguments.kind, frame is None, arguments.map_frame)
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     ways, left_out = _taken(arguments, asked, frame, scenario)
     if not ways:
         raise UsageError(_why_none(left_out))

@@ -15,7 +15,7 @@ from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
 
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.measure.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
@@ -36,7 +36,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.kind not in ROAD_USERS:
         raise UsageError(f"--kind must be one of {', '.join(ROAD_USERS.names())}; got {arguments.kind!r:.40}")
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
     tracks = read_tracks(arguments.paths, damage, arguments.kind)
     say_damage("behaviour", damage)

@@ -19,7 +19,7 @@ from skd_adversary.fitted_car import FittedCar
 
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models import simulator
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
@@ -41,7 +41,6 @@ def run(arguments: argparse.Namespace) -> int:
     simulator.check_only_simulator(arguments)
     begin = time.perf_counter()
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     damage = Damage(skip=arguments.skip_damaged)
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)

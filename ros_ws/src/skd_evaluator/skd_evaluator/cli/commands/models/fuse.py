@@ -12,7 +12,7 @@ from rich.table import Table
 from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.estimate.control_variate import Mean
 from skd_evaluator.fusion.fusion import FusedFigure, fuse
@@ -30,7 +30,6 @@ _SMALL = 0.05  # p-value of a trend that is said
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     out = result_folder(arguments)
-    refuse_to_replace(out.path, [arguments.simulated, arguments.physical])
     simulated = _simulated(arguments.simulated)
     table = table_in(arguments.physical)
     recorder = recorder_of(simulated, arguments, arguments.gap_tolerance)

@@ -20,7 +20,7 @@ from skd_sim.errors import UsageError
 from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_doubts, propagated
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import MAXIMUM_ABORTED, refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import MAXIMUM_ABORTED, result_folder
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
@@ -46,7 +46,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--simulator needs two paths: the simulated assessment, and the physical trials")
     folder, physical = arguments.paths
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     simulated = read_simulated(folder)
     figures = simulated.figures
     stated = figures["multiplier"]  # which only a car that has one states

@@ -12,7 +12,7 @@ from skd_evaluator.campaign.compare.comparison import Comparison, compare
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.cli.arguments import refuse_to_replace, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import trend_table
@@ -29,7 +29,6 @@ def run(arguments: argparse.Namespace) -> int:
     if len(wanted) < 2:
         raise UsageError("a trend is of at least two assessments of a car")
     out = result_folder(arguments)
-    refuse_to_replace(out.path, arguments.paths)
     # Each is read once more, and only this is shown: what does not follow from its episodes is refused, also of a car
     # that has no neighbour to be held against.
     read = {one.folder: read_result(one.folder) for one in wanted}

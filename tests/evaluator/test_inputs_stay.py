@@ -1,0 +1,166 @@
+"""What a command reads is never what it replaces: `--overwrite` refuses a folder that holds its own input."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_support import CONTROLLERS, CROSSING, SMALL, one_line
+from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.commands import episode
+from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_sim.errors import UsageError
+from test_signatures import write_key
+from test_signed_commands import OTHER, RESULT, WORDS
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+SAID = "which this command reads; give another folder"
+COMMANDS = {name: one for name, one in commands_of(make_parser()).items() if "--overwrite" in one.format_help()}
+SCENARIO = "name: mine\ndescription: mine\nextends: cpna-75\n"
+READ = {  # by the name of an option, whatever command has it: the words that have it read something below a folder
+    "path": ["{}/file"],
+    "paths": ["{}/file"],
+    "names": ["{}/mine.yaml"],
+    "simulated": ["{}/file", "other"],
+    "physical": ["other", "{}/file"],
+    "reference": ["--reference", "{}/file"],
+    "fail_if_worse_than": ["--fail-if-worse-than", "{}"],
+    "sign": ["--sign", "{}/key"],
+    "scenario": ["--scenario", "{}/mine.yaml"],
+    "safe": ["--safe", "{}/ways"],
+    "car_model": ["--car-model", "{}/file"],
+    "behaviour": ["--behaviour", "{}/file"],
+    "encounters": ["--encounters", "cpna,{}/mine.yaml"],
+    "message_folder": ["--message-folder", "{}/messages"],
+    "controller": ["--controller", "cars_in_it:Fine"],
+}
+NOT_READ = {
+    *("out", "junit", "markdown", "csv", "mlflow", "scheduler", "controller_command"),
+    *("name", "description", "campaign", "objective", "road_user", "car", "kind", "map_frame"),
+    *("lifecycle_nodes", "command_topic", "command_type", "command_field", "laser_frame", "base_frame", "odom_frame"),
+}
+"""Options of text that name no file to be read; what a node's own command line reads is not known."""
+
+
+def texts_of(parser: argparse.ArgumentParser) -> set[str]:
+    """Return the options that take a text or a path, by name."""
+    kinds = (None, str, Path)
+    takes = (one for one in parser._actions if one.nargs != 0 and one.type in kinds and one.choices is None)
+    return {one.dest for one in takes if one.dest != "help"}
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_of_every_option_it_is_known_whether_it_names_a_file(command: str) -> None:
+    """A new one has to be put into one of the two tables above, and so into `inputs_of`."""
+    assert texts_of(COMMANDS[command]) <= {*READ, *NOT_READ}
+
+
+@pytest.mark.parametrize("command", sorted(set(COMMANDS) - {"campaign", "report"}))
+def test_every_input_of_every_command_is_kept(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Straight into the folder, through a link, and by a way round; `campaign` and `report` follow below."""
+    (tmp_path / "base").mkdir()
+    for name in ("assessment.json", "file"):
+        (tmp_path / "base" / name).write_text("{}")
+    (tmp_path / "base" / "mine.yaml").write_text(SCENARIO)
+    (tmp_path / "base" / "cars_in_it.py").write_text(CONTROLLERS)
+    (tmp_path / "link").symlink_to("base")
+    (tmp_path / "base" / "outward").symlink_to(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path / "base"))
+    needed = {"behaviour": ["fit"], "encounters": ["check"], "export": ["--format", "csv"]}.get(command, [])
+    positional = [one.dest for one in COMMANDS[command]._actions if not one.option_strings and one.choices is None]
+    tried = 0
+    for name in texts_of(COMMANDS[command]) & set(READ):
+        for folder, out in (("base", "base"), ("link", "base"), ("base", "link"), ("other/../base", "base")):
+            filled = [] if name in positional else ["other"] * (2 if command == "fuse" else len(positional))
+            if command == "fuse" and name == "reference":
+                continue  # a number
+            words = [*needed, *filled, *(word.format(folder) for word in READ[name])]
+            found = make_parser().parse_args([command, *words, "--out", out, "--overwrite"])
+            with pytest.raises(UsageError, match=SAID):
+                result_folder(found)
+            tried += 1
+    assert tried >= 8
+    # A link that lies there is lost, too, wherever it leads; what is beside it is not.
+    words = [*needed, *["other"] * (2 if command == "fuse" else len(positional))]
+    key = make_parser().parse_args([command, *words, "--out", "base", "--overwrite", "--sign", "base/outward/key"])
+    with pytest.raises(UsageError, match=SAID):
+        result_folder(key)
+    beside = make_parser().parse_args([command, *words, "--out", "base", "--overwrite"])
+    assert result_folder(beside).path == Path("base")
+
+
+@pytest.mark.parametrize("command", sorted(set(WORDS) - {"campaign"}))
+def test_a_key_in_the_folder_that_is_replaced_is_refused_by_all_that_sign(
+    command: str, skd_here: Run, here: Path, sweep: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole command: the key was deleted, for good, by what it had signed."""
+    monkeypatch.setattr(episode, "prepare_ros", lambda _options: None)
+    shutil.copytree(sweep / "synthetic" / "C_0.5", here / "base")
+    key = write_key(here / "base" / "key")
+    (here / "mine.yaml").write_text(SCENARIO)
+    before = hashlib.sha256(key.read_bytes()).digest()
+    places = {RESULT: str(sweep / "synthetic" / "C_0.5"), OTHER: str(sweep / "synthetic" / "C_1")}
+    for words in WORDS[command]:
+        words = [places.get(word, word) for word in words]
+        done = skd_here(command, *words, "--out", "base", "--overwrite", "--sign", str(key))
+        one_line(done, 2, "--out base: holds", "base/key", SAID)
+        assert hashlib.sha256(key.read_bytes()).digest() == before
+
+
+def test_a_gate_that_failed_does_not_replace_what_it_was_held_against(skd_here: Run, here: Path, sweep: Path) -> None:
+    """The same command passed when it was given a second time: the worse car had taken the place of the better."""
+    shutil.copytree(sweep / "synthetic" / "C_1", here / "base")
+    before = json.loads((here / "base" / "assessment.json").read_text())
+    words = ["assess", *SMALL, "--multiplier", "0.5", "--out", "base", "--overwrite", "--fail-if-worse-than", "base"]
+    for _ in range(2):
+        one_line(skd_here(*words), 2, "--out base: holds base, " + SAID)
+        assert json.loads((here / "base" / "assessment.json").read_text()) == before
+
+
+def test_a_scenario_that_another_one_builds_upon_stays_too(skd_here: Run, here: Path, sweep: Path) -> None:
+    shutil.copytree(sweep / "synthetic" / "C_1", here / "base")
+    (here / "base" / "first.yaml").write_text(SCENARIO)
+    (here / "second.yaml").write_text("name: second\ndescription: second\nextends: base/first.yaml\n")
+    done = skd_here("assess", *SMALL, "--scenario", "second.yaml", "--out", "base", "--overwrite")
+    one_line(done, 2, "--out base: holds base/first.yaml", SAID)
+    assert (here / "base" / "first.yaml").read_text() == SCENARIO
+
+
+def test_words_that_name_no_file_are_not_taken_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of results may be called as an encounter is."""
+    monkeypatch.chdir(tmp_path)
+    for out in ("crossing", "synthetic", "walkers", "none", "basic"):
+        words = ["--scenario", "crossing", "--behaviour", "walkers", "--safe", "synthetic", "--controller", "basic"]
+        found = make_parser().parse_args(["assess", *words, "--out", out, "--overwrite"])
+        assert result_folder(found).path == Path(out)
+
+
+def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: Path) -> None:
+    """Its own file may lie in its folder, which stays, but not in that of a cell, which is replaced."""
+    counts = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"
+    text = f"defaults: {{{counts}}}\ncars: [{{controller: basic, name: mine}}]\n"
+    (here / "campaign.yaml").write_text(text)
+    words = ("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
+    assert skd_here(*words).returncode == 0
+    (here / "out" / "mine" / "ways.csv").write_text(CROSSING)
+    (here / "campaign.yaml").write_text(f"{text}encounters: [{{safe: out/mine/ways.csv, name: there}}]\n")
+    key = write_key(here / "out" / "mine" / "key")
+    one_line(skd_here(*words, "--overwrite"), 2, "the folder of cell mine holds out/mine/ways.csv")
+    (here / "campaign.yaml").write_text(text)
+    one_line(skd_here(*words, "--overwrite", "--sign", str(key)), 2, "the folder of cell mine holds", "/key")
+    assert (here / "out" / "mine" / "ways.csv").read_text() == CROSSING
+    key.rename(here / "out" / "key")
+    (here / "campaign.yaml").rename(here / "out" / "campaign.yaml")
+    words = ("campaign", "out/campaign.yaml", "--out", "out", "--workers", "1", "--sign", "out/key")
+    for how in ("--resume", "--overwrite"):
+        done = skd_here(*words, how)
+        assert done.returncode == 0, done.stderr
+        assert (here / "out" / "campaign.yaml").read_text() == text
+    assert (here / "out" / "key").is_file()
