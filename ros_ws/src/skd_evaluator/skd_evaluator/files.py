@@ -1,11 +1,15 @@
-"""What to call folders, and which results a command has put in their place."""
+"""What to call folders, single files that a user names, and which results a command has put in their place."""
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import real_path
 
 
@@ -16,6 +20,91 @@ def tails(folders: Sequence[Path]) -> list[str]:
     while count < max(map(len, parts), default=0) and len({one[-count:] for one in parts}) < len(set(parts)):
         count += 1
     return [str(Path(*one[-count:])) for one in parts]
+
+
+def check_file(path: Path, option: str, *, overwrite: bool = True) -> None:
+    """Refuse, before any work, what `write_file` would not replace.
+
+    Args:
+        path: where the file is to be, as the user has named it.
+        option: the option that names it, for error lines.
+        overwrite: whether a file that is there may be replaced.
+
+    Raises:
+        UsageError: it is a folder, a device, a pipe or a socket, or leads to one; what is printed goes there; or it is
+            there already.
+    """
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return
+    except OSError as error:  # links in a circle, a file in the place of a folder, a name that is too long
+        raise UsageError(f"{option} {path}: cannot be written ({error.strerror}); give another file") from error
+    if stat.S_ISDIR(found.st_mode):
+        raise UsageError(f"{option} {path}: is a folder; give the name of a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise UsageError(f"{option} {path}: is a device, a pipe or a socket; give the name of a file")
+    if any(_is_open(number, found) for number in (1, 2)):
+        raise UsageError(f"{option} {path}: is where this command prints; give another file")
+    if not overwrite:
+        raise UsageError(f"{option} {path}: is there already; add --overwrite to replace it")
+
+
+def _is_open(descriptor: int, found: os.stat_result) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), found)
+    except OSError:  # it is closed
+        return False
+
+
+def write_file(path: Path, text: str, *, overwrite: bool = True) -> None:
+    """Write a file that a user has named: elsewhere, and then in its place, so that it is there whole or not at all.
+
+    A link stays, and what it leads to is written. Without `overwrite`, nothing is replaced that somebody has put there
+    since `check_file` looked.
+
+    Raises:
+        OSError: it cannot be written; what is there has not changed.
+    """
+    from skd_evaluator.temporary_folders import (
+        make_temporary,
+        remove,
+    )  # only now: every command begins with this module
+
+    target = real_path(path)
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EEXIST, "no regular file is there")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    folder = make_temporary(target.parent)
+    try:
+        temporary = folder / "file"
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if target.exists():
+            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+        whole = temporary.stat()
+        try:
+            _put(temporary, target, overwrite=overwrite)
+        finally:  # an interrupt may come when it is done
+            if target.exists() and os.path.samestat(target.stat(), whole):
+                note_in_place(path)
+    finally:
+        remove(folder)
+
+
+def _put(temporary: Path, target: Path, *, overwrite: bool) -> None:
+    if not overwrite:
+        try:
+            target.hardlink_to(temporary)
+        except FileExistsError:
+            raise
+        except OSError:  # some file systems have no links
+            pass
+        else:
+            return
+    temporary.replace(target)
 
 
 _in_place: Final[list[Path]] = []

@@ -47,15 +47,21 @@ def inputs_of(values: Mapping[str, Any]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def refuse_to_replace(out: Path, paths: Iterable[Path]) -> None:
-    """Refuse an output that is, or holds, what is read: --overwrite would delete it.
+def refuse_to_replace(out: Path, paths: Iterable[Path], option: str = "--out") -> None:
+    """Refuse an output that is, or holds, what is read: it would be replaced.
+
+    Args:
+        out: where the file is to be, or the folder.
+        paths: what is read.
+        option: the option that names the output, for error lines.
 
     Raises:
         UsageError: it is so.
     """
-    for path in paths:
-        if lies_in(path, out):
-            raise UsageError(f"--out {out}: holds {path}, which this command reads; give another folder")
+    for path in (one for one in paths if lies_in(one, out)):
+        if out.is_file():
+            raise UsageError(f"{option} {out}: is read by this command; give another file")
+        raise UsageError(f"{option} {out}: holds {path}, which this command reads; give another folder")
 
 
 def lies_in(path: Path, folder: Path) -> bool:

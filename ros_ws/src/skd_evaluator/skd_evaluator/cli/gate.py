@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
     from skd_evaluator.campaign.compare.gate import Check, Limit
@@ -133,7 +135,7 @@ class Gate:
         }
         try:
             for name, path in self.files.items():
-                _put(path, texts[name]())
+                write_file(path, texts[name]())
         except OSError as error:
             return f"--{name} {path}: cannot be written ({error.strerror})"
         return None
@@ -162,7 +164,7 @@ class Gate:
 
                 checks = [Check("assessment", str(error), error=True)]
                 try:
-                    _put(self.files["junit"], junit_xml(None, checks, car=car))
+                    write_file(self.files["junit"], junit_xml(None, checks, car=car))
                 except OSError as problem:
                     print(
                         f"skd: --junit {self.files['junit']}: cannot be written ({problem.strerror})", file=sys.stderr
@@ -174,7 +176,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     """Return the gate that was asked for; impossible conditions are refused before any work.
 
     Raises:
-        UsageError: no such figure, no such result, or no folder for a file.
+        UsageError: no such figure, no such result, or no place where a file can be written.
     """
     limits: tuple[Limit, ...] = ()
     if arguments.fail_below or arguments.fail_above:
@@ -198,20 +200,17 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
             raise UsageError(f"--fail-if-worse-than {error}") from error
     files = {name: getattr(arguments, name) for name in _FILES if getattr(arguments, name) is not None}
     for name, path in files.items():
-        if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        check_file(path, f"--{name}")
+        if not os.access(real_path(path).parent, os.W_OK | os.X_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
+    if files:
+        from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
+
+        inputs = inputs_of(vars(arguments))
+        for name, path in files.items():
+            refuse_to_replace(path, inputs, f"--{name}")
     if arguments.mlflow:
         from skd_evaluator.assessing.tracking import require_mlflow
 
         require_mlflow()  # before any work
     return Gate(limits, earlier, files, arguments.mlflow or "")
-
-
-def _put(path: Path, text: str) -> None:
-    """Write a file at once: nobody reads half of it."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import reprlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +107,21 @@ def parse_yaml(text: str, where: str) -> Any:
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a number or a date that is none
         raise UsageError(f"{where}: not valid YAML: {' '.join(str(error).split())[:300]}") from error
+
+
+def as_yaml(text: str) -> str:
+    """Return a text as YAML has it that `parse_yaml` reads: in one line, in quotation marks where it needs them.
+
+    Raises:
+        UsageError: no YAML can say it.
+    """
+    for style in (None, '"'):
+        found = yaml.safe_dump(text, default_style=style, allow_unicode=True, width=sys.maxsize)
+        found = found.removesuffix("\n").removesuffix("\n...")
+        with contextlib.suppress(UsageError):
+            if len(found.splitlines()) == 1 and parse_yaml(f"- key: {found}\n", "") == [{"key": text}]:
+                return found
+    raise UsageError(f"{short(text)}: cannot be written as YAML; give the file another name")
 
 
 def short(value: object) -> str:

@@ -13,11 +13,15 @@ from skd_sim.encounter.known_scenarios import SCENARIOS
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.inputs.yaml_file import as_yaml
 
+from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import check_file, write_file
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.report.encounter.picture import save_encounter
 from skd_evaluator.report.encounter.words import encounter_data, encounter_lines, places_of
@@ -124,9 +128,12 @@ def _campaign(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         print(text, end="")
         return 0
-    if arguments.out.exists() and not arguments.overwrite:
-        raise UsageError(f"--out {arguments.out}: is there already; add --overwrite to replace it")
-    arguments.out.write_text(text, encoding="utf-8")
+    check_file(arguments.out, "--out", overwrite=arguments.overwrite)
+    refuse_to_replace(arguments.out, inputs_of(vars(arguments)))
+    try:
+        write_file(arguments.out, text, overwrite=arguments.overwrite)
+    except OSError as error:
+        raise AssessmentError(f"--out {arguments.out}: nothing was written: {error.strerror}") from error
     print(f"campaign in {arguments.out}; skd campaign {arguments.out} runs it")
     return 0
 
@@ -134,13 +141,13 @@ def _campaign(arguments: argparse.Namespace) -> int:
 def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
     metres = ", ".join(repr(speed / _KMH) for speed in speeds)
     return [
-        f"# {', '.join(names)} at {', '.join(f'{speed:g}' for speed in speeds)} km/h",
+        f"# {', '.join(map(as_yaml, names))} at {', '.join(f'{speed:g}' for speed in speeds)} km/h",
         "defaults:",
         "  safe: regulatory",
         "  kamikaze_count: 20",
         "  objective: deformation",
         "encounters:",
-        *(f"  - scenario: {name}" for name in names),
+        *(f"  - scenario: {as_yaml(name)}" for name in names),
         "sweep:",
         f"  scenario.car.start_speed: [{metres}] # m/s",
     ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 
@@ -13,11 +12,10 @@ from skd_evaluator.campaign.store.result_file import understood
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.files import note_in_place
+from skd_evaluator.files import check_file, write_file
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.terminal import counted
-from skd_evaluator.temporary_folders import make_temporary, remove
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -42,52 +40,23 @@ def _target(out: Path, *, overwrite: bool) -> Path:
     """Return the file that is to be written.
 
     Raises:
-        UsageError: it is there already, or is no HTML file.
+        UsageError: it is there already, or is no file that can be replaced, or no HTML file.
     """
     if out.suffix == "":
         out = out.with_suffix(".html")
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: give the name of an .html file")
-    if out.is_dir():
-        raise UsageError(f"--out {out}: is a folder; give the name of an .html file")
-    if out.exists() and not overwrite:
-        raise UsageError(f"--out {out}: is there already; add --overwrite to replace it")
+    check_file(out, "--out", overwrite=overwrite)
     return out
 
 
 def _write(out: Path, page: str, *, overwrite: bool) -> None:
-    """Write the file elsewhere and rename it, so that it is there whole or not at all.
+    """Write the file.
 
     Raises:
         AssessmentError: it cannot be written.
     """
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = make_temporary(out.parent)
-        try:
-            temporary = folder / out.name
-            temporary.write_text(page, encoding="utf-8")
-            whole = temporary.stat()
-            try:
-                _put(temporary, out, overwrite=overwrite)
-            finally:  # an interrupt may come when it is done
-                if out.exists() and os.path.samestat(out.stat(), whole):
-                    note_in_place(out)
-        finally:
-            remove(folder)
+        write_file(out, page, overwrite=overwrite)
     except OSError as error:
         raise AssessmentError(f"--out {out}: nothing was written: {error.strerror}") from error
-
-
-def _put(temporary: Path, out: Path, *, overwrite: bool) -> None:
-    """Put a file in its place; without `overwrite`, not over what somebody has put there since we looked."""
-    if not overwrite:
-        try:
-            out.hardlink_to(temporary)
-        except FileExistsError:
-            raise
-        except OSError:  # some file systems have no links
-            pass
-        else:
-            return
-    temporary.replace(out)

@@ -1,0 +1,168 @@
+"""Single files that a user names: what is no file is never replaced, a link leads on, and nothing is half-written."""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from cli_support import SMALL, names, one_line
+from skd_evaluator.campaigns.campaign_file import read_campaign
+from skd_evaluator.campaigns.cell import make_cells
+from skd_evaluator.files import check_file, write_file
+from skd_sim.errors import UsageError
+from skd_sim.inputs.yaml_file import as_yaml, parse_yaml
+
+Run = Callable[..., subprocess.CompletedProcess[str]]
+SCENARIO = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
+
+
+@pytest.fixture
+def no_files(here: Path) -> Iterator[Path]:
+    """A folder with all that has a name and is no file: a device that is like /dev/null, pipes, a socket, links."""
+    folder = here / "no_files"
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.path.relpath(folder / "socket"))
+        os.mkfifo(folder / "pipe.html")
+        (folder / "to_a_pipe.html").symlink_to("pipe.html")
+        (folder / "round.html").symlink_to("round.html")
+        (folder / "folder.html").mkdir()
+        if os.geteuid() == 0:
+            os.mknod(folder / "null.html", stat.S_IFCHR | 0o666, os.makedev(1, 3))
+        # A pipe is read, so that whoever would write into it does not wait.
+        reader = os.open(folder / "pipe.html", os.O_RDONLY | os.O_NONBLOCK)
+        yield folder
+        os.close(reader)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["assess", *SMALL, "--out", "out", option] for option in ("--csv", "--junit", "--markdown")),
+        ["replay", "recorded", "--out", "out", "--junit"],
+        ["report", "recorded", "--overwrite", "--out"],
+        ["encounters", "campaign", "cpna", "--speeds", "20:20:10", "--overwrite", "--out"],
+    ],
+    ids=lambda words: f"{words[0]} {words[-1]}",
+)
+def test_what_is_no_file_stays_what_it_is(words: list[str], skd_here: Run, here: Path, no_files: Path) -> None:
+    """A device became a file, for everybody on the machine; one who waits at a pipe waited for ever."""
+    before = {path.name: (path.lstat().st_ino, path.lstat().st_mode) for path in no_files.iterdir()}
+    for name in before:
+        if words[0] == "report" and name == "socket":
+            continue  # whose name is none of a page
+        one_line(skd_here(*words, f"no_files/{name}"), 2, f"{words[-1]} no_files/{name}: ", "give ")
+    assert {path.name: (path.lstat().st_ino, path.lstat().st_mode) for path in no_files.iterdir()} == before
+    assert not (here / "out").exists()
+
+
+def test_a_link_stays_and_what_it_leads_to_is_written(skd_here: Run, here: Path) -> None:
+    (here / "elsewhere").mkdir()
+    (here / "elsewhere" / "there.csv").write_text("before")
+    (here / "elsewhere" / "there.csv").chmod(0o640)
+    for name, leads_to in (("figures.csv", "there.csv"), ("new.xml", "new.xml")):
+        (here / name).symlink_to(f"elsewhere/{leads_to}")
+    done = skd_here("assess", *SMALL, "--no-pictures", "--csv", "figures.csv", "--junit", "new.xml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert (here / "figures.csv").is_symlink()
+    assert (here / "new.xml").is_symlink()
+    assert names(here / "elsewhere") == ["new.xml", "there.csv"]
+    assert "margin" in (here / "elsewhere" / "there.csv").read_text()
+    assert stat.S_IMODE((here / "elsewhere" / "there.csv").stat().st_mode) == 0o640
+    assert "<testsuite" in (here / "elsewhere" / "new.xml").read_text()
+
+
+def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: Path) -> None:
+    (here / "mine.yaml").write_text(SCENARIO)
+    (here / "link").symlink_to("mine.yaml")
+    for name in ("mine.yaml", "link"):
+        done = skd_here("assess", *SMALL, "--scenario", "mine.yaml", "--csv", name, "--out", "out")
+        one_line(done, 2, f"--csv {name}: is read by this command; give another file")
+        campaign = ("encounters", "campaign", "mine.yaml", "--speeds", "20:20:10", "--overwrite", "--out", name)
+        one_line(skd_here(*campaign), 2, f"--out {name}: is read by this command; give another file")
+    assert (here / "mine.yaml").read_text() == SCENARIO
+    assert not (here / "out").exists()
+
+
+def test_where_the_command_prints_nothing_else_goes(tmp_path: Path) -> None:
+    """`--csv /dev/stdout > all.txt`: the table would take the place of the file, and what is printed would be lost."""
+    check = "from pathlib import Path; from skd_evaluator.files import check_file; check_file(Path('all.txt'), '--csv')"
+    with (tmp_path / "all.txt").open("w") as all_of_it:
+        done = subprocess.run([sys.executable, "-c", check], cwd=tmp_path, stdout=all_of_it, stderr=subprocess.PIPE)
+    assert b"--csv all.txt: is where this command prints" in done.stderr
+
+
+@pytest.mark.parametrize("there", ["old", None])
+def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, here: Path) -> None:
+    """The file had no byte left of the old one, nor of the new one."""
+    (here / "place").mkdir()
+    if there is not None:
+        (here / "place" / "c.yaml").write_text(there)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        words = ("campaign", "cpna", "--speeds", "20:20:10", "--out", "place/c.yaml", "--overwrite")
+        done = skd_here("encounters", *words)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    one_line(done, 1, "--out place/c.yaml: nothing was written: File too large")
+    assert names(here / "place") == ([] if there is None else ["c.yaml"])
+    assert there is None or (here / "place" / "c.yaml").read_text() == there
+
+
+def test_what_comes_there_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    check_file(tmp_path / "file", "--out", overwrite=False)
+    os.mkfifo(tmp_path / "file")
+    with pytest.raises(OSError, match="no regular file is there"):
+        write_file(tmp_path / "file", "text")
+    assert names(tmp_path) == ["file"]
+    (tmp_path / "other").write_text("theirs")
+    with pytest.raises(UsageError, match="is there already"):
+        check_file(tmp_path / "other", "--out", overwrite=False)
+    with pytest.raises(FileExistsError):
+        write_file(tmp_path / "other", "text", overwrite=False)
+    assert (tmp_path / "other").read_text() == "theirs"
+
+
+ODD = [
+    "cpna #2.yaml",
+    "a: b.yaml",
+    "two\nlines.yaml",
+    "two\u2028lines.yaml",
+    "- a.yaml",
+    "'a.yaml",
+    "null",
+    "10:20",
+    "*a",
+]
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_a_campaign_is_of_the_file_that_was_named(name: str, skd_here: Run, here: Path) -> None:
+    """Of `cpna #2.yaml` YAML read `cpna`: SKD's own encounter was rated, and nobody was told."""
+    (here / name).write_text(SCENARIO)
+    done = skd_here("encounters", "campaign", name, "cpna", "--speeds", "20:30:10", "--out", "c.yaml")
+    assert done.returncode == 0, done.stderr
+    text = (here / "c.yaml").read_text(encoding="utf-8")
+    assert yaml.safe_load(text)["encounters"] == [{"scenario": name}, {"scenario": "cpna"}]
+    assert [line for line in text.splitlines() if line.startswith("#")] == text.splitlines()[:1]
+    assert "  - scenario: cpna\n" in text  # which needs no marks
+    cells = make_cells(read_campaign(here / "c.yaml"))
+    assert [one.plan.scenario.name for one in cells] == ["mine", "mine", "cpna", "cpna"]
+
+
+def test_every_text_comes_back_from_yaml() -> None:
+    texts = [*ODD, "", "~", "yes", "1e3", "0x1f", " a ", "a\tb", "a\x07b", "\udcff", "\ufeffa", "ü", "😀", "x " * 300]
+    for text in texts:
+        for where in ("{}", "- key: {}", "[{}, 1]"):
+            said = where.format(as_yaml(text))
+            assert len(said.splitlines()) == 1
+            assert parse_yaml(said, "") == {"{}": text, "- key: {}": [{"key": text}], "[{}, 1]": [text, 1]}[where]
