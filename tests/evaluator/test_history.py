@@ -10,11 +10,15 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
+from skd_evaluator.assessing.tracking import _tags
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.cli.main import main
 from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.report.history.runs import Run, find_runs
+from skd_evaluator.report.history.table import trend_table
 from skd_evaluator.report.history.trend import trends_of
+from skd_evaluator.report.terminal import print_table
 
 REVISIONS = 20
 
@@ -59,6 +63,37 @@ def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, c
     assert f"Assessments in {tmp_path}" in "".join(shown.splitlines()).replace("in/", "in /")
     for value in best:  # whole, however narrow it is and however long the folder's name
         assert f"{value:.3f} {'[0.00, 0.11]'}" in shown
+
+
+@pytest.mark.parametrize(
+    ("controller", "known", "shown"),
+    [
+        ("my_cars:Careful", {"controller_git": None}, ""),
+        ("my_cars:Careful", {}, ""),  # of before results said it
+        ("external", {"controller_git": None}, ""),
+        ("my_cars:Careful", {"controller_git": {"revision": "c" * 40, "modified": True}}, "ccccccc+"),
+        ("basic", {}, "5555555"),
+        ("cal", {"controller_git": None}, "5555555"),
+    ],
+)
+def test_the_commit_of_skd_says_nothing_of_a_users_car(
+    tmp_path, figures, capsys, monkeypatch, controller, known, shown
+):
+    """A class outside of any checkout was listed as if SKD's commit were that of its code."""
+    monkeypatch.setenv("COLUMNS", "120")
+    before = {key: value for key, value in figures["provenance"].items() if key != "controller_git"}
+    own = {**before, "git": {"revision": "5" * 40, "modified": False}}
+    mine = {"controller": controller, "multiplier": 1.0 if controller == "basic" else None, "provenance": own | known}
+    written(figures, tmp_path / "mine", **mine)
+    assert main(["list", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["results"][0]["revision"] == shown
+    assert main(["list", str(tmp_path)]) == 0
+    assert f" {shown or 'unknown'} " in capsys.readouterr().out
+    (trend,) = trends_of([Run(Path("mine"), {**figures, **mine})] * 2, "margin")
+    assert [one["revision"] for one in trend.as_dict()["runs"]] == [shown] * 2
+    print_table(trend_table(trend, AT_THE_TOP["margin"].kind))
+    assert capsys.readouterr().out.count(f" {shown or 'unknown'} ") == 2
+    assert _tags({**figures, **mine}, tmp_path).get("mlflow.source.git.commit", "")[:7] == shown[:7]
 
 
 def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):

@@ -81,6 +81,20 @@ def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | N
     return next(filter(None, map(git_revision, reversed(files))), None)
 
 
+def code_of_car(figures: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the commit of a car's code, as `git_revision` does; None: it is not known.
+
+    Of SKD's own cars alone it is that of SKD: what drives a user's car, SKD's commit says nothing of.
+
+    Args:
+        figures: content of an assessment.json.
+    """
+    origin = figures.get("provenance") or {}
+    own = CarUnderTest(str(figures.get("controller"))).is_own
+    found: dict[str, Any] | None = origin.get("controller_git") or (origin.get("git") if own else None)
+    return found
+
+
 def git_revision(file: Path = Path(__file__)) -> dict[str, Any] | None:
     """Return the commit of the checkout that code is in, and whether files of it differ from that; None: in none.
 

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from skd_sim.errors import UsageError
 
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.provenance import code_of_car
 
 EXPERIMENT = "SKD"
 _PARAMETERS = ("controller", "multiplier", "safe", "simulations", "maximum_distance", "knowledge", "seed", "version")
@@ -92,8 +93,7 @@ def parameters_of(figures: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _tags(figures: Mapping[str, Any], folder: Path) -> dict[str, str]:
-    origin = figures.get("provenance") or {}
-    git = origin.get("controller_git") or origin.get("git") or {}
+    git = code_of_car(figures) or {}
     tags = {"skd.folder": str(folder.resolve()), "mlflow.source.git.commit": git.get("revision", "")}
     tags["skd.warnings"] = "\n".join(figures["warnings"])[:5000]
     return {key: value for key, value in tags.items() if value}

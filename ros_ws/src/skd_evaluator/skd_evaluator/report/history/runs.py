@@ -14,6 +14,7 @@ from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.terminal import car_name
 from skd_evaluator.temporary_folders import PREFIX
 
@@ -53,9 +54,8 @@ class Run:
 
     @property
     def revision(self) -> str:
-        """Commit of the car's code, shortened, with `+` where files differed from it; that of SKD for its own cars."""
-        origin = self.figures.get("provenance") or {}
-        git = origin.get("controller_git") or origin.get("git")
+        """Commit of the car's code, shortened, with `+` where files differed from it; empty where it is not known."""
+        git = code_of_car(self.figures)
         return "" if not git else f"{git['revision'][:SHORT]}{'+' if git['modified'] else ''}"
 
     @property

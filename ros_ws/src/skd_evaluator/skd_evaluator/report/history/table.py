@@ -15,6 +15,8 @@ from skd_evaluator.report.history.runs import Run
 from skd_evaluator.report.history.trend import Trend
 from skd_evaluator.report.terminal import narrow_table
 
+_UNKNOWN = "unknown"
+"""Commit of code that is in no checkout."""
 _number, _interval = TERMINAL.number, TERMINAL.interval
 
 
@@ -38,7 +40,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
             _interval(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["hit_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
-            run.revision,
+            run.revision or _UNKNOWN,
             day(run.date),
         )
     return table
@@ -82,7 +84,7 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
             change = f"{scale * step.difference:+.3f}", _interval(scaled(step.difference_interval, scale))
         table.add_row(
             day(step.run.date),
-            step.run.revision,
+            step.run.revision or _UNKNOWN,
             _number(None if step.value is None else scale * step.value),
             _interval(scaled(step.interval, scale), 2),
             f"[bold]{step.verdict}[/]{'[red] in doubt[/]' if step.in_doubt else ''}",
