@@ -51,7 +51,7 @@ def test_a_key_that_is_not_there_is_refused_by_whoever_offers_to_sign(
     places = {RESULT: str(sweep / "synthetic" / "C_0.5"), OTHER: str(sweep / "synthetic" / "C_1")}
     for words in WORDS[command]:
         done = skd_here(command, *(places.get(word, word) for word in words), "--out", "out", "--sign", "gone")
-        one_line(done, 2, "gone: cannot be read (No such file or directory)")
+        one_line(done, 2, "--sign gone: cannot be read (No such file or directory)")
         assert not (here / "out").exists()
 
 

@@ -38,7 +38,7 @@ class Signer:
         Raises:
             UsageError: it is no private key of OpenSSH's, of another kind than Ed25519 and RSA, or has a password.
         """
-        content = read_bytes(path, _LARGEST)
+        content = _key_in(path, "--sign")
         try:
             self._key = serialization.load_ssh_private_key(content, password=None)
         except TypeError as error:
@@ -77,7 +77,7 @@ class PublicKey:
         Raises:
             UsageError: it is no public key of OpenSSH's, or of another kind than Ed25519 and RSA.
         """
-        content = read_bytes(path, _LARGEST)
+        content = _key_in(path, "--key")
         try:
             self._key = serialization.load_ssh_public_key(content)
         except Exception as error:  # whatever the bytes make its reader raise
@@ -119,6 +119,18 @@ class PublicKey:
         if (namespace, reserved, hashed) != (NAMESPACE, b"", b"sha512"):
             raise ValueError
         return inside if public == self._public else None
+
+
+def _key_in(path: Path, option: str) -> bytes:
+    """Return the content of a key's file.
+
+    Raises:
+        UsageError: it cannot be read, or is too large for a key.
+    """
+    try:
+        return read_bytes(path, _LARGEST)
+    except UsageError as error:
+        raise UsageError(f"{option} {error}") from error
 
 
 def _text(content: bytes) -> bytes:
