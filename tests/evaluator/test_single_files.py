@@ -159,6 +159,18 @@ def test_a_campaign_is_of_the_file_that_was_named(name: str, skd_here: Run, here
     assert [one.plan.scenario.name for one in cells] == ["mine", "mine", "cpna", "cpna"]
 
 
+def test_a_campaign_in_another_folder_is_of_the_file_that_was_named(skd_here: Run, here: Path) -> None:
+    """A campaign looks for files from where it is; there another one may have the name."""
+    (here / "mine").mkdir()
+    (here / "mine" / "cpna").write_text(SCENARIO)  # called as SKD's own is
+    (here / "grids" / "mine").mkdir(parents=True)
+    (here / "grids" / "mine" / "cpna").write_text(SCENARIO.replace("name: mine", "name: another"))
+    for out in ("grids/c.yaml", "mine/c.yaml"):
+        done = skd_here("encounters", "campaign", "mine/cpna", "--speeds", "20:20:10", "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert [one.plan.scenario.name for one in make_cells(read_campaign(here / out))] == ["mine"]
+
+
 def test_every_text_comes_back_from_yaml() -> None:
     texts = [*ODD, "", "~", "yes", "1e3", "0x1f", " a ", "a\tb", "a\x07b", "\udcff", "\ufeffa", "ü", "😀", "x " * 300]
     for text in texts:

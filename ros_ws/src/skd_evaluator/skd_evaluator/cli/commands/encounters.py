@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.markup import escape
 from skd_adversary.model.road_users import check_kind
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
-from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
@@ -124,7 +125,8 @@ def _campaign(arguments: argparse.Namespace) -> int:
     for name in arguments.names:
         for speed in arguments.speeds:
             count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
-    text = "\n".join(_campaign_lines(arguments.names, arguments.speeds)) + "\n"
+    names = [_as_named(name, arguments.out) for name in arguments.names]
+    text = "\n".join(_campaign_lines(names, arguments.speeds)) + "\n"
     if arguments.out is None:
         print(text, end="")
         return 0
@@ -136,6 +138,14 @@ def _campaign(arguments: argparse.Namespace) -> int:
         raise AssessmentError(f"--out {arguments.out}: nothing was written: {error.strerror}") from error
     print(f"campaign in {arguments.out}; skd campaign {arguments.out} runs it")
     return 0
+
+
+def _as_named(name: str, campaign: Path | None) -> str:
+    """Return how a campaign's file names an encounter: a file by the way to it from where the campaign is."""
+    if campaign is None or name in SCENARIOS.own or not Path(name).is_file():
+        return name
+    found = os.path.relpath(Path(name).absolute(), campaign.absolute().parent)
+    return f"./{found}" if is_named(found) else found
 
 
 def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
