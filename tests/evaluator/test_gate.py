@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,50 @@ def test_a_car_is_held_against_an_earlier_one(cars):
     assert check_not_worse(safe, read_result(safe)).passed
 
 
+def doubted(folder: Path, to: Path) -> Path:
+    """A copy of a result with a doubt among its warnings."""
+    shutil.copytree(folder, to)
+    content = json.loads((to / "assessment.json").read_text(encoding="utf-8"))
+    content["warnings"] = [*content["warnings"], f"{DOUBT}it counts"]
+    (to / "assessment.json").write_text(json.dumps(content), encoding="utf-8")
+    return to
+
+
+def test_nothing_passes_beside_an_earlier_result_in_doubt(cars, tmp_path):
+    earlier = read_result(doubted(cars[0.5], tmp_path / "doubted"))
+    found = check_not_worse(cars[1.15], earlier)
+    assert (found.failed, found.error) == (False, True)
+    assert found.text.count("it counts") == 1
+    earlier = read_result(doubted(cars[1.15], tmp_path / "failed"))
+    assert check_not_worse(cars[0.5], earlier).failed  # what fails stays so
+
+
+@pytest.mark.parametrize("name", ["margin", "margin_p10", "equivalent_multiplier"])
+def test_an_upper_bound_shows_no_least(result, name):
+    """With a longer search the same car may be below the limit."""
+    bound = {**result, name: 0.8, "margin_converged": False, "margin_budget": 16}
+    (passed,) = check_limits(bound, [Limit(name, 0.5)])
+    assert (passed.failed, passed.error) == (False, True)
+    assert "had not converged at 16 ticks an attempt, so this is an upper bound" in passed.text
+    (failed,) = check_limits(bound, [Limit(name, 0.9)])
+    assert (failed.failed, failed.error) == (True, False)
+    (most,) = check_limits(bound, [Limit(name, 0.9, is_least=False)])
+    assert most.passed
+    (other,) = check_limits({**bound, "deformation": 0.8}, [Limit("deformation", 0.5)])
+    assert other.passed
+    assert check_limits({**bound, "margin_converged": True}, [Limit(name, 0.5)])[0].passed
+
+
+def test_no_file_is_put_into_a_result_that_is_read(skd_here, here, cars):
+    """`--csv base/assessment.json` replaced what the gate is held against."""
+    earlier = here / "base"
+    shutil.copytree(cars[1.15], earlier)
+    before = (earlier / "assessment.json").read_bytes()
+    done = skd_here("assess", *SMALL, "--fail-if-worse-than", "base", "--csv", "base/assessment.json")
+    one_line(done, 2, "--csv base/assessment.json: lies in base, which this command reads")
+    assert (earlier / "assessment.json").read_bytes() == before
+
+
 def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
@@ -180,14 +225,14 @@ def test_csv_has_the_figures_of_the_car_and_not_what_they_are_made_of(result):
 
 
 def test_the_command_line_decides(skd_here, here, cars):
-    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin=-1"]
+    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin_attempts=0"]
     files = ["--junit", "j.xml", "--markdown", "m.md", "--csv", "c.csv"]
     earlier = ["--fail-if-worse-than", str(cars[1.15])]
     done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
     assert done.returncode == 1
     assert "gate: objectives.paper.skd ≥ 0.1: passed" in done.stdout
     failed, error = [line for line in done.stderr.splitlines() if "gate: " in line][:2]
-    assert "gate: margin ≤ -1: failed" in failed
+    assert "gate: margin_attempts ≤ 0: failed" in failed
     assert "not compared" in error
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
@@ -205,6 +250,12 @@ def test_the_command_line_decides(skd_here, here, cars):
         (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
         (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
         (["--fail-below", "deformation=much"], ["FIGURE=NUMBER"]),
+        (["--fail-below", "margin=1_0"], ["FIGURE=NUMBER"]),  # 10, for Python alone
+        (["--fail-below", "margin=٣"], ["FIGURE=NUMBER"]),
+        (["--fail-above", "hit_rate=5"], ["--fail-above hit_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
+        (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
+        (["--fail-below", "objectives.paper.deformation=-1"], ["at least 0"]),
+        (["--junit", "same.out", "--csv", "./same.out"], ["--junit same.out: --csv is written there, too"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),
     ],

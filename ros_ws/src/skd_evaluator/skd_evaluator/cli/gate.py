@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import real_path
 
 from skd_evaluator.errors import AssessmentError
@@ -29,12 +30,11 @@ def figure_limit(text: str) -> tuple[str, float]:
     """Parse `figure=number`."""
     name, _, number = text.partition("=")
     try:
-        value = float(number)
-    except ValueError:
-        value = math.nan
-    if not name or not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as margin=0.8, got {text!r}")
-    return name, value
+        if name:
+            return name, finite_number(number, name)
+    except UsageError:
+        pass
+    raise argparse.ArgumentTypeError(f"must be FIGURE=NUMBER, as margin=0.8, got {text!r}")
 
 
 def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -181,7 +181,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     limits: tuple[Limit, ...] = ()
     if arguments.fail_below or arguments.fail_above:
         from skd_evaluator.campaign.compare.gate import Limit
-        from skd_evaluator.campaign.store.figure_names import check_figure
+        from skd_evaluator.campaign.store.figure_names import check_figure, span_of
 
         for side in ("below", "above"):
             for name, value in getattr(arguments, f"fail_{side}"):
@@ -189,6 +189,14 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
                     check_figure(name)
                 except UsageError as error:
                     raise UsageError(f"--fail-{side} {name}={value:g}: {error}") from error
+                low, high = span_of(name)
+                if not low <= value <= high:
+                    span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+                    share = ", where 0.05 is 5 %" if high == 1.0 else ""
+                    raise UsageError(
+                        f"--fail-{side} {name}={value:g}: this figure is {span}{share}, so it is never beyond that "
+                        "limit, or always"
+                    )
                 limits += (Limit(name, value, is_least=side == "below"),)
     earlier = None
     if arguments.fail_if_worse_than is not None:
@@ -201,14 +209,19 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     files = {name: getattr(arguments, name) for name in _FILES if getattr(arguments, name) is not None}
     for name, path in files.items():
         check_file(path, f"--{name}")
+        same = [other for other, theirs in files.items() if other != name and real_path(theirs) == real_path(path)]
+        if same:
+            raise UsageError(f"--{name} {path}: --{same[0]} is written there, too; give each a file of its own")
         if not os.access(real_path(path).parent, os.W_OK | os.X_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
     if files:
-        from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
+        from skd_evaluator.assessing.inputs import inputs_of, lies_in, refuse_to_replace
 
         inputs = inputs_of(vars(arguments))
         for name, path in files.items():
             refuse_to_replace(path, inputs, f"--{name}")
+            if inside := [one for one in inputs if one.is_dir() and lies_in(path, one)]:
+                raise UsageError(f"--{name} {path}: lies in {inside[0]}, which this command reads; give another file")
     if arguments.mlflow:
         from skd_evaluator.assessing.tracking import require_mlflow
 

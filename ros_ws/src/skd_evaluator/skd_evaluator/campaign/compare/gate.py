@@ -10,6 +10,10 @@ from typing import Any
 from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.measure.margins import unit_of_search
+
+_OF_THE_SEARCH = ("margin", "margin_p10", "equivalent_multiplier")
+"""Figures that the search for the margin makes greater where it stops too early."""
 
 
 @dataclass(frozen=True)
@@ -56,22 +60,39 @@ def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Che
         result: content of assessment.json.
         limits: the limits that figures of the assessment have to keep.
     """
-    return [_check_limit(figure(result, limit.name), limit) for limit in limits]
+    return [_check_limit(figure(result, limit.name), limit, _stopped(result, limit)) for limit in limits]
 
 
-def _check_limit(value: float | None, limit: Limit) -> Check:
+def _stopped(result: Mapping[str, Any], limit: Limit) -> str:
+    """Return why a figure that reaches a limit may not do so after all; empty where it surely does.
+
+    A margin whose search has not converged is an upper bound, and no such shows that a least is reached.
+    """
+    if not limit.is_least or limit.name not in _OF_THE_SEARCH or result.get("margin_converged") is not False:
+        return ""
+    return (
+        f"the search for the margin had not converged at {result['margin_budget']} {unit_of_search(result)} an "
+        "attempt, so this is an upper bound: give a larger --margin-limit"
+    )
+
+
+def _check_limit(value: float | None, limit: Limit, stopped: str) -> Check:
     name = f"{limit.name} {'≥' if limit.is_least else '≤'} {limit.value:g}"
     if value is None:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
     beyond = value < limit.value if limit.is_least else value > limit.value
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
-    return Check(name, f"{limit.name} is {value:.6g}, {side} {limit.value:g}", failed=beyond)
+    text = f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
+    if stopped and not beyond:
+        return Check(name, f"{text}; {stopped}", error=True)
+    return Check(name, text, failed=beyond)
 
 
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """Compare an assessment with an earlier one: it fails if a figure is surely worse, and none is surely better.
 
-    A verdict that the car is less safe waits until no estimate points the other way; a gate does not.
+    A verdict that the car is less safe waits until no estimate points the other way; a gate does not. Figures in doubt,
+    of either, are an error where they would pass.
 
     Args:
         folder: folder of the assessment.
@@ -80,7 +101,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     name = f"not worse than {earlier.folder}"
     found = compare(earlier, read_result(folder))
     judge = found.behind_by or found.decided_by
-    beside = "".join(f"; {line}" for line in (*earlier.remarks, *found.lines()))
+    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *found.lines())))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
@@ -89,4 +110,5 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     low, high = held.interval
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
     text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
-    return Check(name, text, failed=found.behind_by is not None)
+    failed = found.behind_by is not None
+    return Check(name, text, failed=failed, error=found.in_doubt and not failed)

@@ -10,21 +10,38 @@ from typing import Any
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.judge.figure_table import Of, keys_of
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, keys_of
 from skd_evaluator.campaign.store.schema import assessment_schema
 
 _ANY = "*"
 
 
 @functools.cache
-def scalar_figures() -> tuple[str, ...]:
-    """Return the names of all figures that are one number; `*` stands for what is named in the file alone."""
+def scalar_figures() -> Mapping[str, tuple[float, float]]:
+    """Return the names of all figures that are one number, and from what to what they can be, as far as that is said.
+
+    `*` stands for what is named in the file alone.
+    """
     schema = assessment_schema()
     settings = keys_of(Of.SETTING)  # numbers that were asked for, or say nothing about the car
-    return tuple(name for name in _scalars(schema, schema["$defs"], ()) if name not in settings)
+    return {name: span for name, span in _scalars(schema, schema["$defs"], ()) if name not in settings}
 
 
-def _scalars(node: Mapping[str, Any], definitions: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+def span_of(name: str) -> tuple[float, float]:
+    """Return from what to what a figure can be, as far as that is said.
+
+    Args:
+        name: name of a figure that there is.
+    """
+    words = name.split(".")
+    low, high = next(span for one, span in scalar_figures().items() if _fits(words, one.split(".")))
+    row = (OF_OBJECTIVES if words[0] == "objectives" else AT_THE_TOP).get(words[-1])
+    return (max(low, 0.0) if row is not None and row.kind.unit == "m" else low), high  # no length is below 0
+
+
+def _scalars(
+    node: Mapping[str, Any], definitions: Mapping[str, Any], path: tuple[str, ...]
+) -> Iterator[tuple[str, tuple[float, float]]]:
     if "$ref" in node:
         node = definitions[node["$ref"].rpartition("/")[2]]
     for branch in node.get("anyOf", ()):
@@ -32,7 +49,7 @@ def _scalars(node: Mapping[str, Any], definitions: Mapping[str, Any], path: tupl
     kinds = node.get("type", ())
     kinds = {kinds} if isinstance(kinds, str) else set(kinds)
     if kinds & {"number", "integer"}:
-        yield ".".join(path)
+        yield ".".join(path), (node.get("minimum", -math.inf), node.get("maximum", math.inf))
     for key, value in node.get("properties", {}).items():
         yield from _scalars(value, definitions, (*path, key))
     for key in ("additionalProperties", "items"):
