@@ -118,6 +118,58 @@ def test_what_does_not_compare_has_no_verdict(changes: dict[str, Any], said: str
     assert said in found.refusals[0]
 
 
+def scenario_of(name: str = "crossing", **changes: dict[str, Any]) -> dict[str, Any]:
+    """A shipped scenario with other keys in some of its sections."""
+    scenario = load_scenario(name).as_dict()
+    return {**scenario, **{section: {**scenario[section], **keys} for section, keys in changes.items()}}
+
+
+def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with_a_warning() -> None:
+    """Of a car on ice and of the same on a dry road the latter was the safer one, without a word."""
+    ice, dry, basic = (
+        result(name, values(1, shift=shift), scenario=scenario)
+        for name, shift, scenario in (
+            ("ice", 0.0, scenario_of("crossing_multi_body", road={"friction": 0.2})),
+            ("dry", 1.0, scenario_of("crossing_multi_body")),
+            ("basic", 1.0, scenario_of()),
+        )
+    )
+    found = compare(ice, dry)
+    assert (found.verdict, found.differences) == (NOT_COMPARED, {})
+    assert found.lines() == ["ice and dry are of different encounters: road.friction is 0.2 and 1.0"]
+    beside = compare(ice, basic)
+    assert beside.verdict == SAFER
+    assert beside.lines() == [
+        "ice and basic are of different roads: road.friction is 0.2 and 1, and one of the cars has no tyres to feel it"
+    ]
+    assert compare(dry, basic).lines() == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"seed": 1}, "of different seeds: "),
+        ({"scenario": scenario_of(car={"width": 2.0})}, "planned where car.width is 1.8 and 2.0: "),
+        ({"version": "2"}, "made by different versions of SKD: "),
+        ({}, "though of one seed and one encounter: "),
+    ],
+)
+def test_why_synthetic_phi_are_others(changes: dict[str, Any], why: str) -> None:
+    """*Of different seeds* was said of the same seed, too."""
+    elsewhere = [phi + 0.5 for phi in PHI]
+    found = compare(result("a", values(1)), result("b", values(2), elsewhere, **changes))
+    assert found.lines()[0].startswith(f"a and b are of different φ, {why}compared as two samples")
+    unlike = compare(result("a", values(1)), result("b", values(2), elsewhere, eta_max=4.0, **changes))
+    assert [line for line in unlike.lines() if "two samples" in line] == []
+
+
+def test_two_simulators_are_named_beside_the_verdict() -> None:
+    elsewhere = result("b", values(1, shift=1.0), options={"simulator": "metadrive"})
+    (line,) = compare(result("a", values(1), options={}), elsewhere).lines()
+    assert line.startswith("a and b are of different simulators, world and metadrive: ")
+    assert compare(elsewhere, elsewhere).lines() == []
+
+
 def test_a_result_that_is_not_to_be_believed_has_no_verdict() -> None:
     """Else a car that cheats, or stands still, is the safer one without a word."""
     told = result("b", values(1, shift=1.0), warnings=["harmless", f"{DISBELIEF}it stands"])

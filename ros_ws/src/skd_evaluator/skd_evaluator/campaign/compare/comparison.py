@@ -15,12 +15,19 @@ from typing import Any
 
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
+from skd_evaluator.campaign.compare.unlike_results import (
+    different_phi,
+    different_roads,
+    refusals,
+    shared,
+    unlike_behaviours,
+    warnings,
+    warnings_of,
+)
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
-from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, hit_speed, unlike_plans, unlike_skd
-from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.doubt import DOUBT, HARDLY_DRIVES, disbelief, in_doubt
+from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.margins import unit_of_search
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
@@ -123,7 +130,7 @@ class Comparison:
     @property
     def in_doubt(self) -> bool:
         """Whether one of the results says of itself that its figures may be those of another car."""
-        return any(in_doubt(_warnings_of(one)) for one in (self.first, self.second))
+        return any(in_doubt(warnings_of(one)) for one in (self.first, self.second))
 
     @property
     def design(self) -> str:
@@ -162,11 +169,12 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     if refused:
         count = (len(first.safe), len(second.safe))
         return Comparison(first, second, {}, count, tuple(refused), unlike, tuple(doubts))
-    shared = _shared(first, second)
+    doubts = [*different_phi(first, second), *different_roads(first, second), *doubts]
+    both = shared(first, second)
     # By chance a few φ are the same for different seeds too: then the others are not thrown away.
-    paired = len(shared) == min(len(first.safe), len(second.safe))
-    ours = [one for one, _ in shared] if paired else list(range(len(first.safe)))
-    theirs = [other for _, other in shared] if paired else list(range(len(second.safe)))
+    paired = len(both) == min(len(first.safe), len(second.safe))
+    ours = [one for one, _ in both] if paired else list(range(len(first.safe)))
+    theirs = [other for _, other in both] if paired else list(range(len(second.safe)))
     if paired and (len(ours) < len(first.safe) or len(theirs) < len(second.safe)):
         doubts.append(
             f"{first.folder} and {second.folder} have {len(ours)} of {len(first.safe)} and {len(second.safe)} φ in "
@@ -207,14 +215,6 @@ def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> se
     unlike = unlike_behaviours(first, second)
     left_out |= {name for name in RISKS if unlike or any(name not in one.groups for one in (first, second))}
     return left_out
-
-
-def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
-    """Return which behaviour models two risks are of; empty where they are of one, or where there is none."""
-    both = [one.figures["risk"]["behaviour"] for one in (first, second) if one.figures.get("risk")]
-    if len(both) < 2 or both[0] == both[1]:
-        return ""
-    return " and ".join(str(one["name"]) for one in both)
 
 
 def _of_the_risks(held: Comparison) -> list[str]:
@@ -278,15 +278,6 @@ def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray
     return [result.groups[name][row] for row in rows]
 
 
-def _shared(first: StoredResult, second: StoredResult) -> list[tuple[int, int]]:
-    """Return the places of the φ that both have, each counted once."""
-    places: dict[bytes, list[int]] = {}
-    for index, one in reversed(list(enumerate(second.safe))):
-        places.setdefault(one.tobytes(), []).append(index)
-    found = [(index, places.get(one.tobytes())) for index, one in enumerate(first.safe)]
-    return [(index, left.pop()) for index, left in found if left]
-
-
 def ranking_figure(results: Sequence[StoredResult]) -> str | None:
     """Return the figure by which results can be ranked: the margin, else the planned deformation; None: neither.
 
@@ -307,57 +298,3 @@ def planned_refusal(results: Sequence[StoredResult]) -> str:
     unlike = unlike_plans(one.figures for one in results)
     of = " and ".join(str(one.folder) for one in results)
     return f"planned figures are not compared: {of} have {unlike}" if unlike else ""
-
-
-def refusals(first: StoredResult, second: StoredResult) -> list[str]:
-    """Return why a difference between two assessments would say nothing about their cars, a line each."""
-    between = f"{first.folder} and {second.folder}"
-    ours, theirs = first.figures, second.figures
-    found = [
-        f"{one.folder} is not compared, for its own assessment failed: {line}"
-        for one in (first, second)
-        for line in disbelief(_warnings_of(one))
-    ]
-    if ours["eta_max"] != theirs["eta_max"]:
-        found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
-    if MARGIN in first.groups and MARGIN in second.groups and hit_speed(ours) != hit_speed(theirs):
-        found.append(f"{between} have different hit speeds, {hit_speed(ours):g} and {hit_speed(theirs):g} m/s")
-    if differs := encounter_difference(*(_encounter(one) for one in (first, second))):
-        key, here, there = differs
-        found.append(f"{between} are of different encounters: {key} is {here} and {there}")
-    kinds = ours["safe"], theirs["safe"]
-    if kinds[0] != kinds[1] and not _shared(first, second):
-        found.append(f"{between} are of different φ, from {kinds[0]} and {kinds[1]}: their metres do not compare")
-    return found
-
-
-def _encounter(result: StoredResult) -> dict[str, Any]:
-    """Return a result's scenario with every key of today, except for those that are compared separately."""
-    scenario = result.encounter
-    collision = {key: value for key, value in scenario["collision"].items() if key != "hit_speed"}
-    return {**{key: value for key, value in scenario.items() if key != "eta_max"}, "collision": collision}
-
-
-def warnings(first: StoredResult, second: StoredResult) -> list[str]:
-    """Return what makes a difference between two assessments less certain than it looks, a line each."""
-    between = f"{first.folder} and {second.folder}"
-    found = []
-    ours, theirs = first.figures, second.figures
-    if len(_shared(first, second)) < min(len(first.safe), len(second.safe)) and ours["safe"] == theirs["safe"]:
-        why = {OWN: "made against each car", SYNTHETIC: "of different seeds"}.get(
-            str(ours["safe"]), "others of one set"
-        )
-        found.append(f"{between} are of different φ, {why}: compared as two samples, which takes more φ to tell apart")
-    for name, what in (("seed", "seeds"), ("simulations", "budgets of the planner"), ("version", "versions of SKD")):
-        if ours.get(name) != theirs.get(name):
-            found.append(f"{between} have different {what}, {ours.get(name)} and {theirs.get(name)}")
-    return found + [
-        f"{one.folder}: {line}"
-        for one in (first, second)
-        for line in _warnings_of(one)
-        if line.startswith((HARDLY_DRIVES, DOUBT))
-    ]
-
-
-def _warnings_of(result: StoredResult) -> list[str]:
-    return [" ".join(str(line).split()) for line in result.figures.get("warnings") or ()]

@@ -2,39 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-_FREE = frozenset(
-    {"name", "description", "sensor", "road.friction", "control_period"}
+from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
+
+_SAYS_NOTHING = frozenset({"name", "description", "sensor", "control_period"})
+"""Keys of a scenario that say nothing about the encounter, and on which no safe trajectory depends."""
+_FREE = (
+    _SAYS_NOTHING
     | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
     | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
 )
 """Keys of a scenario that are the car's own, or say nothing about the encounter."""
+FRICTION = "road.friction"
+
+Different = tuple[str, Any, Any]
+"""A key, with its value in each of two scenarios."""
 
 
-def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Different | None:
     """Return the first key in which two encounters differ, with its value in each; None if they are the same.
+
+    The road's friction is of the encounter where both cars have tyres. A car without tyres has no other than 1.
 
     Args:
         one: a scenario as plain data.
         other: the other encounter, in the same form.
     """
-    first, second = _flat(one), _flat(other)
-    for key in sorted((first.keys() | second.keys()) - _FREE):
+    tyres = all(_has_tyres(scenario) for scenario in (one, other))
+    return next(_differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
+
+
+def phi_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Different]:
+    """Return all keys in which two scenarios differ that safe trajectories can depend on, the car's own among them."""
+    return list(_differences(one, other, _SAYS_NOTHING))
+
+
+def _has_tyres(scenario: Mapping[str, Any]) -> bool:
+    return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
+
+
+def _differences(one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str]) -> Iterator[Different]:
+    first, second = _flat(one, free), _flat(other, free)
+    for key in sorted(first.keys() | second.keys()):
         if first.get(key) != second.get(key):
-            return key, first.get(key), second.get(key)
-    return None
+            yield key, first.get(key), second.get(key)
 
 
-def _flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(data: Mapping[str, Any], free: frozenset[str], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in data.items():
         name = f"{prefix}{key}"
-        if name in _FREE:
+        if name in free:
             continue
         if isinstance(value, Mapping):
-            flat |= _flat(value, f"{name}.")
+            flat |= _flat(value, free, f"{name}.")
         else:
             flat[name] = value
     return flat
