@@ -142,6 +142,14 @@ def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monk
     assert "nothing" in done.stdout or "learned" in done.stdout
 
 
+def test_planned_figures_of_unlike_planners_are_not_compared(here, skd_here):
+    write(here, "cars: [{controller: basic}]\nsweep: {particles: [3, 40]}", margin_limit=0)
+    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "planned figures" in line]
+    assert "the cells have particles 3 and 40" in line
+
+
 def test_what_would_be_run_is_said_without_running_it(here, skd_here):
     write(here, TWO, curve=True)
     done = skd_here("campaign", "campaign.yaml", "--dry-run", "--json")

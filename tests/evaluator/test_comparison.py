@@ -229,6 +229,12 @@ def test_the_margin_judges_where_planned_figures_are_of_unlike_knowledge() -> No
     [
         ({"objectives": {"paper": {}}}, "objective deformation and paper"),
         ({"maximum_distance": 1.0}, "maximum distance (m) none and 1"),
+        (
+            {"options": {"actions": "drawn", "particles": 3}},
+            "actions listed and drawn; particles the usual number and 3",
+        ),
+        ({"options": {"told": True}}, "told no and yes"),
+        ({"options": {"controller_calls": 25000}}, "controller calls the usual number and 25000"),
     ],
 )
 def test_kamikazes_of_unlike_kind_are_not_compared_and_margins_are(changes: dict[str, Any], said: str) -> None:
@@ -236,6 +242,13 @@ def test_kamikazes_of_unlike_kind_are_not_compared_and_margins_are(changes: dict
     assert (found.verdict, found.refusals) == (SAFER, ())
     assert said in found.planned_refusal
     assert "deformation" not in found.differences
+
+
+def test_options_that_change_no_plan_leave_planned_figures_comparable() -> None:
+    first = result("a", values(1), options={"particles": 3})
+    found = compare(first, result("b", values(1), options={"particles": 3, "simulator": "metadrive"}, simulations=9))
+    assert found.planned_refusal == ""
+    assert set(PLANNED) < set(found.differences)
 
 
 def test_skd_of_other_kamikazes_is_left_out_where_deformations_compare() -> None:

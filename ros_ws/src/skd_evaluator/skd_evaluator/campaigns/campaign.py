@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.again import DoubtsOfLearning
@@ -130,7 +131,7 @@ class Campaign:
             "cells": self.rows,
             "done": sum(row["state"] == DONE for row in self.rows),
             "failed": sum(row["state"] == FAILED for row in self.rows),
-            "planned_refusal": _planned_refusal(self.rows),
+            "planned_refusal": _planned_refusal(self.rows, self._cells),
             "episodes_run": sum(one.given - one.read for one in self._runs.values()),
             "episodes_read": sum(one.read for one in self._runs.values()),
             "seconds": round(time.perf_counter() - self._begin, 3),
@@ -360,9 +361,9 @@ class _Whole:
         return tell
 
 
-def _planned_refusal(rows: Sequence[Row]) -> str:
+def _planned_refusal(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
     """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
-    unlike = unlike_rows(rows)
+    unlike = unlike_rows({**row, "options": further_options(cell.plan)} for row, cell in zip(rows, cells, strict=True))
     return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.choices.options import EpisodeOptions, options_of
 
 from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 
@@ -13,6 +14,10 @@ PLANNED = keys_of(Of.RANKING, Of.SKD)
 """Figures of planned kamikazes; all others are of the car alone."""
 OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
+
+_PLANNING = tuple(
+    one for one in options_of(EpisodeOptions) if one.planning and not one.field and one.name != "knowledge"
+)
 
 
 def hit_speed(figures: Mapping[str, Any]) -> float:
@@ -33,6 +38,7 @@ def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
             "η_max (m)": f"{one['eta_max']:g}",
             "hit speed (m/s)": f"{hit_speed(one):g}",
             "maximum distance (m)": _or_none(one.get("maximum_distance")),
+            **_planning(one.get("options") or {}),
         }
         for one in figures
     ]
@@ -45,17 +51,34 @@ def unlike_skd(figures: Iterable[Mapping[str, Any]]) -> str:
 
 
 def unlike_rows(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return how the planned kamikazes of a campaign's rows differ, as `unlike_plans`; only rows with figures count."""
+    """Return how the planned kamikazes of a campaign's rows differ, as `unlike_plans`; only rows with figures count.
+
+    Args:
+        rows: rows of a campaign, each with the further options of its cell as `options`.
+    """
     known = [
         {
             "knowledge of the car": str(row["knowledge"]),
             "objective": str(row["ranking_objective"]),
             "η_max (m)": f"{row['eta_max']:g}",
+            **_planning(row["options"]),
         }
         for row in rows
         if row["eta_max"] is not None
     ]
     return _unlike(known)
+
+
+def _planning(options: Mapping[str, Any]) -> dict[str, str]:
+    """Return by what else kamikazes were planned, by name: all further options that change what is planned."""
+    return {one.name.replace("_", " "): _text(options.get(one.name, one.plain(one.default))) for one in _PLANNING}
+
+
+def _text(value: Any) -> str:
+    """Return the value of an option in words; 0 stands for what is usual."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value or "the usual number")
 
 
 def _unlike(known: list[dict[str, str]]) -> str:
