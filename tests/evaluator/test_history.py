@@ -11,10 +11,13 @@ import pytest
 from cli_support import one_line
 from matplotlib.image import imread
 from skd_evaluator.assessing.tracking import _tags
+from skd_evaluator.campaign.compare.comparison import Comparison
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.main import main
 from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.statistics.difference import Difference
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import trend_table
 from skd_evaluator.report.history.trend import trends_of
@@ -170,6 +173,42 @@ def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch
     assert second["verdict"] in shown
     assert second["difference"] == pytest.approx(second["value"] - first["value"])
     assert imread(tmp_path / "trend" / "trend.png").shape[1] > 1000
+
+
+@pytest.mark.parametrize(
+    ("figure", "verdict", "change"), [("margin", "safer", 0.5), ("deformation", "not compared", None)]
+)
+def test_no_verdict_stands_beside_a_figure_that_was_not_compared(figures, sweep, figure, verdict, change):
+    """Planned deformations of kamikazes who knew unlike things had *not told apart* beside them, that of margins."""
+    result = read_result(sweep / "synthetic" / "C_1")
+    differences = {"margin": Difference(0.5, (0.4, 0.6), 0.95, 0.01, 0.1, 9.0, 1.0, True)}
+    compared = Comparison(result, result, differences, (2, 2), (), "knowledge differs", ("a warning",))
+    (trend,) = trends_of([Run(Path(name), figures) for name in ("1", "2")], figure, lambda *_told: compared)
+    first, second = trend.as_dict()["runs"]
+    assert (first["verdict"], first["lines"]) == ("", [])
+    assert (second["verdict"], second["difference"]) == (verdict, change)
+    assert second["lines"] == ["knowledge differs", "a warning"]
+
+
+def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
+    """It said *not compared* or gave a verdict, and none of the lines beside it."""
+    folders = []
+    for name in ("first", "second"):
+        folders.append(str(tmp_path / name))
+        shutil.copytree(sweep / "synthetic" / "C_1", tmp_path / name)
+        (tmp_path / name / MANIFEST).unlink()
+    path = tmp_path / "second" / "assessment.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "knowledge": "nothing", "version": "9.9"}))
+    assert main(["trend", *folders, "--figure", "deformation", "--out", str(tmp_path / "trend")]) == 0
+    said = capsys.readouterr()
+    warnings = [line for line in said.err.splitlines() if "manifest" not in line]
+    assert main(["compare", *folders, "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
+    compared = [line for line in capsys.readouterr().err.splitlines() if f"{folders[0]} and {folders[1]}" in line]
+    assert len(compared) == 2
+    assert warnings == [line.replace("skd compare", "skd trend") for line in compared]
+    assert "not compared" in said.out
+    (car,) = json.loads((tmp_path / "trend" / "trend.json").read_text())["cars"]
+    assert [f"skd trend: warning: {line}" for line in car["runs"][1]["lines"]] == warnings
 
 
 @pytest.mark.parametrize("keep_manifest", [True, False])

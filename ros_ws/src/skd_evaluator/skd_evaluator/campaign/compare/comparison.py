@@ -87,6 +87,10 @@ class Comparison:
             return NOT_TOLD_APART
         return _VERDICTS[says.pop()]
 
+    def verdict_beside(self, figure: str) -> str:
+        """Return the verdict where this figure is shown: that of margin and risk, if the figure is compared at all."""
+        return self.verdict if figure in self.differences else NOT_COMPARED
+
     @property
     def votes(self) -> dict[str, int]:
         """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""

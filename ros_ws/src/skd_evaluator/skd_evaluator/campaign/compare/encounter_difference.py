@@ -31,19 +31,22 @@ def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Di
         other: the other encounter, in the same form.
     """
     tyres = all(_has_tyres(scenario) for scenario in (one, other))
-    return next(_differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
+    return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
 
 
 def phi_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Different]:
     """Return all keys in which two scenarios differ that safe trajectories can depend on, the car's own among them."""
-    return list(_differences(one, other, _SAYS_NOTHING))
+    return list(differences(one, other, _SAYS_NOTHING))
 
 
 def _has_tyres(scenario: Mapping[str, Any]) -> bool:
     return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
 
 
-def _differences(one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str]) -> Iterator[Different]:
+def differences(
+    one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str] = frozenset()
+) -> Iterator[Different]:
+    """Yield the keys in which plain data differ, `section.key`, in their order; those that are free may."""
     first, second = _flat(one, free), _flat(other, free)
     for key in sorted(first.keys() | second.keys()):
         if first.get(key) != second.get(key):

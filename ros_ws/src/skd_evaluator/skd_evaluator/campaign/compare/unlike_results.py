@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from skd_sim.choices.simulators import WORLD
+from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.campaign.compare.encounter_difference import FRICTION, encounter_difference, phi_differences
+from skd_evaluator.campaign.compare.encounter_difference import (
+    FRICTION,
+    differences,
+    encounter_difference,
+    phi_differences,
+)
 from skd_evaluator.campaign.judge.planned_figures import hit_speed
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
@@ -18,7 +24,13 @@ def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
     both = [one.figures["risk"]["behaviour"] for one in (first, second) if one.figures.get("risk")]
     if len(both) < 2 or both[0] == both[1]:
         return ""
-    return " and ".join(str(one["name"]) for one in both)
+    names = [one_line(str(one["name"])) for one in both]
+    if names[0] != names[1]:
+        return " and ".join(names)
+    differ = list(differences(*both))
+    values = [(key.split(".")[1], *values) for key, *values in differ if key.endswith(".value")]
+    said = ", ".join(f"{name} is {here} and {there}" for name, here, there in values) or f"other {differ[0][0]}"
+    return f"both called {names[0]} ({said})"
 
 
 def shared(first: StoredResult, second: StoredResult) -> list[tuple[int, int]]:

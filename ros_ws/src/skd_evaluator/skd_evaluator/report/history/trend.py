@@ -22,12 +22,14 @@ class Compared(Protocol):
     """What is said of a result beside another one, as `skd_evaluator.campaign.compare` has it."""
 
     @property
-    def verdict(self) -> str:
-        """What is said of the second car."""
-
-    @property
     def differences(self) -> Mapping[str, Any]:
         """Second less first, by figure."""
+
+    def verdict_beside(self, figure: str) -> str:
+        """Return what is said of the second car beside a figure."""
+
+    def lines(self) -> list[str]:
+        """Return everything that has to be said beside the verdict, a line each."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,12 @@ class Step:
         run: the assessment.
         value: the figure; None where it is not known.
         interval: its 95 % interval, by φ; None where there is none.
-        verdict: what is said of the car beside the assessment before; empty for the first.
+        verdict: what is said of the car beside the assessment before; empty for the first. It goes by margin and risk,
+            whichever figure is followed, and is *not compared* where that figure is not.
         difference: of the figure from the one before; None where it is not compared.
         difference_interval: interval of the difference.
         in_doubt: whether it says of itself that its figures may be those of another car, or the one before does.
+        lines: what has to be said beside the verdict, a line each.
     """
 
     run: Run
@@ -51,6 +55,7 @@ class Step:
     difference: float | None = None
     difference_interval: Interval | None = None
     in_doubt: bool = False
+    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class Trend:
                     "in_doubt": step.in_doubt,
                     "difference": step.difference,
                     "difference_interval": step.difference_interval,
+                    "lines": list(step.lines),
                 }
                 for step in self.steps
             ],
@@ -128,7 +134,6 @@ def _step(run: Run, figure: str, compared: Compared | None = None) -> Step:
     step = Step(run, run.figures.get(figure), run.figures.get(f"{figure}_ci95"), in_doubt=bool(run.doubts))
     if compared is None:
         return step
+    step = replace(step, verdict=compared.verdict_beside(figure), lines=tuple(compared.lines()))
     change = compared.differences.get(figure)
-    if change is None:
-        return replace(step, verdict=compared.verdict)
-    return replace(step, verdict=compared.verdict, difference=change.value, difference_interval=change.interval)
+    return step if change is None else replace(step, difference=change.value, difference_interval=change.interval)

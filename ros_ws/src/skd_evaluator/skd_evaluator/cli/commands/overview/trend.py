@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.compare.comparison import Comparison, compare
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
@@ -33,7 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     # that has no neighbour to be held against.
     read = {one.folder: read_result(one.folder) for one in wanted}
     wanted = [Run(folder, result.figures) for folder, result in read.items()]
-    for remark in dict.fromkeys(remark for result in read.values() for remark in result.remarks):
+    remarks = dict.fromkeys(remark for result in read.values() for remark in result.remarks)
+    for remark in remarks:
         print(f"skd trend: warning: {remark}", file=sys.stderr)
 
     def held(first: Run, second: Run, confidence: float) -> Comparison:
@@ -63,4 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd trend: {problem}", file=sys.stderr)
     elif not arguments.json:
         print(f"results in {out.path}")
+    lines = dict.fromkeys(line for trend in trends for step in trend.steps for line in step.lines)
+    for line in (one for one in lines if one not in remarks):
+        print(f"skd trend: warning: {one_line(line)}", file=sys.stderr)
     return 1 if problem or not is_seen else 0
