@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -11,9 +12,10 @@ from types import SimpleNamespace
 
 import pytest
 from skd_evaluator.assessing import library
+from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.doubt import DOUBT
-from skd_evaluator.pytest_plugin import Skd
+from skd_evaluator.pytest_plugin import Assessed, Skd
 
 CONFTEST = """
 import json, pathlib
@@ -75,6 +77,20 @@ def test_a_class_is_named_by_its_module(tmp_path: Path, monkeypatch: pytest.Monk
     assert skd.assess(MyCar, seed=1) is skd.assess(MyCar, seed=1)
     assert skd.assess(MyCar, seed=2) is not skd.assess(MyCar, seed=1)
     assert asked == [(f"{__name__}:MyCar", tmp_path / "0"), (f"{__name__}:MyCar", tmp_path / "1")]
+
+
+def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path, sweep: Path) -> None:
+    """`not mine.is_worse_than("released")` held where nothing can be said."""
+    worse, better = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
+    shutil.copytree(better, tmp_path / "longer")
+    (tmp_path / "longer" / MANIFEST).unlink()
+    path = tmp_path / "longer" / "assessment.json"
+    figures = json.loads(path.read_text())
+    path.write_text(json.dumps({**figures, "scenario": {**figures["scenario"], "horizon": 99.0}}))
+    mine = Assessed(SimpleNamespace(as_dict=dict), better)
+    assert not mine.is_worse_than(worse)
+    with pytest.raises(AssessmentError, match=r"^not compared; .* different encounters: horizon is 99.0 and 12.0"):
+        mine.is_worse_than(tmp_path / "longer")
 
 
 def test_a_car_whose_figures_are_in_doubt_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

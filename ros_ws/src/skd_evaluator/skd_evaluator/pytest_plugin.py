@@ -43,11 +43,20 @@ class Assessed:
         return f"<{headline(self.figures)} See {self.folder}>"
 
     def is_worse_than(self, earlier: str | Path) -> bool:
-        """Return whether the car is less safe than in an earlier result, judged as `skd compare` does."""
-        from skd_evaluator.campaign.compare.comparison import LESS_SAFE, compare
-        from skd_evaluator.campaign.store.stored_result import read_result
+        """Return whether the car is less safe than in an earlier result, judged as `skd compare` does.
 
-        return compare(read_result(Path(earlier)), read_result(self.folder)).verdict == LESS_SAFE
+        Raises:
+            AssessmentError: the two do not compare, so that nothing can be said.
+        """
+        from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, compare
+        from skd_evaluator.campaign.store.stored_result import read_result
+        from skd_evaluator.errors import AssessmentError
+
+        held = compare(read_result(Path(earlier)), read_result(self.folder))
+        if held.verdict == NOT_COMPARED:
+            few = [] if held.design == NOT_COMPARED else ["there are too few φ for an interval"]
+            raise AssessmentError("; ".join([NOT_COMPARED, *few, *held.lines()]))
+        return held.verdict == LESS_SAFE
 
 
 class Skd:
