@@ -122,6 +122,29 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_list_names_encounters_that_share_a_name(tmp_path, figures, capsys):
+    """Two encounters called *crossing* stood there like one."""
+    scenario = figures["scenario"]
+    slower = {**scenario, "adversary": {**scenario["adversary"], "speed": 2.0}}
+    narrower = {**scenario, "car": {**scenario["car"], "width": 1.5}}
+    renamed = {**slower, "name": "slow"}
+    tyres = {**scenario, "car": {**scenario["car"], "dynamics": "multi_body"}}
+    wet = {**tyres, "road": {**scenario["road"], "friction": 0.65}}
+    kinds = (scenario, narrower, slower, slower, renamed, tyres, wet, wet)
+    for name, one in zip("abcdefgh", kinds, strict=True):
+        written(figures, tmp_path / name, scenario=one)
+    assert main(["list", str(tmp_path), "--sort", "folder"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "name of" in line]
+    speed = scenario["adversary"]["speed"]
+    assert lines == [
+        f"skd list: warning: crossing is the name of different encounters: {said}"
+        for said in (
+            f"adversary.speed is {speed} in {tmp_path / 'a'} and 2.0 in {tmp_path / 'c'}",
+            f"road.friction is 1.0 in {tmp_path / 'f'} and 0.65 in {tmp_path / 'g'}",
+        )
+    ]
+
+
 def test_a_trend_follows_each_car_by_date(figures):
     """A car that gets better by 0.1 m with each of twenty revisions, and another one."""
     runs = [

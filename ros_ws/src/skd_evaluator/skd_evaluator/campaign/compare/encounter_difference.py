@@ -30,7 +30,7 @@ def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Di
         one: a scenario as plain data.
         other: the other encounter, in the same form.
     """
-    tyres = all(_has_tyres(scenario) for scenario in (one, other))
+    tyres = all(has_tyres(scenario) for scenario in (one, other))
     return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
 
 
@@ -39,7 +39,8 @@ def phi_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Di
     return list(differences(one, other, _SAYS_NOTHING))
 
 
-def _has_tyres(scenario: Mapping[str, Any]) -> bool:
+def has_tyres(scenario: Mapping[str, Any]) -> bool:
+    """Return whether the car of a scenario, as plain data, has tyres: only they feel the road's friction."""
     return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
 
 

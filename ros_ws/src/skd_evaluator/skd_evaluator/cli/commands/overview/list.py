@@ -8,8 +8,10 @@ from collections.abc import Callable
 from typing import Any
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.history.namesakes import namesakes
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import runs_table
 from skd_evaluator.report.terminal import counted, print_table
@@ -44,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         for one in found:
             for line in (*([one.remark] if one.remark else []), *one.doubts):
                 print(f"* {one.folder}: {line}")
+        for line in namesakes(found):
+            print(f"skd list: warning: {one_line(line)}", file=sys.stderr)
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
     return 0
 
