@@ -8,6 +8,7 @@ Light, for every pytest of an environment with SKD begins with it.
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,20 +44,24 @@ class Assessed:
         return f"<{headline(self.figures)} See {self.folder}>"
 
     def is_worse_than(self, earlier: str | Path) -> bool:
-        """Return whether the car is less safe than in an earlier result, judged as `skd compare` does.
+        """Return whether the car fell behind an earlier result, as the gate `--fail-if-worse-than` judges.
+
+        What has to be said beside that is a warning of Python's.
 
         Raises:
-            AssessmentError: the two do not compare, so that nothing can be said.
+            AssessmentError: nothing can be said, as where the two do not compare: neither that it is worse nor that it
+                is not.
         """
-        from skd_evaluator.campaign.compare.comparison import LESS_SAFE, NOT_COMPARED, compare
+        from skd_evaluator.campaign.compare.gate import check_not_worse
         from skd_evaluator.campaign.store.stored_result import read_result
         from skd_evaluator.errors import AssessmentError
 
-        held = compare(read_result(Path(earlier)), read_result(self.folder))
-        if held.verdict == NOT_COMPARED:
-            few = [] if held.design == NOT_COMPARED else ["there are too few φ for an interval"]
-            raise AssessmentError("; ".join([NOT_COMPARED, *few, *held.lines()]))
-        return held.verdict == LESS_SAFE
+        check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))
+        if check.error:
+            raise AssessmentError(f"{check.name}: {check.text}")
+        if "; " in check.text:  # more than the verdict and its interval
+            warnings.warn(f"{check.name}: {check.text}", stacklevel=2)
+        return check.failed
 
 
 class Skd:
