@@ -40,7 +40,11 @@ def assess(name, *, out, **options):  # tests/evaluator/test_library.py has the 
 library.assess = assess
 """
 TESTS = """
+import os
 import pytest
+
+def test_that_goes_elsewhere_first(tmp_path):
+    os.chdir(tmp_path)
 
 def test_a_car_is_assessed_once(skd):
     first = skd.assess("basic", seed=1)
@@ -58,7 +62,7 @@ def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
     shutil.copy(sweep / "synthetic" / "C_1" / "assessment.json", tmp_path / "figures.json")
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_cars.py").write_text(TESTS)
-    words = ["-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q", "--skd-out", str(tmp_path / "kept")]
+    words = ["-p", "skd_evaluator.pytest_plugin", "-p", "no:cacheprovider", "-q", "--skd-out", "kept"]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words, str(tmp_path)],
         cwd=tmp_path,
@@ -67,7 +71,7 @@ def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
         text=True,
         check=False,
     )
-    assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
+    assert "1 failed, 2 passed" in done.stdout, done.stdout + done.stderr
     assert "<basic, C = 1: somebody who strays" in done.stdout  # what failed says of which car
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["0"]
 

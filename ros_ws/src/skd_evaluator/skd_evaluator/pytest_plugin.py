@@ -106,4 +106,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _skd(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Skd:
     """Assess cars: `skd.assess(MyCar).margin`."""
     out, worker = request.config.getoption(_OUT), getattr(request.config, "workerinput", {}).get("workerid", "")
-    return Skd(Path(out, worker) if out else tmp_path_factory.mktemp("skd"))
+    if not out:
+        return Skd(tmp_path_factory.mktemp("skd"))
+    # From where pytest was started: a test may have gone to another folder.
+    return Skd(request.config.invocation_params.dir / Path(out).expanduser() / worker)
