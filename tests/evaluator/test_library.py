@@ -47,6 +47,28 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
         assess("basic", out=tmp_path / "there", **SMALL)
 
 
+@pytest.mark.parametrize(
+    ("argument", "right"),
+    [
+        ({"controller": dict}, "of type str"),
+        ({"scenario": 5}, "of type str"),
+        ({"out": 5}, "the path of a folder"),
+        ({"workers": -3}, "a number from 1 to 1024"),
+        ({"workers": 0}, "a number from 1 to 1024"),
+        ({"margin_limit": -1}, "a number from 0 to 10000000"),
+        ({"margin_limit": "8"}, "of type int"),
+        ({"curve": "x"}, "of type bool"),
+        ({"behaviour": None}, "of type str"),
+        ({"progress": 5}, "a function"),
+    ],
+)
+def test_wrong_arguments_are_named_with_what_would_be_right(argument, right):
+    """Some ended in an error of whatever came upon them, and others were taken as something else, without a word."""
+    ((name, _),) = argument.items()
+    with pytest.raises(UsageError, match=f"^assess: {name} must be {right}, got [^\n]*$"):
+        assess(**argument)
+
+
 def test_the_example_says_the_same_figure_twice_and_draws(tmp_path):
     script = ROOT / "examples" / "library" / "library.py"
     environment = {**os.environ, "MPLBACKEND": "agg"}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.objective import objectives_named
-from skd_sim.choices.options import options_of
+from skd_sim.choices.options import Option, options_of
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 
@@ -21,7 +21,13 @@ from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS, CampaignOptions
+from skd_evaluator.campaign.plan.options import (
+    DEFAULT_MARGIN_LIMIT,
+    HIGHEST_MARGIN_LIMIT,
+    MOST_WORKERS,
+    WALKERS,
+    CampaignOptions,
+)
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
@@ -30,6 +36,16 @@ from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.provenance import provenance
 from skd_evaluator.risk.asked import risk_asked
+
+_ALLOWED = {
+    "controller": Option("", kind=str),
+    "scenario": Option("", kind=str),
+    "workers": Option("", kind=int, low=1, high=MOST_WORKERS),
+    "margin_limit": Option("", kind=int, low=0, high=HIGHEST_MARGIN_LIMIT),
+    "curve": Option("", kind=bool),
+    "behaviour": Option("", kind=str),
+}
+_MAY_BE_NONE = ("scenario", "out", "workers", "progress")
 
 
 def assess(
@@ -66,10 +82,20 @@ def assess(
         another car is a warning of Python's.
 
     Raises:
-        UsageError: an option does not exist, is not allowed, or does not go with the others.
+        UsageError: an argument is not allowed, or does not go with the others, or an option does not exist.
         AssessmentError: the car could not be assessed.
     """
     begin = time.perf_counter()
+    _check(
+        controller=controller,
+        scenario=scenario,
+        out=out,
+        workers=workers,
+        margin_limit=margin_limit,
+        curve=curve,
+        behaviour=behaviour,
+        progress=progress,
+    )
     values = {**_values(options), "controller": controller}
     plan = plan_of(values, scenario_for(scenario, values["safe"]))
     plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
@@ -101,6 +127,19 @@ def load_result(folder: str | Path) -> Result:
 
 def _origin(plan: Plan) -> dict[str, Any]:
     return provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
+
+
+def _check(**arguments: Any) -> None:
+    """Refuse arguments of `assess` that cannot be; None is one of those that have it as their default."""
+    for name, value in arguments.items():
+        if value is None and name in _MAY_BE_NONE:
+            continue
+        if name in _ALLOWED:
+            _ALLOWED[name].check(value, f"assess: {name}")
+        elif name == "out" and not isinstance(value, (str, Path)):
+            raise UsageError(f"assess: out must be the path of a folder, got {value!r:.60}")
+        elif name == "progress" and not callable(value):
+            raise UsageError(f"assess: progress must be a function, got {value!r:.60}")
 
 
 def _values(options: Mapping[str, Any]) -> dict[str, Any]:

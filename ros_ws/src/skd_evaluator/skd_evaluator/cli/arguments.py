@@ -14,7 +14,9 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
     BEHAVIOUR_TEXT,
     DEFAULT_MARGIN_LIMIT,
+    HIGHEST_MARGIN_LIMIT,
     MARGIN_LIMIT_TEXT,
+    MOST_WORKERS,
     RISK_RUNS_TEXT,
     RISK_SUBSET_TEXT,
     WALKERS,
@@ -96,7 +98,7 @@ def add_count(
 
 def add_workers_argument(group: argparse._ActionsContainer) -> None:
     """Add --workers."""
-    add_count(group, "--workers", 1, 1024, "how many processes run the episodes (default: one per core)")
+    add_count(group, "--workers", 1, MOST_WORKERS, "how many processes run the episodes (default: one per core)")
 
 
 def add_options(
@@ -220,7 +222,7 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
 
 def add_floor_argument(group: argparse._ActionsContainer) -> None:
     """Add --floor and --margin-limit."""
-    add_count(group, "--margin-limit", 0, 10_000_000, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    add_count(group, "--margin-limit", 0, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
     group.add_argument(
         "--floor",
         action="store_true",

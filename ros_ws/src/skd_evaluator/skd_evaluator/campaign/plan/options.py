@@ -14,7 +14,8 @@ OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
 RECORDED = "bags"
 """What results of recordings have in its place: φ of the recorded episodes, in whatever simulator they ran."""
-DEFAULT_MARGIN_LIMIT = 1024
+MOST_WORKERS = 1024
+DEFAULT_MARGIN_LIMIT, HIGHEST_MARGIN_LIMIT = 1024, 10_000_000
 MARGIN_LIMIT_TEXT = (
     "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "
     "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
