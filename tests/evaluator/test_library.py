@@ -6,11 +6,13 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 from common import run_skd
 from skd_evaluator import AssessmentError, assess, load_result
+from skd_evaluator.measure.doubt import in_doubt
 from skd_sim import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,6 +61,7 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
         ({"margin_limit": "8"}, "of type int"),
         ({"curve": "x"}, "of type bool"),
         ({"behaviour": None}, "of type str"),
+        ({"max_aborted": 101}, "a number from 0.0 to 100.0"),
         ({"progress": 5}, "a function"),
     ],
 )
@@ -67,6 +70,53 @@ def test_wrong_arguments_are_named_with_what_would_be_right(argument, right):
     ((name, _),) = argument.items()
     with pytest.raises(UsageError, match=f"^assess: {name} must be {right}, got [^\n]*$"):
         assess(**argument)
+
+
+QUITTER = """
+import os
+
+class Car:  # it ends its process in one of the few episodes of QUITTED
+    def reset(self, scenario, rng):
+        if rng.random() < 0.05:
+            os._exit(3)
+
+    def command(self, car, adversary):
+        return 0.0
+"""
+QUITTED = {
+    "objective": "paper",
+    "safe_count": 1,
+    "kamikaze_count": 1,
+    "collision_runs": 8,
+    "simulations": 20,
+    "knowledge": "nothing",
+}
+ALONE = {"margin_limit": 0, "behaviour": "none", "workers": 1}
+
+
+def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, monkeypatch):
+    """Who ends its process before it hits had a hit rate of 0 and no warning, and `skd assess` exit code 1."""
+    (tmp_path / "quitter.py").write_text(QUITTER)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.warns(UserWarning, match="do not believe these figures: 1 of 10 episodes were aborted.* 5 %"):
+        found = assess("quitter:Car", out=tmp_path / "out", **QUITTED, **ALONE).as_dict()
+    stored = json.loads((tmp_path / "out" / "assessment.json").read_text())["warnings"]
+    assert [line for line in stored if line.startswith("do not believe these figures: ")] == [
+        line for line in found["warnings"] if "were aborted, more than" in line
+    ]
+    with warnings.catch_warnings(record=True) as said:
+        allowed = assess("quitter:Car", max_aborted=100, **QUITTED, **ALONE)
+    assert not any("were aborted, more than" in str(one) for one in [*said, *allowed.warnings])
+
+
+def test_that_skd_is_not_defined_is_said(tmp_path):
+    """The command ends with exit code 1; the margin is no less the car's."""
+    with pytest.warns(UserWarning, match="^all .* are further than the maximum distance; SKD is not defined$") as said:
+        found = assess("basic", multiplier=0.5, maximum_distance=1e-9, out=tmp_path / "out", **SMALL, **ALONE)
+    assert found.as_dict()["skd"] is None
+    assert {str(one.message) for one in said} <= set(found.warnings)
+    assert not in_doubt(found.warnings)
+    assert load_result(tmp_path / "out").figures["warnings"] == list(found.warnings)
 
 
 def test_the_example_says_the_same_figure_twice_and_draws(tmp_path):

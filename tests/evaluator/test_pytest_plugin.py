@@ -35,7 +35,7 @@ FIGURES = json.loads(pathlib.Path("figures.json").read_text())
 
 def assess(name, *, out, **options):  # tests/evaluator/test_library.py has the real one
     out.mkdir(parents=True)
-    return SimpleNamespace(as_dict=lambda: FIGURES)
+    return SimpleNamespace(as_dict=lambda: FIGURES, for_skd=SimpleNamespace(skd=SimpleNamespace(skd=1.0)))
 
 library.assess = assess
 """
@@ -56,6 +56,7 @@ def test_a_car_is_assessed_once(skd):
 def test_one_that_fails(skd):
     assert skd.assess(seed=1).margin > 100.0
 """
+HAS_SKD = SimpleNamespace(skd=SimpleNamespace(skd=1.0))
 
 
 def test_cars_are_assessed_by_tests(tmp_path: Path, sweep: Path) -> None:
@@ -82,7 +83,7 @@ class MyCar:
 
 def test_a_class_is_named_by_its_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, Path]] = []
-    rating = SimpleNamespace(as_dict=dict)
+    rating = SimpleNamespace(as_dict=dict, for_skd=HAS_SKD)
     monkeypatch.setattr(library, "assess", lambda name, *, out, **_options: asked.append((name, out)) or rating)
     skd = Skd(tmp_path)
     assert skd.assess(MyCar, seed=1) is skd.assess(MyCar, seed=1)
@@ -107,10 +108,24 @@ def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path
 
 def test_a_car_whose_figures_are_in_doubt_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their margin was held against its limit like any other."""
-    rating = SimpleNamespace(as_dict=lambda: {"margin": 5.0, "warnings": ["harmless", f"{DOUBT}it counts"]})
+    figures = {"margin": 5.0, "warnings": ["harmless", f"{DOUBT}it counts"]}
+    rating = SimpleNamespace(as_dict=lambda: figures, for_skd=HAS_SKD)
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
     with pytest.raises(AssessmentError, match=f"MyCar: {DOUBT}it counts. See {tmp_path / '0'}"):
         Skd(tmp_path).assess(MyCar)
+
+
+def test_a_car_without_an_skd_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With it `skd assess` ends with exit code 1; asked for again, it does not pass either."""
+    none = SimpleNamespace(skd=None, discarded_by_distance=3)
+    rating = SimpleNamespace(
+        as_dict=lambda: {"margin": 5.0, "skd": None}, for_skd=SimpleNamespace(skd=none, reasons=())
+    )
+    monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
+    skd = Skd(tmp_path)
+    for _ in range(2):
+        with pytest.raises(AssessmentError, match=r"MyCar: all 3 are further than.*; SKD is not defined. See"):
+            skd.assess(MyCar)
 
 
 MORE_BY_CHANCE = (0.70, 0.40)  # 0.05 more than 0.5 on the mean of eight φ, with a standard error of 0.057

@@ -71,6 +71,7 @@ class Skd:
         """Assess into new folders in `out`."""
         self._out = out
         self._kept: dict[str, Assessed] = {}
+        self._failed: dict[str, str] = {}
 
     def assess(self, car: type | str = "basic", **options: Any) -> Assessed:
         """Assess a car as `skd_evaluator.assess` does; the same again, in the same run of pytest, is not run again.
@@ -80,8 +81,10 @@ class Skd:
             options: those of `skd_evaluator.assess`.
 
         Raises:
-            AssessmentError: its figures may be those of another car, so that no test of them says anything.
+            AssessmentError: its figures may be those of another car, or `skd assess` would end with exit code 1 for
+                another reason, so that no test of them says anything.
         """
+        from skd_evaluator.assessing.findings import undefined
         from skd_evaluator.assessing.library import assess
         from skd_evaluator.errors import AssessmentError
         from skd_evaluator.measure.doubt import in_doubt
@@ -90,9 +93,12 @@ class Skd:
         key = f"{controller} {sorted(options.items())!r}"
         if key not in self._kept:
             folder = self._out / f"{len(self._kept)}"
-            self._kept[key] = Assessed(assess(controller, out=folder, **options), folder)
-        if doubted := in_doubt(self._kept[key].figures.get("warnings") or ()):
-            raise AssessmentError(f"{controller}: {'; '.join(doubted)}. See {self._kept[key].folder}")
+            rating = assess(controller, out=folder, **options)
+            self._kept[key] = Assessed(rating, folder)
+            doubted = in_doubt(self._kept[key].figures.get("warnings") or ())
+            self._failed[key] = "; ".join([*doubted, *filter(None, [undefined(rating)])])
+        if why := self._failed[key]:
+            raise AssessmentError(f"{controller}: {why}. See {self._kept[key].folder}")
         return self._kept[key]
 
 

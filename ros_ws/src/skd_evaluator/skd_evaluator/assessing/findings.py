@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.episode.aborts import counted_reasons
@@ -11,7 +12,7 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_evaluator.campaign.judge.rating import Rating, hit_too_often
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
-from skd_evaluator.measure.doubt import disbelief, in_doubt
+from skd_evaluator.measure.doubt import DISBELIEF, disbelief, in_doubt
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 
 
@@ -121,6 +122,20 @@ def why_failed(rating: Rating, maximum_aborted: float) -> list[str]:
     """
     reasons = [undefined(rating), too_many_aborted(rating, maximum_aborted), *disbelief(rating.warnings)]
     return [why for why in reasons if why]
+
+
+def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
+    """Return the rating with why it counts as failed among its warnings, for who sees no exit code.
+
+    That SKD is not defined is no disbelief: its margin is still the car's.
+
+    Args:
+        rating: the rating of all episodes, aborted ones counted.
+        maximum_aborted: share of the episodes that may be aborted.
+    """
+    aborted = too_many_aborted(rating, maximum_aborted)
+    found = [undefined(rating), f"{DISBELIEF}{aborted}" if aborted else None]
+    return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
 
 
 def warnings_of(rating: Rating, *, planned: bool = True, of_episodes: bool = True) -> list[str]:

@@ -16,6 +16,7 @@ from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessing.findings import why_failed, with_failures
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
@@ -24,6 +25,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import (
     DEFAULT_MARGIN_LIMIT,
     HIGHEST_MARGIN_LIMIT,
+    MAXIMUM_ABORTED,
     MOST_WORKERS,
     WALKERS,
     CampaignOptions,
@@ -44,6 +46,7 @@ _ALLOWED = {
     "margin_limit": Option("", kind=int, low=0, high=HIGHEST_MARGIN_LIMIT),
     "curve": Option("", kind=bool),
     "behaviour": Option("", kind=str),
+    "max_aborted": Option("", kind=float, low=0.0, high=100.0),
 }
 _MAY_BE_NONE = ("scenario", "out", "workers", "progress")
 
@@ -57,6 +60,7 @@ def assess(
     margin_limit: int = DEFAULT_MARGIN_LIMIT,
     curve: bool = False,
     behaviour: str = WALKERS,
+    max_aborted: float = 100.0 * MAXIMUM_ABORTED,
     progress: Progress | None = None,
     **options: Any,
 ) -> Rating:
@@ -72,6 +76,8 @@ def assess(
         margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
         curve: whether kamikazes are planned that are held to a budget, for the vulnerability curve.
         behaviour: how people walk, for the risk: `walkers`, a file, or `none`.
+        max_aborted: percentage of the episodes that may be aborted. An aborted episode says nothing about the car; if
+            more are aborted, the figures are not to be believed.
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
@@ -79,7 +85,8 @@ def assess(
 
     Returns:
         The assessment; `as_dict()` has the figures of assessment.json under their names. Why these may be those of
-        another car is a warning of Python's.
+        another car, and whatever else makes `skd assess` end with exit code 1, is a warning of Python's, and one of its
+        `warnings`.
 
     Raises:
         UsageError: an argument is not allowed, or does not go with the others, or an option does not exist.
@@ -94,6 +101,7 @@ def assess(
         margin_limit=margin_limit,
         curve=curve,
         behaviour=behaviour,
+        max_aborted=max_aborted,
         progress=progress,
     )
     values = {**_values(options), "controller": controller}
@@ -106,11 +114,12 @@ def assess(
     runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
     told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
     rating = assess_in_process(plan, objectives, runners, told, further, _origin)
-    rating = replace(rating, seconds=time.perf_counter() - begin)
-    for line in in_doubt(rating.warnings):
-        warnings.warn(line, stacklevel=2)
+    seconds, failed = time.perf_counter() - begin, with_failures(rating, max_aborted / 100.0)
+    rating = replace(failed, seconds=seconds)
     if folder is not None:
         folder.write(lambda where: fill(where, rating))
+    for line in dict.fromkeys([*in_doubt(rating.warnings), *why_failed(rating, 1.0)]):
+        warnings.warn(line, stacklevel=2)
     return rating
 
 

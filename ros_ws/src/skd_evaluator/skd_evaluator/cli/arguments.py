@@ -16,6 +16,7 @@ from skd_evaluator.campaign.plan.options import (
     DEFAULT_MARGIN_LIMIT,
     HIGHEST_MARGIN_LIMIT,
     MARGIN_LIMIT_TEXT,
+    MAXIMUM_ABORTED,
     MOST_WORKERS,
     RISK_RUNS_TEXT,
     RISK_SUBSET_TEXT,
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import Signer
 
 CAR_GROUP = "car and test"
-MAXIMUM_ABORTED = 0.05
-"""Share of episodes that may be aborted before an assessment counts as failed."""
 
 
 def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:

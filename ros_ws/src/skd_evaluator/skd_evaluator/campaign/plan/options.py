@@ -14,6 +14,8 @@ OWN = "own"
 """As synthetic, but against the car under test itself, as far as the adversary knows it."""
 RECORDED = "bags"
 """What results of recordings have in its place: φ of the recorded episodes, in whatever simulator they ran."""
+MAXIMUM_ABORTED = 0.05
+"""Share of episodes that may be aborted before an assessment counts as failed."""
 MOST_WORKERS = 1024
 DEFAULT_MARGIN_LIMIT, HIGHEST_MARGIN_LIMIT = 1024, 10_000_000
 MARGIN_LIMIT_TEXT = (

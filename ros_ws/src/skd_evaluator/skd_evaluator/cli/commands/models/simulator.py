@@ -18,9 +18,10 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_doubts, propagated
+from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.cli.arguments import MAXIMUM_ABORTED, result_folder
+from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
