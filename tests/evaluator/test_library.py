@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import warnings
 from pathlib import Path
 
@@ -107,6 +108,80 @@ def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, 
     with warnings.catch_warnings(record=True) as said:
         allowed = assess("quitter:Car", max_aborted=100, **QUITTED, **ALONE)
     assert not any("were aborted, more than" in str(one) for one in [*said, *allowed.warnings])
+
+
+THREADS = """
+import sys, threading
+from skd_evaluator import assess
+
+OPTIONS = dict(safe_count=2, kamikaze_count=1, collision_runs=4, simulations=10, knowledge="nothing", workers=1)
+begun = []
+
+def watch(event, arguments):
+    if event == "os.fork":
+        begun.append("a fork")
+    elif event == "subprocess.Popen":
+        begun.append(str(arguments[1][0]).rpartition("/")[2])
+
+def one():
+    begun.append("an assessment")
+    print(assess("honest:Car", margin_limit=8, behaviour="none", **OPTIONS).as_dict()["margin"], flush=True)
+
+if __name__ == "__main__":
+    sys.addaudithook(watch)
+    threads = [threading.Thread(target=one) for _ in range(2)]
+    for each in threads:
+        each.start()
+        if each is threads[0]:  # what it asks the machine, no later one has to
+            while "a fork" not in begun and each.is_alive():
+                each.join(0.01)
+            print(*begun[: begun.index("a fork") + 1])
+    for each in threads:
+        each.join()
+"""
+HONEST = """
+class Car:
+    def reset(self, scenario, rng):
+        pass
+
+    def command(self, car, adversary):
+        return -6.0 if 0.0 <= adversary.y - car.y <= 12.0 and abs(adversary.x - car.x) < 2.0 else 0.0
+"""
+
+
+def test_two_threads_assess_a_car_of_a_users_own(tmp_path):
+    """They hung for ever: of one a worker had been forked while the other was starting a program."""
+    (tmp_path / "honest.py").write_text(HONEST)
+    (tmp_path / "threads.py").write_text(THREADS)
+    done = subprocess.run(
+        [sys.executable, "threads.py"], cwd=tmp_path, capture_output=True, text=True, timeout=180, check=True
+    )
+    begun, *margins = done.stdout.splitlines()
+    assert begun.endswith(" a fork")
+    assert {"uname", "git"} <= set(begun.split())
+    assert len(margins) == 2
+    assert float(margins[0]) == float(margins[1]) > 0.0
+
+
+def test_assessments_of_several_threads_run_one_after_another():
+    met, first, done = threading.Event(), threading.Lock(), []
+
+    def told(*_told: object) -> None:
+        if first.acquire(blocking=False):
+            assert not met.wait(3.0)
+        elif not done:
+            met.set()
+
+    def one() -> None:
+        assess("basic", progress=told, **SMALL, **ALONE)
+        done.append("one")
+
+    threads = [threading.Thread(target=one) for _ in range(2)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join(60.0)
+    assert done == ["one", "one"]
 
 
 def test_that_skd_is_not_defined_is_said(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import warnings
 from collections.abc import Mapping
@@ -36,9 +37,12 @@ from skd_evaluator.campaign.run.workers import InProcessRunner, available_worker
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.measure.doubt import in_doubt
-from skd_evaluator.provenance import provenance
+from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.risk.asked import risk_asked
 
+_COMMAND = ("skd_evaluator.assess",)
+_ONE_AT_A_TIME = threading.RLock()
+"""Held by the assessment that runs: one forks workers, which would inherit what another one is in the middle of."""
 _ALLOWED = {
     "controller": Option("", kind=str),
     "scenario": Option("", kind=str),
@@ -66,7 +70,8 @@ def assess(
 ) -> Rating:
     """Assess a car in process, as `skd assess` does: the same options give the same numbers.
 
-    Worker processes are started: a script calls this below `if __name__ == "__main__":`.
+    Worker processes are started: a script calls this below `if __name__ == "__main__":`. Asked by several threads,
+    assessments run one after another; what makes one faster is `workers`.
 
     Args:
         controller: a shipped one, or `package.module:Class` of yours, importable.
@@ -92,7 +97,6 @@ def assess(
         UsageError: an argument is not allowed, or does not go with the others, or an option does not exist.
         AssessmentError: the car could not be assessed.
     """
-    begin = time.perf_counter()
     _check(
         controller=controller,
         scenario=scenario,
@@ -105,19 +109,24 @@ def assess(
         progress=progress,
     )
     values = {**_values(options), "controller": controller}
-    plan = plan_of(values, scenario_for(scenario, values["safe"]))
-    plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
-    objectives = objectives_named(values["objective"])
-    risk = risk_asked(behaviour)
-    folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
-    runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
-    runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
-    told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
-    rating = assess_in_process(plan, objectives, runners, told, further, _origin)
-    seconds, failed = time.perf_counter() - begin, with_failures(rating, max_aborted / 100.0)
-    rating = replace(failed, seconds=seconds)
-    if folder is not None:
-        folder.write(lambda where: fill(where, rating))
+    with _ONE_AT_A_TIME:
+        begin = time.perf_counter()
+        plan = plan_of(values, scenario_for(scenario, values["safe"]))
+        origin = partial(provenance, _COMMAND, surroundings=_surroundings(plan))
+        plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
+        objectives = objectives_named(values["objective"])
+        risk = risk_asked(behaviour)
+        folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
+        runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
+        runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
+        told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
+        rating = assess_in_process(
+            plan, objectives, runners, told, further, lambda known: origin(known.car, car_model=known.car_model)
+        )
+        seconds, failed = time.perf_counter() - begin, with_failures(rating, max_aborted / 100.0)
+        rating = replace(failed, seconds=seconds)
+        if folder is not None:
+            folder.write(lambda where: fill(where, rating))
     for line in dict.fromkeys([*in_doubt(rating.warnings), *why_failed(rating, 1.0)]):
         warnings.warn(line, stacklevel=2)
     return rating
@@ -134,8 +143,13 @@ def load_result(folder: str | Path) -> Result:
     return result_of(read_result(Path(folder).expanduser()))
 
 
-def _origin(plan: Plan) -> dict[str, Any]:
-    return provenance(["skd_evaluator.assess"], plan.car, car_model=plan.car_model)
+def _surroundings(plan: Plan) -> dict[str, Any]:
+    """Return what `provenance` is told of around an assessment: this starts programs, and so comes before any fork.
+
+    A worker that is forked while another thread starts a program keeps that thread waiting for the worker's end.
+    """
+    around = surroundings_of(_COMMAND)
+    return {**around, "controller_git": controller_revision(plan.car, "", around["git"])}
 
 
 def _check(**arguments: Any) -> None:
