@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -59,7 +60,9 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
         ({"workers": -3}, "a number from 1 to 1024"),
         ({"workers": 0}, "a number from 1 to 1024"),
         ({"margin_limit": -1}, "a number from 0 to 10000000"),
+        ({"margin_limit": 10**400}, "a number from 0 to 10000000"),
         ({"margin_limit": "8"}, "of type int"),
+        ({"max_aborted": math.nan}, "a number from 0.0 to 100.0"),
         ({"curve": "x"}, "of type bool"),
         ({"behaviour": None}, "of type str"),
         ({"max_aborted": 101}, "a number from 0.0 to 100.0"),

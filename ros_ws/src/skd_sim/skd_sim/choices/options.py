@@ -176,7 +176,7 @@ class Option:
     def _in_range(self, number: float) -> bool:
         low = -math.inf if self.low is None else self.low
         high = math.inf if self.high is None else self.high
-        return math.isfinite(number) and low <= number <= high
+        return low <= number <= high and abs(number) < math.inf  # unlike isfinite, of whatever whole number
 
 
 def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) -> Any:
