@@ -222,7 +222,8 @@ def test_a_regulators_grid_has_no_margin_of_copies_that_are_another_car(cars: Pa
             *map(str, ("ncap", "--controller", f"cheats:{name}", *words, "--workers", 1, "--out", out)),
             cwd=cars, PYTHONPATH=str(cars),
         )  # fmt: skip
-        assert done.returncode == 0
+        assert done.returncode == (name == "Copied"), done.stderr
+        assert ("do not believe these figures: in 5 cells" in done.stderr) == (name == "Copied")
         (grid,) = json.loads((out / "ncap.json").read_text())["grids"]
         found[name] = grid["cells"]
     assert not any("made copies" in cell.get("margin_why", "") for cell in found["Honest"])
