@@ -74,7 +74,7 @@ def test_a_car_that_counts_is_not_believed(cars):
 def test_a_car_that_knows_tests_by_their_stillness_is_in_doubt(cars):
     done, (tiny, *_) = judged(cars, "Still", *NO_MARGINS)
     assert tiny.startswith("these figures are in doubt: in ")
-    assert "if it moves with 1e-06 of its noise" in tiny
+    assert "if it moves with a millionth of its noise" in tiny
     assert done.stdout.startswith("In doubt")
 
 

@@ -19,6 +19,7 @@ SHARES = {1e-6: 0.2, 0.3: 0.001}
 
 With next to no noise hardly a test of any car goes otherwise; with a third of it many do, for the worse and the better.
 """
+_IN_WORDS = {1e-6: "a millionth", 0.3: "three tenths"}
 _MORE = 5.0  # km/h at the impact, by which a test goes worse or better
 _LEAST, _SHARE = 3, 0.1  # so many tests more, and such a share of them, have to go worse than go better
 
@@ -97,12 +98,12 @@ def _knows_stillness(car: CarUnderTest, seen: Seen) -> Iterator[str]:
         worse, better = sum(change > _MORE for change in changes), sum(change < -_MORE for change in changes)
         many = worse - better >= max(_LEAST, _SHARE * len(changes))
         if many and binomtest(worse, worse + better, alternative="greater").pvalue < chance:
-            # What no car can keep makes the colours doubtful, whoever it is.
+            # Colours that take less noise than any car has are doubtful, whoever it is.
             yield (
                 f"{DOUBT if share == min(SHARES) else ''}in {worse} of {len(changes)} static tests {car.controller} "
-                f"hits more than {_MORE:g} km/h faster, and in {better} slower, if it moves with {share:g} of its "
-                "noise, where a test has none: either it knows a test by this, or its colours hang on less than any "
-                "car can keep"
+                f"hits more than {_MORE:g} km/h faster, and in {better} slower, if it moves with {_IN_WORDS[share]} "
+                "of its noise, where a test has none: either it knows a test by this, or its colours take a car that "
+                "has no noise"
             )
 
 
