@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from comparison_support import FIGURES
 from rich.console import Console
 from scipy import stats
 from skd_evaluator.campaign.compare.comparison import (
@@ -24,23 +25,6 @@ from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.side_by_side import verdict_table
 from skd_sim.encounter.scenario import load_scenario
 
-FIGURES: dict[str, Any] = {
-    "eta_max": 5.0,
-    "scenario": load_scenario("crossing").as_dict(),
-    "safe": "synthetic",
-    "seed": 0,
-    "simulations": 1000,
-    "version": "1",
-    "maximum_distance": None,
-    "margin_converged": True,
-    "margin_budget": None,
-    "margin_how": "",
-    "margin_note": "",
-    "deformation": 1.0,
-    "hit_rate": 0.0,
-    "knowledge": "known",
-    "objectives": {"deformation": {}, "paper": {}},
-}
 PHI = tuple(np.full((3, 2), float(index)) for index in range(8))
 PLANNED = ("deformation", "skd", "skd_prefix")
 

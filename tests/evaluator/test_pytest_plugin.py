@@ -9,10 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+from comparison_support import FIGURES
 from skd_evaluator.assessing import library
 from skd_evaluator.campaign.compare import gate
 from skd_evaluator.campaign.compare.comparison import NOT_TOLD_APART, compare
@@ -136,23 +136,7 @@ def of_a_car(
 ) -> StoredResult:
     """Return a result whose margins are near one value on every φ, and R(2) another one on every second."""
     draws = np.random.default_rng(1)
-    figures: dict[str, Any] = {
-        "eta_max": 5.0,
-        "scenario": load_scenario(scenario).as_dict(),
-        "safe": "synthetic",
-        "seed": 0,
-        "simulations": 1000,
-        "version": "1",
-        "maximum_distance": None,
-        "margin_converged": True,
-        "margin_budget": None,
-        "margin_how": "",
-        "margin_note": "",
-        "deformation": 1.0,
-        "hit_rate": 0.0,
-        "knowledge": "known",
-        "objectives": {"deformation": {}, "paper": {}},
-    }
+    figures = {**FIGURES, "scenario": load_scenario(scenario).as_dict()}
     planned = tuple(np.ones((phi, 20)))
     groups = {
         "margin": tuple(margin + 0.1 * draws.random((phi, 20))),

@@ -66,10 +66,10 @@ def write_file(path: Path, text: str, *, overwrite: bool = True) -> None:
     Raises:
         OSError: it cannot be written; what is there has not changed.
     """
-    from skd_evaluator.temporary_folders import (
+    from skd_evaluator.temporary_folders import (  # only now: every command begins with this module
         make_temporary,
         remove,
-    )  # only now: every command begins with this module
+    )
 
     target = real_path(path)
     if path.exists() and not path.is_file():

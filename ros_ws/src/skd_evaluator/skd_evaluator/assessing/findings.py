@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from skd_sim.dynamics.limits import command_limits
+from skd_sim.dynamics.limits import clipped_line, command_limits
 from skd_sim.episode.aborts import counted_reasons
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
@@ -57,10 +57,7 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
         found.append(rating.until_width.text)
     if rating.clipped:
         low, high = _limits(rating)
-        found.append(
-            f"{sum(rating.clipped)} commands in {len(rating.clipped)} episodes asked more than this car can "
-            f"do; they were clipped to {low:.3g} … {high:.3g} m/s²"
-        )
+        found.append(clipped_line(rating.clipped, low, high))
     return found + contact_doubts(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
 
 

@@ -27,7 +27,7 @@ from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.doubt import DISBELIEF, in_doubt
-from skd_evaluator.measure.margins import unit_of_search
+from skd_evaluator.measure.margins import stopped_at
 from skd_evaluator.risk.asked import risk_asked
 
 ATTEMPTS, RUNS = 2, 125
@@ -142,10 +142,9 @@ def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) ->
             found.append(f"the {what} is not said: in {len(unknown)} of {count} draws it is not known ({why})")
     searched = [one for one in figures if one["margin"] is not None]
     if loose := [one for one in searched if not one["margin_converged"]]:
-        budget = max(one["margin_budget"] for one in loose)
+        longest = max(loose, key=lambda one: int(one["margin_budget"]))
         found.append(
-            f"in {len(loose)} of {count} draws the search for the margin had not converged at {budget} "
-            f"{unit_of_search(loose[0])} an attempt: the margin may be less"
+            f"in {len(loose)} of {count} draws the search for the margin {stopped_at(longest)}: the margin may be less"
         )
     if beyond := [one for one in searched if one["margin_beyond"]]:
         attempts, every = (sum(one[key] for one in searched) for key in ("margin_beyond", "margin_attempts"))

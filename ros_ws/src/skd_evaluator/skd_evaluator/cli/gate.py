@@ -178,26 +178,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     Raises:
         UsageError: no such figure, no such result, or no place where a file can be written.
     """
-    limits: tuple[Limit, ...] = ()
-    if arguments.fail_below or arguments.fail_above:
-        from skd_evaluator.campaign.compare.gate import Limit
-        from skd_evaluator.campaign.store.figure_names import check_figure, span_of
-
-        for side in ("below", "above"):
-            for name, value in getattr(arguments, f"fail_{side}"):
-                try:
-                    check_figure(name)
-                except UsageError as error:
-                    raise UsageError(f"--fail-{side} {name}={value:g}: {error}") from error
-                low, high = span_of(name)
-                if not low <= value <= high:
-                    span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-                    share = ", where 0.05 is 5 %" if high == 1.0 else ""
-                    raise UsageError(
-                        f"--fail-{side} {name}={value:g}: this figure is {span}{share}, so it is never beyond that "
-                        "limit, or always"
-                    )
-                limits += (Limit(name, value, is_least=side == "below"),)
+    limits = _limits_of(arguments)
     earlier = None
     if arguments.fail_if_worse_than is not None:
         from skd_evaluator.campaign.store.stored_result import read_result
@@ -227,3 +208,32 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
 
         require_mlflow()  # before any work
     return Gate(limits, earlier, files, arguments.mlflow or "")
+
+
+def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
+    """Return the limits that figures have to keep.
+
+    Raises:
+        UsageError: no such figure, or one that is never beyond its limit, or always.
+    """
+    limits: tuple[Limit, ...] = ()
+    if arguments.fail_below or arguments.fail_above:
+        from skd_evaluator.campaign.compare.gate import Limit
+        from skd_evaluator.campaign.store.figure_names import check_figure, span_of
+
+        for side in ("below", "above"):
+            for name, value in getattr(arguments, f"fail_{side}"):
+                try:
+                    check_figure(name)
+                except UsageError as error:
+                    raise UsageError(f"--fail-{side} {name}={value:g}: {error}") from error
+                low, high = span_of(name)
+                if not low <= value <= high:
+                    span = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+                    share = ", where 0.05 is 5 %" if high == 1.0 else ""
+                    raise UsageError(
+                        f"--fail-{side} {name}={value:g}: this figure is {span}{share}, so it is never beyond that "
+                        "limit, or always"
+                    )
+                limits += (Limit(name, value, is_least=side == "below"),)
+    return limits

@@ -236,7 +236,7 @@ def overruled(trials: Sequence[Trial]) -> list[str]:
     other = [one for one in trials if one.seen_hit and one.values["hit"] == 0.0]
     if not other:
         return []
-    seen = sum(map(bool, (one.seen_hit for one in trials)))
+    seen = sum(bool(one.seen_hit) for one in trials)
     return [
         f"{DOUBT}in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
         f"it does, less than {_MARGIN:g} m deep, which may be noise: the table counts; by the recordings it hits in "

@@ -124,6 +124,11 @@ class Margins:
         }
 
 
+def stopped_at(figures: Mapping[str, Any]) -> str:
+    """Return, of a search that has not converged, where it stopped, from the content of assessment.json."""
+    return f"had not converged at {figures['margin_budget']} {unit_of_search(figures)} an attempt"
+
+
 def unit_of_search(figures: Mapping[str, Any]) -> str:
     """Return of what `margin_budget` is a number, from the content of assessment.json."""
     return "whole episodes" if figures["margin_how"] else "ticks"

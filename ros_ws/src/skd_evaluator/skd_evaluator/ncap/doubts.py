@@ -4,22 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from scipy.stats import binomtest
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.dynamics.limits import command_limits
+from skd_sim.dynamics.limits import clipped_line, command_limits
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_evaluator.ncap.wanted import KMH
 
-SHARES = {1e-6: 0.2, 0.3: 0.001}
-"""Of the car's noise, with which each static test is driven once more; and which chance of a sign test counts as none.
 
-With next to no noise hardly a test of any car goes otherwise; with a third of it many do, for the worse and the better.
+class _Share(NamedTuple):
+    """What is said of tests that are driven with a share of the car's noise.
+
+    Attributes:
+        words: the share.
+        chance: of a sign test, that counts as none.
+        begins: the warning.
+    """
+
+    words: str
+    chance: float
+    begins: str
+
+
+SHARES = {1e-6: _Share("a millionth", 0.2, DOUBT), 0.3: _Share("three tenths", 0.001, "")}
+"""Of the car's noise, with which each static test is driven once more.
+
+With next to no noise hardly a test of any car goes otherwise, and colours that take less of it than any car has are
+doubtful; with a third of it many do, for the worse and the better.
 """
-_IN_WORDS = {1e-6: "a millionth", 0.3: "three tenths"}
 _MORE = 5.0  # km/h at the impact, by which a test goes worse or better
 _LEAST, _SHARE = 3, 0.1  # so many tests more, and such a share of them, have to go worse than go better
 
@@ -81,29 +97,24 @@ def clipped(seen: Seen) -> Iterator[str]:
     if logs:
         limits = [command_limits(log.episode.scenario) for log in logs]
         low, high = min(one[0] for one in limits), max(one[1] for one in limits)
-        yield (
-            f"{sum(log.clipped for log in logs)} commands in {len(logs)} episodes asked more than this car can do; "
-            f"they were clipped to {low:.3g} … {high:.3g} m/s²"
-        )
+        yield clipped_line([log.clipped for log in logs], low, high)
 
 
 def _knows_stillness(car: CarUnderTest, seen: Seen) -> Iterator[str]:
     """Yield, in a line each, with how little noise the car does worse than in its tests, which have none."""
     if seen.failed:
         yield f"static tests could not be driven again with some of the car's noise: {seen.failed}"
-    for share, chance in SHARES.items():
+    for share, (words, chance, begins) in SHARES.items():
         pairs = seen.shaken.get(share, [])
         judged = [pair for pair in pairs if all(log.outcome != Outcome.ABORTED for log in pair)]
         changes = [_impact(log) - _impact(test) for test, log in judged]
         worse, better = sum(change > _MORE for change in changes), sum(change < -_MORE for change in changes)
         many = worse - better >= max(_LEAST, _SHARE * len(changes))
         if many and binomtest(worse, worse + better, alternative="greater").pvalue < chance:
-            # Colours that take less noise than any car has are doubtful, whoever it is.
             yield (
-                f"{DOUBT if share == min(SHARES) else ''}in {worse} of {len(changes)} static tests {car.controller} "
-                f"hits more than {_MORE:g} km/h faster, and in {better} slower, if it moves with {_IN_WORDS[share]} "
-                "of its noise, where a test has none: either it knows a test by this, or its colours take a car that "
-                "has no noise"
+                f"{begins}in {worse} of {len(changes)} static tests {car.controller} hits more than {_MORE:g} km/h "
+                f"faster, and in {better} slower, if it moves with {words} of its noise, where a test has none: either "
+                "it knows a test by this, or its colours take a car that has no noise"
             )
 
 

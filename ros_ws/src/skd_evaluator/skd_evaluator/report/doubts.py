@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from skd_evaluator.measure.margins import CLOSENESS_WARNING, unit_of_search
+from skd_evaluator.measure.margins import CLOSENESS_WARNING, stopped_at
 
 _FEWEST = 10
 """Attempts below which closeness, or a quantile of impacts, says little."""
@@ -26,8 +26,7 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     found = []
     if not result["margin_converged"]:
         found.append(
-            f"the search for the margin had not converged at {result['margin_budget']} {unit_of_search(result)} an "
-            "attempt: the margin may be less; give a greater --margin-limit"
+            f"the search for the margin {stopped_at(result)}: the margin may be less; give a greater --margin-limit"
         )
     close = result["closeness"]
     if close is not None and close > CLOSENESS_WARNING and result["margin_attempts"] >= _FEWEST:

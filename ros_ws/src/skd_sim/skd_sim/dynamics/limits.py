@@ -8,6 +8,7 @@ here. Nobody speeds up faster than the tyres hold.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from skd_sim.choices.car_dynamics import DYNAMICS
@@ -40,3 +41,17 @@ def command_limits(scenario: Scenario) -> CommandLimits:
     car, grip = scenario.car, scenario.road.friction * GRIP
     brake = car.brake_limit if DYNAMICS[car.dynamics].tyres else min(car.brake_limit, grip)
     return CommandLimits(-max(car.deceleration, brake), grip)
+
+
+def clipped_line(counts: Sequence[int], low: float, high: float) -> str:
+    """Return what is said of commands that asked more than a car can do.
+
+    Args:
+        counts: of such commands, one for each episode that has any.
+        low: least acceleration of the car, m/s².
+        high: greatest.
+    """
+    return (
+        f"{sum(counts)} commands in {len(counts)} episodes asked more than this car can do; they were clipped to "
+        f"{low:.3g} … {high:.3g} m/s²"
+    )

@@ -28,7 +28,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, sh
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.measure.doubt import in_doubt
-from skd_evaluator.measure.margins import unit_of_search
+from skd_evaluator.measure.margins import stopped_at
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
 
@@ -252,9 +252,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
         for one in both:
             if not one.figures["margin_converged"]:
                 found.append(
-                    f"the search for the margin of {one.folder} had not converged at {one.figures['margin_budget']} "
-                    f"{unit_of_search(one.figures)} an attempt: it may be less, and the verdict another "
-                    "(--margin-limit)"
+                    f"the search for the margin of {one.folder} {stopped_at(one.figures)}: it may be less, and the "
+                    "verdict another (--margin-limit)"
                 )
         ways = [one.figures["margin_how"] or "" for one in both]
         if ways[0] != ways[1]:

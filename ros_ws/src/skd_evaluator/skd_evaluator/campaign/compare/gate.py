@@ -10,7 +10,7 @@ from typing import Any
 from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.measure.margins import unit_of_search
+from skd_evaluator.measure.margins import stopped_at
 
 _OF_THE_SEARCH = ("margin", "margin_p10", "equivalent_multiplier")
 """Figures that the search for the margin makes greater where it stops too early."""
@@ -70,10 +70,7 @@ def _stopped(result: Mapping[str, Any], limit: Limit) -> str:
     """
     if not limit.is_least or limit.name not in _OF_THE_SEARCH or result.get("margin_converged") is not False:
         return ""
-    return (
-        f"the search for the margin had not converged at {result['margin_budget']} {unit_of_search(result)} an "
-        "attempt, so this is an upper bound: give a larger --margin-limit"
-    )
+    return f"the search for the margin {stopped_at(result)}, so this is an upper bound: give a larger --margin-limit"
 
 
 def _check_limit(value: float | None, limit: Limit, stopped: str) -> Check:

@@ -1,0 +1,25 @@
+"""Figures that made-up results have in common: of 1 m of planned deformation, in `crossing`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from skd_sim.encounter.scenario import load_scenario
+
+FIGURES: dict[str, Any] = {
+    "eta_max": 5.0,
+    "scenario": load_scenario("crossing").as_dict(),
+    "safe": "synthetic",
+    "seed": 0,
+    "simulations": 1000,
+    "version": "1",
+    "maximum_distance": None,
+    "margin_converged": True,
+    "margin_budget": None,
+    "margin_how": "",
+    "margin_note": "",
+    "deformation": 1.0,
+    "hit_rate": 0.0,
+    "knowledge": "known",
+    "objectives": {"deformation": {}, "paper": {}},
+}
