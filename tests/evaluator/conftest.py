@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -42,3 +43,10 @@ def lots(monkeypatch: pytest.MonkeyPatch) -> None:
 def sweep(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a small sweep: two cars over two φ."""
     return make_sweep(tmp_path_factory.mktemp("report") / "sweep")
+
+
+@pytest.fixture
+def result(sweep: Path, tmp_path: Path) -> Path:
+    """A result of its own for each test: whoever changes it changes no other's."""
+    shutil.copytree(sweep / "synthetic" / "C_1", tmp_path / "result")
+    return tmp_path / "result"

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import os
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_support import one_line, skd
+from cli_support import one_line
+from edited_results import change_array, edit
 from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.checked import starts_that_differ
-from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, write_manifests
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.rebuilt import rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import read_figures
 from skd_evaluator.campaign.store.results import write_assessment
@@ -32,33 +29,6 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-
-CAMPAIGN = """
-cars: [{controller: basic, sweep: {multiplier: [0.5, 1.0]}}]
-defaults: {safe_count: 2, kamikaze_count: 2, collision_runs: 4, simulations: 20}
-"""
-
-
-@pytest.fixture
-def result(sweep: Path, tmp_path: Path) -> Path:
-    shutil.copytree(sweep / "synthetic" / "C_1", tmp_path / "result")
-    return tmp_path / "result"
-
-
-def edit(folder: Path, change: Callable[[dict[str, Any]], object], manifest: str = "kept") -> None:
-    """Change assessment.json; the manifest is kept, written anew, or removed."""
-    path = folder / "assessment.json"
-    figures = json.loads(path.read_text())
-    change(figures)
-    path.write_text(json.dumps(figures))
-    follow(folder, manifest)
-
-
-def follow(folder: Path, manifest: str) -> None:
-    if manifest == "removed":
-        (folder / MANIFEST).unlink()
-    elif manifest == "rewritten":
-        write_manifests(folder)
 
 
 def commands(folder: Path, other: Path) -> list[list[str]]:
@@ -230,14 +200,6 @@ def test_starts_of_another_simulator_are_its_own(result):
     assert read_result(result).remarks == ()
 
 
-def change_array(folder: Path, name: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
-    with np.load(folder / "episodes.npz") as file:
-        arrays = {key: file[key].copy() for key in file.files}
-    arrays[name] = change(arrays[name])
-    np.savez(folder / "episodes.npz", **arrays)
-    write_manifests(folder)
-
-
 @pytest.mark.parametrize("name", ["clipped", "margin_gap", "impact_speed", "safe_name", "eta_max", "seed"])
 def test_an_array_that_does_not_go_with_the_figures_is_refused(result, name):
     def change(values: np.ndarray) -> np.ndarray:
@@ -317,233 +279,6 @@ def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
 
 
 # --- the manifest, and skd verify
-
-
-def test_a_result_has_a_manifest_of_all_its_files(sweep):
-    for folder in (sweep, sweep / "synthetic" / "C_1"):
-        lines = (folder / MANIFEST).read_text().splitlines()
-        said = {line[66:]: line[:64] for line in lines}
-        files = [path for path in folder.rglob("*") if path.is_file() and path != folder / MANIFEST]
-        assert said == {
-            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
-        }
-
-
-def test_verify_says_which_figures_agree(result, skd_here):
-    done = skd_here("verify", str(result))
-    assert done.returncode == 0
-    assert "fine" in done.stdout
-    assert "figures recomputed, and as said" in done.stdout
-    assert "margin_converged" in done.stdout  # cannot be had from the folder
-    assert "can have happened" in done.stdout
-    found = json.loads(skd_here("verify", str(result), "--json").stdout)
-    (one,) = found["results"]
-    assert found["fine"]
-    assert "skd" in one["agree"]
-    assert one["contradict"] == one["problems"] == one["files"]["changed"] == []
-
-
-def test_verify_says_which_do_not(result, skd_here):
-    edit(result, lambda figures: figures.update(skd=9.9, collision_rate=0.123), "rewritten")
-    done = skd_here("verify", str(result))
-    assert done.returncode == 1
-    assert "contradicted: skd is 9.9, its episodes give" in done.stdout
-    assert "contradicted: collision_rate is 0.123" in done.stdout
-    assert "NOT FINE" in done.stdout
-
-
-def test_verify_says_which_files_changed(result, skd_here):
-    (result / "trajectories.png").write_bytes(b"another")
-    (result / "vulnerability.png").unlink()
-    (result / "notes.txt").write_text("mine")
-    done = skd_here("verify", str(result))
-    assert done.returncode == 1
-    for line in ("trajectories.png: changed", "vulnerability.png: gone", "notes.txt: not of this result"):
-        assert line in done.stdout
-
-
-def test_verify_finds_an_episode_that_cannot_have_happened(result, skd_here):
-    def change(values: np.ndarray) -> np.ndarray:
-        return np.where(np.isfinite(values), values + 1e-9, values)
-
-    change_array(result, "car", change)  # too little for any figure
-    read_result(result)
-    done = skd_here("verify", str(result))
-    assert done.returncode == 1 or "did not run in SKD's own world" in done.stdout
-
-
-def test_verify_reads_sweeps_older_results_and_says_what_is_none(sweep, result, skd_here, here):
-    assert skd_here("verify", str(sweep)).stdout.count(": fine") == 3
-    (result / MANIFEST).unlink()
-    older = skd_here("verify", str(result))
-    assert older.returncode == 0
-    assert f"no {MANIFEST}" in older.stdout
-    (here / "nothing").mkdir()
-    one_line(skd_here("verify", "nothing"), 2, "holds no assessment.json")
-    one_line(skd_here("verify", "nowhere"), 2, "no such folder")
-    (result / "assessment.json").write_text("[" * 1000)
-    assert "wrong: " in skd_here("verify", str(result)).stdout
-
-
-def test_verify_holds_a_sweep_against_its_cars(sweep, tmp_path):
-    shutil.copytree(sweep, tmp_path / "sweep")
-    path, table = tmp_path / "sweep" / "sweep.json", tmp_path / "sweep" / "sweep.csv"
-    assert verify(tmp_path / "sweep").fine
-    content = json.loads(path.read_text())
-    content["rows"][0]["margin"] = 4.9
-    path.write_text(json.dumps(content))
-    write_manifests(tmp_path / "sweep")
-    problems = verify(tmp_path / "sweep").problems
-    assert [line.partition(": ")[2].partition(" is 4.9")[0] for line in problems[:1]] == ["synthetic, C_0.5: margin"]
-    assert f"{table}, line 2: margin is" in problems[1]
-
-
-@pytest.mark.parametrize("line", ["x", f"{'0' * 64}  ../a", f"{'0' * 64}  /a", f"{'0' * 64}  a\n{'0' * 64}  a"])
-def test_a_manifest_that_is_none_is_refused(result, line):
-    (result / MANIFEST).write_text(line)
-    with pytest.raises(UsageError, match=MANIFEST):
-        read_result(result)
-
-
-# --- campaigns
-
-
-@pytest.fixture
-def campaign(here: Path, skd_here) -> Path:
-    (here / "cars.yaml").write_text(CAMPAIGN)
-    done = skd_here("campaign", "cars.yaml", "--out", "out", "--workers", "1")
-    assert done.returncode == 0, done.stderr
-    return here / "out"
-
-
-RESUME = ("campaign", "cars.yaml", "--out", "out", "--workers", "1", "--resume")
-
-
-def test_rows_of_a_campaign_are_made_from_its_cells(campaign, skd_here):
-    written, table = (campaign / "campaign.json").read_text(), (campaign / "campaign.csv").read_text()
-    content = json.loads(written)
-    for row in content["cells"]:
-        row.update(deformation=4.9, margin=4.9, skd_ci95=[1, 2], problems=["none"], warnings=["none"], episodes=10**6)
-    (campaign / "campaign.json").write_text(json.dumps(content))
-    assert skd_here("verify", "out").returncode == 1
-    assert skd_here(*RESUME).returncode == 0
-    again = json.loads((campaign / "campaign.json").read_text())
-    assert again["cells"] == json.loads(written)["cells"]
-    assert again["episodes_run"] == 0
-    assert (campaign / "campaign.csv").read_text() == table
-    assert skd_here("verify", "out").returncode == 0
-
-
-def _without_a_row(content: dict[str, Any]) -> None:
-    del content["cells"][0]
-
-
-CAMPAIGNS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a row is gone": (lambda out: _rows(out, _without_a_row), "has no row of cell"),
-    "a row is left open": (lambda out: _rows(out, lambda content: content["cells"][0].update(state="open")), "done"),
-    "a table": (
-        lambda out: (out / "campaign.csv").write_text((out / "campaign.csv").read_text().replace("done", "fine")),
-        "campaign.csv, line 2: state is 'fine'",
-    ),
-    "a cell whose manifest is written anew": (
-        lambda out: edit(next(out.glob("*/assessment.json")).parent, lambda one: one.update(seconds=1), "rewritten"),
-        "is not the file that the row is of",
-    ),
-    "a warning of a cell that its row does not say": (
-        lambda out: edit(next(out.glob("*/assessment.json")).parent, lambda one: one["warnings"].append("x"), "kept"),
-        "does not say 'x'",
-    ),
-}
-
-
-def _rows(campaign: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    path = campaign / "campaign.json"
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
-
-
-def test_verify_holds_a_campaign_against_its_cells(campaign):
-    assert verify(campaign).fine
-    for name, (change, says) in CAMPAIGNS.items():
-        out = campaign.parent / name
-        shutil.copytree(campaign, out)
-        change(out)
-        found = verify(out)
-        assert any(says in line for line in found.problems), (name, found.problems)
-
-
-def test_cells_that_are_not_what_was_written_are_refused(campaign, skd_here):
-    cells = sorted(path.parent for path in campaign.glob("*/assessment.json"))
-    edit(cells[0], lambda figures: figures.update(skd=9.9))
-    one_line(skd_here(*RESUME), 2, "assessment.json: is not what was written", "--resume makes it again")
-    edit(cells[0], lambda figures: None, "rewritten")
-    one_line(skd_here(*RESUME), 2, cells[0].name, "--resume makes it again")
-    (campaign / "campaign.json").unlink()
-    one_line(skd_here(*RESUME), 2, cells[0].name, "its episodes give", "--resume makes it again")
-    shutil.rmtree(cells[0])
-    shutil.copytree(cells[1], cells[0])
-    one_line(skd_here(*RESUME), 2, "is the result of another cell")
-    shutil.rmtree(cells[0])
-    assert skd_here(*RESUME).returncode == 0
-
-
-@pytest.mark.parametrize("name", ["cells.json", "campaign.json", "episodes.sqlite"])
-def test_a_pipe_in_a_campaign_does_not_hold_it_up(campaign, name):
-    if name == "episodes.sqlite":
-        shutil.rmtree(next(campaign.glob("*/assessment.json")).parent)  # or nothing is to be stored
-    (campaign / name).unlink(missing_ok=True)
-    os.mkfifo(campaign / name)
-    one_line(skd(*RESUME, cwd=campaign.parent), 2, f"{name}: is no regular file")
-
-
-def test_a_cell_in_another_folder_is_no_cell(campaign, skd_here):
-    outside = campaign.parent / "mine"
-    shutil.copytree(next(campaign.glob("*/assessment.json")).parent, outside)
-    content = json.loads((campaign / "cells.json").read_text())
-    content["cells"][0]["name"] = "../mine"
-    (campaign / "cells.json").write_text(json.dumps(content))
-    words = ("campaign", "cars.yaml", "--out", "out", "--workers", "1", "--overwrite")
-    one_line(skd_here(*words), 2, "is no name of a cell's folder")
-    assert outside.exists()
-
-
-# --- surrogate safety measures
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda text: text.replace(",collision,0,0,", ",collision,0.25,0,", 1), "line 2: clearance is 0.25"),
-        (lambda text: text.rsplit("\n", 2)[0] + "\n", "has other columns or rows"),
-        (lambda text: text.replace("headway", "headroom"), "has other columns or rows"),
-        (lambda text: text.replace(text.splitlines()[1], text.splitlines()[1] + ","), "the number of its cells"),
-    ],
-)
-def test_verify_finds_surrogate_measures_that_do_not_follow(result, change, says):
-    path = result / "surrogate_measures.csv"
-    text = path.read_text(encoding="utf-8")
-    path.write_text(change(text), encoding="utf-8")
-    write_manifests(result)
-    (problem,) = verify(result).problems
-    assert says in problem
-    path.write_text(text, encoding="utf-8")
-    write_manifests(result)
-    assert verify(result).fine
-
-
-def test_a_result_that_goes_while_it_is_verified_is_not_fine(result, monkeypatch):
-    """Its files had been held against the manifest, and its figures, which were not there any more, against nothing."""
-
-    def hold_and_lose(folder: Path, manifest: dict[str, str]) -> Held:
-        found = hold(folder, manifest)
-        (folder / "assessment.json").unlink()
-        return found
-
-    monkeypatch.setattr("skd_evaluator.campaign.store.verification.hold", hold_and_lose)
-    found = verify(result)
-    assert not found.fine
-    assert "assessment.json: cannot be read" in found.problems[0]
 
 
 def test_what_says_nothing_may_be_missing_inside(result: Path):
