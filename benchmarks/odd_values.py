@@ -14,6 +14,7 @@ import collections
 import gc
 import importlib
 import itertools
+import json
 import os
 import pkgutil
 import random
@@ -26,13 +27,19 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import skd_evaluator.cli
 import yaml
+from bag_forge import campaign_messages, write_mcap
 from forked_child import end_of
+from mutations import CROSSING, campaign
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.cli.arguments import whole_number
 from skd_evaluator.cli.main import main as skd
 from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.measure.behaviour.walking import normals_of
+from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, simulated
 from skd_sim.choices.options import options_of
 
 NUMBERS = (
@@ -87,26 +94,27 @@ _KEYS = (
 _LEFT_OUT = {"graph", "scheduler", "mlflow", "verbose"}
 _FEW = ["--safe-count", "2", "--kamikaze-count", "1", "--collision-runs", "2"]
 _SMALL = [*_FEW, "--simulations", "5", "--workers", "1"]
-_QUICK = [*_SMALL, "--margin-limit", "0", "--behaviour", "none", "--quiet"]
+_LITTLE = ["--margin-limit", "0", "--behaviour", "none", "--quiet"]
+_QUICK = [*_SMALL, *_LITTLE]
 _FEW_TESTS = ["--encounters", "cpna", "--speeds", "20:30:10", "--kamikaze-count", "1"]
 GIVEN: dict[str, list[str]] = {
     "assess": _QUICK,
     "sweep": [*_SMALL, "--margin-limit", "0", "--behaviour", "none", "--multipliers", "1"],
     "campaign": ["campaign.yaml"],
-    "replay": ["result"],
+    "replay": ["recorded"],
     "compare": ["result", "other"],
     "verify": ["result"],
-    "plan": ["result", "--width", "0.1"],
+    "plan": ["rated", "--width", "0.1", "--figure", "deformation"],
     "report": ["result"],
     "show": ["result"],
     "encounters show": ["crossing"],
     "encounters check": ["crossing"],
     "ncap": [*_FEW_TESTS, "--margin-limit", "0", "--workers", "1"],
-    "probe": ["--runs", "1"],
+    "probe": ["--episodes", "2", "--workers", "1"],
     "fit": ["result"],
-    "fuse": ["result", "other"],
-    "behaviour fit": ["phi.csv"],
-    "export": ["result"],
+    "fuse": ["rated", "trials.csv"],
+    "behaviour fit": ["people"],
+    "export": ["result", "--format", "csv"],
     "import": ["phi.csv"],
     "list": ["."],
     "trend": ["result", "other"],
@@ -128,6 +136,20 @@ def prepare(folder: Path) -> None:
     """Make the files and results that commands are given."""
     assert skd(["assess", *_QUICK, "--out", "result"]) in (0, 1)
     assert skd(["assess", *_QUICK, "--multiplier", "0.5", "--out", "other"]) in (0, 1)
+    rated = ["--safe-count", "6", "--kamikaze-count", "2", "--collision-runs", "60", "--simulations", "5"]
+    assert skd(["assess", *rated, "--workers", "1", *_LITTLE, "--out", "rated"]) in (0, 1)
+    figures = json.loads((folder / "rated" / "assessment.json").read_text())
+    names = [one["name"] for one in figures["per_safe_trajectory"]]
+    trials = "".join(f"{name},{0.3 + 0.1 * number}\n" for number, name in enumerate(names))
+    (folder / "trials.csv").write_text("phi,clearance\n" + trials)
+    episodes = campaign_messages(campaign(0, CROSSING)[2])
+    write_mcap(folder / "recorded" / "all.mcap", list(itertools.chain.from_iterable(episodes)))
+    lengths = [28] * 2 * LEAST_TRACKS
+    chance = np.random.default_rng(0).standard_normal((len(lengths), normals_of(27)))
+    (folder / "people").mkdir()
+    for number, way in enumerate(simulated(load_behaviour("walkers").values, lengths, 1.25, 0.3, chance)):
+        track = "".join(f"{0.3 * tick},{x},{y}\n" for tick, (x, y) in enumerate(way.tolist()))
+        (folder / "people" / f"{number}.csv").write_text("t,x,y\n" + track)
     rows = "".join(f"{0.3 * tick},{-4.0 + 0.4 * tick},1\n" for tick in range(20))
     (folder / "phi.csv").write_text("t,x,y\n" + rows)
     (folder / "campaign.yaml").write_text(

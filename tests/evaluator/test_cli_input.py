@@ -109,6 +109,14 @@ def test_bad_number(capsys, command, option, value):
         (["assess", "--controller=--"], "controller '--'"),
         (["fuse", "a", "b", "--frame=--"], "argument --frame: must be X,Y,DEGREES"),
         (["export", "x", "--format=--"], "argument --format: invalid choice: '--'"),
+        (["plan", "x", "--width=1_0"], "argument --width: must be a finite number > 0, got '1_0'"),  # 10, for Python
+        (["campaign", "x", "--workers=1_000"], "argument --workers: must be a whole number ≥ 1, got '1_000'"),
+        (["assess", "--seed=\u0663"], "argument --seed: must be a whole number ≥ 0"),  # 3, likewise
+        (["assess", "--max-aborted=1_0"], "must be a number from 0 to 100"),
+        (["fuse", "a", "b", "--frame=1_0,0,0"], "argument --frame: must be X,Y,DEGREES"),
+        (["ncap", "--speeds=1_0:20:10"], "argument --speeds: must be FROM:TO:STEP"),
+        (["assess", "--out=\udcff"], "'--out=\\udcff' has bytes that are no text in UTF-8"),
+        (["compare", "a", "b", "--out", "x\udcff"], "'x\\udcff' has bytes that are no text in UTF-8"),
     ],
 )
 def test_two_hyphens_are_a_value_as_any_other(capsys, words, said):

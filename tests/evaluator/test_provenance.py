@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from cli_support import CONTROLLERS, SMALL
 from common import assert_valid
-from skd_evaluator.provenance import controller_files, controller_revision, git_revision, provenance
+from skd_evaluator.provenance import controller_files, controller_revision, git_revision, provenance, surroundings_of
 from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
 
 
@@ -39,6 +40,20 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     digest = hashlib.sha256(CONTROLLERS.encode()).hexdigest()
     assert said["controller_files"] == [{"path": str(here / "my_cars.py"), "sha256": digest}]
     assert said["car_model_sha256"] is None
+
+
+def test_a_folder_whose_name_is_no_text_is_said_in_escapes(skd_here, here, monkeypatch):
+    """Linux takes any bytes for a name; JSON has to be read by others."""
+    odd = here / os.fsdecode(b"\xffodd")
+    odd.mkdir()
+    (odd / "strange_cars.py").write_text(CONTROLLERS)
+    monkeypatch.syspath_prepend(odd)
+    done = skd_here("assess", *SMALL, "--margin-limit", "0", "--controller", "strange_cars:Fine", "--out", here / "out")
+    assert done.returncode == 0, done.stderr
+    said = content(here / "out")["provenance"]
+    assert said["controller_files"][0]["path"] == f"{here}/\\xffodd/strange_cars.py"
+    monkeypatch.chdir(odd)
+    assert surroundings_of(["skd"])["folder"] == f"{here}/\\xffodd"
 
 
 def test_every_part_of_a_sweep_is_an_assessment(skd_here, here):

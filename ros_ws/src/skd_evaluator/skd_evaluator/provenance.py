@@ -47,7 +47,7 @@ def provenance(
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
         **around,
-        "controller_files": [{"path": str(path), "sha256": sha256_of(path)} for path in files],
+        "controller_files": [{"path": _in_words(path), "sha256": sha256_of(path)} for path in files],
         "controller_git": around["controller_git"]
         if "controller_git" in around
         else controller_revision(car, controller_command, around["git"]),
@@ -62,9 +62,14 @@ def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "command": shlex.join(command),
-        "folder": str(Path.cwd()),
+        "folder": _in_words(Path.cwd()),
         "git": git_revision(),
     }
+
+
+def _in_words(path: Path) -> str:
+    """Return a path as a text that can be written: names of files may have bytes that are no UTF-8."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | None) -> dict[str, Any] | None:

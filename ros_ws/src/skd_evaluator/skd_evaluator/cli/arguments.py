@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
+from skd_sim.inputs.numbers import real, whole
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
@@ -36,7 +37,7 @@ def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
 
     def parse(text: str) -> int:
         try:
-            value = int(text)
+            value = whole(text)
         except ValueError:
             value = low - 1
         if not low <= value <= high:
@@ -52,7 +53,7 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 
     def parse(text: str) -> float:
         try:
-            value = float(text)
+            value = real(text)
         except ValueError:
             value = -math.inf
         if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
@@ -73,7 +74,7 @@ def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]
 
     def parse(text: str) -> list[float]:
         try:
-            first, last, step = (float(part) for part in text.split(":"))
+            first, last, step = (real(part) for part in text.split(":"))
             count = int((last - first) / step + 1e-9) + 1
         except (ValueError, ZeroDivisionError, OverflowError):
             first, last, step, count = 0.0, 0.0, 0.0, 0
@@ -177,7 +178,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
 def percentage(text: str) -> float:
     """Parse a percentage from 0 to 100, and return it as a share."""
     try:
-        value = float(text)
+        value = real(text)
     except ValueError:
         value = -1.0
     if not 0.0 <= value <= 100.0:
@@ -188,7 +189,7 @@ def percentage(text: str) -> float:
 def frame_place(text: str) -> tuple[float, float, float]:
     """Parse X,Y,DEGREES: where one frame lies in another."""
     try:
-        x, y, degrees = (float(part) for part in text.split(","))
+        x, y, degrees = (real(part) for part in text.split(","))
     except ValueError:
         x = y = degrees = math.nan
     if not all(math.isfinite(one) for one in (x, y, degrees)):

@@ -51,8 +51,10 @@ def make_parser() -> Parser:
 def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     """Return what a command line asks for; wrong usage ends the program."""
     arguments, unknown = parser.parse_known_args(words)
+    chosen = commands_of(parser)[arguments.command]
+    if strange := next((word for word in words if not _can_be_written(word)), ""):
+        chosen.error(f"{strange!r} has bytes that are no text in UTF-8, and no result can name it; give another name")
     if unknown:
-        chosen = commands_of(parser)[arguments.command]
         flags = [flag for action in chosen._actions for flag in action.option_strings]
         near = next(filter(None, (did_you_mean(flag, flags) for flag in _flags(unknown))), "")
         chosen.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
@@ -63,6 +65,10 @@ def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentP
     """Return the parser of each command."""
     (found,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
     return dict(found.choices)
+
+
+def _can_be_written(word: str) -> bool:
+    return not any("\ud800" <= one <= "\udfff" for one in word)
 
 
 def _flags(words: Iterable[str]) -> list[str]:
