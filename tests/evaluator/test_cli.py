@@ -420,6 +420,29 @@ def test_version_and_help(here):
         assert "--out" in done.stdout
 
 
+@pytest.mark.parametrize("words", [["--version"], ["assess", "--help"]])
+def test_help_that_cannot_be_written_is_an_error_in_a_line(here, words):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "skd_evaluator", *words], cwd=here, stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    one_line(done, 1, "skd: error", "No space left on device")
+
+
+def test_help_is_written_on_a_terminal_that_knows_no_greek(here):
+    done = skd_from_nothing("assess", "--help", cwd=here, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "safe trajectories ?" in done.stdout
+
+
+def test_a_current_folder_that_is_gone_is_said(here, tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    script = f"cd {gone} && rmdir {gone} && exec {sys.executable} -m skd_evaluator compare {here} {here}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
+    one_line(done, 1, "the current folder was removed")
+
+
 def test_every_command_explains_itself(capsys):
     assert run_skd("--help") == 0
     commands = re.findall(r"^    (\w+) ", capsys.readouterr().out, re.MULTILINE)

@@ -109,25 +109,41 @@ def test_bad_number(capsys, command, option, value):
         (["assess", "--controller=--"], "controller '--'"),
         (["fuse", "a", "b", "--frame=--"], "argument --frame: must be X,Y,DEGREES"),
         (["export", "x", "--format=--"], "argument --format: invalid choice: '--'"),
+    ],
+)
+def test_two_hyphens_are_a_value_as_any_other(capsys, words, said):
+    """In Python 3.11 `--option=--` is an empty list: a traceback, or no value where one was given."""
+    assert said in refusal(words, capsys)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
         (["plan", "x", "--width=1_0"], "argument --width: must be a finite number > 0, got '1_0'"),  # 10, for Python
         (["campaign", "x", "--workers=1_000"], "argument --workers: must be a whole number ≥ 1, got '1_000'"),
         (["assess", "--seed=\u0663"], "argument --seed: must be a whole number ≥ 0"),  # 3, likewise
         (["assess", "--max-aborted=1_0"], "must be a number from 0 to 100"),
         (["fuse", "a", "b", "--frame=1_0,0,0"], "argument --frame: must be X,Y,DEGREES"),
         (["ncap", "--speeds=1_0:20:10"], "argument --speeds: must be FROM:TO:STEP"),
+        (["assess", "--behaviour", "none", "--risk-runs", "50"], "--risk-runs 50: --behaviour none asks for no risk"),
+        (["sweep", "--behaviour", "none", "--risk-subset"], "--risk-subset: --behaviour none asks for no risk"),
         (["assess", "--out=\udcff"], "'--out=\\udcff' has bytes that are no text in UTF-8"),
         (["compare", "a", "b", "--out", "x\udcff"], "'x\\udcff' has bytes that are no text in UTF-8"),
     ],
 )
-def test_two_hyphens_are_a_value_as_any_other(capsys, words, said):
-    """In Python 3.11 `--option=--` is an empty list: a traceback, or no value where one was given."""
+def test_what_no_option_takes_is_said_before_any_work(capsys, words, said):
+    assert said in refusal(words, capsys)
+
+
+def refusal(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the line with which a command line is refused."""
     try:
         code = main(words)
     except SystemExit as end:
         code = end.code
     assert code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    return line
 
 
 def test_option_of_another_command(capsys):

@@ -215,8 +215,16 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
         "timeout; 4 ticks",
     ]
     one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
+    one_line(skd_here("drive", "--ticks", "1", "--safe-number", "1"), 2, "--safe-number 1", "add --safe")
     one_line(skd_here("drive", "--ticks", "1", "--controller", "external"), 2, "add --graph")
     one_line(skd_here("drive", "--ticks", "1", "--command-type", "twist"), 2, "add --graph")
+
+
+@pytest.mark.parametrize("safe", [("synthetic",), ("regulatory", "--scenario", "cpna"), ("own",)])
+def test_a_drive_that_is_cut_short_has_the_encounters_own_ways(skd_here, safe):
+    """φ takes some ten seconds; it had been looked for within the ticks that are shown."""
+    done = skd_here("drive", "--safe", *safe, "--ticks", "3", "--rate-factor", "100")
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "timeout; 3 ticks"), done.stderr
 
 
 def test_on_a_terminal_one_walks_by_keys(here):

@@ -118,10 +118,13 @@ def test_bash_completes_commands_options_and_names(skd_here, tmp_path):
         f"source {script}; complete=$(complete -p skd); complete=${{complete##*-F }}; complete=${{complete%% *}}\n"
         'try() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); '
         '$complete skd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"; echo "${COMPREPLY[@]}"; }\n'
-        'try skd swe; try skd assess --object; try skd assess --objective ""\n'
+        'try skd swe; try skd assess --object; try skd assess --objective ""; try skd assess --scenario crossing_m\n'
+        "try skd drive --controller ca; try skd assess --behaviour wal; try skd sweep --safe syn\n"
+        f"try skd ncap --encounters cpnc; try skd encounters show {tmp_path}/s\n"
     )
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["sweep", "--objective", "both paper deformation frechet"]
+    found = ["sweep", "--objective", "both paper deformation frechet", "crossing_multi_body", "cal carla", "walkers"]
+    assert done.stdout.splitlines() == [*found, "synthetic", "cpnco", str(script)]
 
 
 def a_table(cells: int = 3) -> Table:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.encounter.checks import check_way
+from skd_sim.encounter.protocol import REGULATORY
 from skd_sim.encounter.protocol.target import regulatory_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
@@ -23,8 +24,6 @@ from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 
 _log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
 _MOST_NAMED = 5
-REGULATORY = "regulatory"
-"""Source of what the scenario's section `protocol` prescribes for a test's target: a trajectory per impact place."""
 
 
 def load_safe_trajectories(source: str | Path, scenario: Scenario, count: int) -> list[Trajectory]:

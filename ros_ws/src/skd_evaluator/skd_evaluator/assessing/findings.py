@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from skd_sim.dynamics.limits import clipped_line, command_limits
@@ -135,17 +135,17 @@ def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
     return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
 
 
-def warnings_of(rating: Rating, *, planned: bool = True, of_episodes: bool = True) -> list[str]:
+def warnings_of(rating: Rating, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
     """Return what a reader should know that is no failure, a line each.
 
     Args:
         rating: the rating with its figures.
         planned: see `doubts`.
-        of_episodes: whether what is said of the episodes themselves is among it.
+        said: lines that the reader was told already.
     """
     disbelieved = disbelief(rating.warnings)
-    of_them = [line for line in rating.warnings if line not in disbelieved] if of_episodes else []
-    return [*of_them, *doubts(rating, planned=planned)]
+    of_episodes = [line for line in rating.warnings if line not in disbelieved and line not in said]
+    return [*of_episodes, *doubts(rating, planned=planned)]
 
 
 def doubted(rating: Rating) -> bool:

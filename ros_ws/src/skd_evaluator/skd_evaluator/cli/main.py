@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import errno
 import io
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, redirect_stdout
+from pathlib import Path
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import guarded, one_line, own
@@ -42,14 +44,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    arguments = parse(make_parser(), words)
-    arguments.command_line = ["skd", *words]
-    begin_command()
-    be_verbose(getattr(arguments, "verbose", False))
     behind = own(sys.stdout)
     if isinstance(behind, io.TextIOWrapper):
         behind.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
+    name = "skd"
     try:
+        arguments = _parsed(words)
+        name = f"skd {arguments.command}"
+        arguments.command_line = ["skd", *words]
+        begin_command()
+        be_verbose(getattr(arguments, "verbose", False))
         if getattr(arguments, "graph", arguments.command == "episode"):
             from skd_sim import ros_environment
 
@@ -70,14 +74,14 @@ def _run(words: list[str]) -> int:
         return code
     except UsageError as error:
         _say_where()
-        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
+        print(f"{name}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_USAGE
     except AssessmentError as error:
         _say_where()
-        print(f"skd {arguments.command}: error: {one_line(str(error))}", file=sys.stderr)
+        print(f"{name}: error: {one_line(str(error))}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
-        print(f"skd {arguments.command}: interrupted; {one_line(what_is_in_place())}", file=sys.stderr)
+        print(f"{name}: interrupted; {one_line(what_is_in_place())}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         give_up()
@@ -85,14 +89,32 @@ def _run(words: list[str]) -> int:
     except OSError as error:
         if error.errno in _OF_NAMES:
             why = f"{str(error.filename)[:60]}: no file can have that name ({error.strerror})"
-            print(f"skd {arguments.command}: error: {one_line(why)}", file=sys.stderr)
+            print(f"{name}: error: {one_line(why)}", file=sys.stderr)
             return EXIT_USAGE
         advice = _LIMITS.get(error.errno or 0, "")
-        print(f"skd {arguments.command}: error: {one_line(str(error))}{advice}", file=sys.stderr)
+        why = str(error) if _is_somewhere() else "the current folder was removed; go to one that is there"
+        print(f"{name}: error: {one_line(why)}{advice}", file=sys.stderr)
         return EXIT_FAILED
     except MemoryError:
-        print(f"skd {arguments.command}: error: out of memory (limit: ulimit -v)", file=sys.stderr)
+        print(f"{name}: error: out of memory (limit: ulimit -v)", file=sys.stderr)
         return EXIT_FAILED
+
+
+def _parsed(words: list[str]) -> argparse.Namespace:
+    """Return what is asked for; --help and --version end the program when they are written, as wrong usage does."""
+    try:
+        return parse(make_parser(), words)
+    except SystemExit:
+        sys.stdout.flush()
+        raise
+
+
+def _is_somewhere() -> bool:
+    """Return whether the current folder is there; without it nothing that is relative to it can be found."""
+    try:
+        return bool(Path.cwd())
+    except FileNotFoundError:
+        return False
 
 
 def _say_where() -> None:

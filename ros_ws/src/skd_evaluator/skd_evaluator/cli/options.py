@@ -383,7 +383,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "completion",
         help="let your shell complete commands and options",
         description="Print shell code that completes commands, options and names when the tab key is pressed. To use "
-        'it: eval "$(skd completion bash)".',
+        'it: eval "$(skd completion bash)", likewise in zsh; in tcsh, skd completion tcsh > FILE and source FILE.',
     )
     completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
 

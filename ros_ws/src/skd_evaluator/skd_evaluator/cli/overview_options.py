@@ -88,7 +88,7 @@ def _add_drive(commands: Any) -> None:
         "skd assess takes them (default: it goes by keys)"
     )
     add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
-    add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, from 0", default=0)
+    add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
     ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
     add_count(drive, "--ticks", 1, 100_000, ticks)
     add_options(drive, "drive", "campaign")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from skd_sim.errors import UsageError
+
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR
 from skd_evaluator.campaign.store.manifest import check_as_written
 from skd_evaluator.measure.behaviour.model import Behaviour, file_of, load_behaviour
@@ -34,9 +36,15 @@ def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False)
     """Return what options ask.
 
     Raises:
-        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.
+        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written; or the
+            risk is not asked for, and how to find it is.
     """
-    return RiskAsked(None if behaviour == NO_BEHAVIOUR else behaviour_asked(behaviour), runs, subset)
+    if behaviour != NO_BEHAVIOUR:
+        return RiskAsked(behaviour_asked(behaviour), runs, subset)
+    if runs is not None or subset:
+        option = "--risk-subset" if runs is None else f"--risk-runs {runs}"
+        raise UsageError(f"{option}: --behaviour {NO_BEHAVIOUR} asks for no risk; leave one of them away")
+    return NOTHING_ASKED
 
 
 def behaviour_asked(name: str) -> Behaviour:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -61,7 +61,12 @@ EXIT_INTERRUPTED = 130
 
 
 def print_result(
-    rating: Rating, out: ResultFolder, arguments: argparse.Namespace, gate: Gate, problem: str | None = None
+    rating: Rating,
+    out: ResultFolder,
+    arguments: argparse.Namespace,
+    gate: Gate,
+    problem: str | None = None,
+    said: Collection[str] = (),
 ) -> int:
     """Print an assessment and where it is, check the gate's conditions, and return the exit code.
 
@@ -71,6 +76,7 @@ def print_result(
         arguments: arguments of the command.
         gate: the conditions that it has to meet.
         problem: why the result is not where it was asked for; None if it is.
+        said: warnings of the rating that were printed before.
     """
     result = rating.as_dict()
     if arguments.json:
@@ -79,8 +85,7 @@ def print_result(
         print_tables(result, details=arguments.details)
         seconds = f"{rating.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
-    # `skd replay` says what is said of the episodes with what is damaged.
-    for line in warnings_of(rating, of_episodes=arguments.command != "replay"):
+    for line in warnings_of(rating, said=said):
         print(f"skd {arguments.command}: warning: {line}", file=sys.stderr)
     failures = [*([problem] if problem else []), *why_failed(rating, arguments.max_aborted)]
     checks = gate.checks(result, None if problem else out.path, failures)

@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Final
 
+from skd_sim.choices.car_under_test import CONTROLLERS
 from skd_sim.choices.registry import Registry
+from skd_sim.encounter.known_scenarios import SCENARIOS
+from skd_sim.encounter.protocol import REGULATORY
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
 from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_evaluator.measure.behaviour import WALKERS
+from skd_evaluator.ncap.matrices import known_encounters
+
+_NAMES: Final[Mapping[str, Callable[[], Iterable[str]]]] = {
+    "behaviour": lambda: (WALKERS, NO_BEHAVIOUR),
+    "car_model": lambda: (),
+    "controller": CONTROLLERS.names,
+    "encounters": known_encounters,
+    "names": SCENARIOS.names,
+    "safe": lambda: (SYNTHETIC, OWN, REGULATORY),
+    "scenario": SCENARIOS.names,
+}
+"""Options and arguments that take a name of these, or a file."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -20,9 +39,29 @@ def run(arguments: argparse.Namespace) -> int:
     parser = make_parser()
     for command in commands_of(parser).values():
         for action in command._actions:
-            if action.type is Path or action.dest in ("safe", "car_model", "scenario"):
+            if action.type is Path:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]  # what shtab looks for
+            elif action.dest in _NAMES:
+                function = _function(action.dest)
+                action.complete = {"bash": function, "zsh": function, "tcsh": "f"}  # type: ignore[attr-defined]
             if isinstance(action.choices, Registry):
                 action.choices = action.choices.names()
-    print(shtab.complete(parser, arguments.shell))
+    function_for = {"bash": _for_bash, "zsh": _for_zsh}.get(arguments.shell)
+    functions = "" if function_for is None else "".join(map(function_for, _NAMES))
+    print(shtab.complete(parser, arguments.shell, preamble=functions))
     return 0
+
+
+def _function(option: str) -> str:
+    """Return the name of a shell's function: bash takes what such a one completes for files by `_file` in it."""
+    return f"_skd_{option}_or_file"
+
+
+def _for_bash(option: str) -> str:
+    names = " ".join(_NAMES[option]())
+    return f'{_function(option)}() {{\n  compgen -W \'{names}\' -- "$1"\n  compgen -f -- "$1"\n}}\n'
+
+
+def _for_zsh(option: str) -> str:
+    names = " ".join(_NAMES[option]())
+    return f"{_function(option)}() {{\n  _alternative 'names:name:({names})' 'files:file:_files'\n}}\n"

@@ -77,4 +77,4 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, arguments, gate, problem)
+    return print_result(rating, out, arguments, gate, problem, (*damage.warnings, said))

@@ -78,8 +78,14 @@ class _Episodes:
 
     def __init__(self, plan: Plan, arguments: argparse.Namespace) -> None:
         self.by_keys = arguments.safe is None
-        self._plan, self._first = plan, arguments.safe_number
+        if self.by_keys and arguments.safe_number is not None:
+            raise UsageError(f"--safe-number {arguments.safe_number}: there is no φ to follow; add --safe")
+        self._plan, self._first = plan, arguments.safe_number or 0
+        # φ is found within the encounter's own horizon, whatever is shown of it.
         self._safe = [] if self.by_keys else safe_trajectories(plan, InProcessRunner(1))
+        if arguments.ticks is not None:
+            horizon = arguments.ticks * plan.scenario.time_step
+            self._plan = replace(plan, scenario=replace(plan.scenario, horizon=horizon))
         if not self.by_keys and self._first >= len(self._safe):
             raise UsageError(
                 f"--safe-number {self._first}: there are {len(self._safe)} safe trajectories, numbered from 0"
@@ -134,8 +140,6 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     plan = plan_of(values, scenario)
     both_ways = {} if arguments.graph else {"rate_factor": GraphOptions.rate_factor}
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
-    if arguments.ticks is not None:
-        scenario = replace(scenario, horizon=arguments.ticks * scenario.time_step)
     values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT, "open_episodes": True}
     return replace(plan, scenario=scenario), GraphOptions(**values_of(GraphOptions, values))
 

@@ -1,0 +1,31 @@
+"""`skd replay` prints what makes its figures doubtful, whichever step found it, and each line once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bag_forge import campaign_messages, write_mcap
+from common import run_skd
+from recordings_support import attempts, crossing
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_sim.choices.knowledge import Knowledge
+from skd_sim.encounter.scenario import load_scenario
+
+
+def test_a_margin_that_may_be_less_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where a hit would begin at 30 m/s there is none: the margin stands at η_max, for nothing was found."""
+    scenario = load_scenario("crossing")
+    scenario = replace(scenario, collision=replace(scenario.collision, hit_speed=30.0))
+    plan = Plan(scenario, controller="carla", knowledge=Knowledge.NOTHING, simulations=1, seed=2)
+    logs = attempts(plan, [crossing(0.75, 10, "brisk")], 1, 2)
+    messages = [one for each in campaign_messages(logs) for one in each]
+    write_mcap(tmp_path / "recorded.mcap", messages, checksums=False)
+    run_skd("replay", tmp_path / "recorded.mcap", "--margin-limit", 64, "--out", tmp_path / "out")
+    said = capsys.readouterr().err.splitlines()
+    warnings = json.loads((tmp_path / "out" / "assessment.json").read_text())["warnings"]
+    assert sum("has found no hit in" in line for line in said) == 1
+    assert sum("has found no hit in" in line for line in warnings) == 1
+    assert sum("without checksums" in line for line in said) == 1
