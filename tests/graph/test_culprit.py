@@ -75,13 +75,14 @@ def test_one_that_never_begins(tmp_path: Path, safe: Path) -> None:
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:
     finished = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "misbehaving:NeverWell")
     assert finished.code == 1
-    first, undefined, aborted, log = finished.timeless
+    first, *lost, undefined, aborted, log = finished.timeless
+    assert [line.partition(" were aborted and count for nothing; no other")[1] != "" for line in lost] == [True, True]
     reason = "not a finite number: the car controller commanded nan"
     assert undefined == f"skd assess: every kamikaze episode was aborted ({reason}); SKD is not defined"
     assert aborted.endswith(f"10 of 10 episodes were aborted, more than --max-aborted 5 %; 10 of them: {reason}")
     assert first.startswith(f"skd: an episode was aborted, the first one so: {reason}; log: ")
     assert log == (
-        "skd assess: 10 of 10 episodes aborted (10 not a finite number); "
+        "skd assess: why episodes were aborted: 10 not a finite number; "
         f"log: {tmp_path / 'out' / 'logs' / 'car_controller.log'}"
     )
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())

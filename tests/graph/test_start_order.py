@@ -284,7 +284,8 @@ def test_misbehaviour_during_an_episode(
     assert len(said) == 1
     assert f"so: {reason}; log: " in said[0]
     kind, where = reason.partition(":")[0], out / "logs" / "car_controller.log"
-    assert f"skd assess: 1 of {len(recorded)} episodes aborted (1 {kind}); log: {where}" in finished.lines
+    assert f"skd assess: why episodes were aborted: 1 {kind}; log: {where}" in finished.lines
+    assert sum("was aborted and counts for nothing" in line for line in finished.lines) == 1
     words = {"Raises": "failed with RuntimeError: sensor fusion has diverged", "Killed": "was killed by signal 9"}
     for who, said_of in words.items():
         assert any(said_of in line for line in finished.lines) == (controller == who)

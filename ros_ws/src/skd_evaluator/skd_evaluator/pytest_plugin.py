@@ -8,20 +8,67 @@ Light, for every pytest of an environment with SKD begins with it.
 
 from __future__ import annotations
 
+import operator
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from skd_evaluator.campaign.judge.rating import Rating
+    from skd_evaluator.measure.aborted import Worst
 
 _OUT = "--skd-out"
 
 
+class _AtWorst(float):
+    """A figure that would be another one if the car had hit in every episode that was aborted: it is compared as both.
+
+    Raises:
+        AssessmentError: by one of them a comparison holds, and by the other it does not.
+    """
+
+    def __new__(cls, value: float, _name: str, _worst: Worst) -> Self:
+        return super().__new__(cls, value)
+
+    def __init__(self, value: float, name: str, worst: Worst) -> None:
+        self._value, self._name, self._worst = value, name, worst
+
+    def _judged(self, holds: Callable[[float, float], bool], other: Any) -> Any:
+        from skd_evaluator.errors import AssessmentError
+
+        if not isinstance(other, (int, float)):
+            return NotImplemented
+        found = holds(self._value, other)
+        if holds(self._worst.value, other) != found:
+            raise AssessmentError(
+                f"not judged: {self._name} is {self._value:.6g}, and it would be {self._worst.value:.6g} if the car "
+                f"had hit in the {self._worst.of} that were aborted"
+            )
+        return found
+
+    def __lt__(self, other: Any) -> bool:
+        return self._judged(operator.lt, other)  # type: ignore[no-any-return]
+
+    def __le__(self, other: Any) -> bool:
+        return self._judged(operator.le, other)  # type: ignore[no-any-return]
+
+    def __gt__(self, other: Any) -> bool:
+        return self._judged(operator.gt, other)  # type: ignore[no-any-return]
+
+    def __ge__(self, other: Any) -> bool:
+        return self._judged(operator.ge, other)  # type: ignore[no-any-return]
+
+
 class Assessed:
     """An assessment: every key of assessment.json is an attribute, and what fails shows the sentence about the car.
+
+    A figure that episodes count for of which some were aborted is no other number, but `<` and the like raise
+    `AssessmentError` where they would come out otherwise had the car hit in all of these.
 
     Attributes:
         figures: content of assessment.json.
@@ -36,7 +83,13 @@ class Assessed:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name not in self.figures:
             raise AttributeError(f"an assessment has no figure {name!r}; docs/files.md has the list")
-        return self.figures[name]
+        value = self.figures[name]
+        if not isinstance(value, float):
+            return value
+        from skd_evaluator.measure.aborted import at_worst
+
+        worst = at_worst(self.figures, name)
+        return value if worst is None else _AtWorst(value, name, worst)
 
     def __repr__(self) -> str:
         from skd_evaluator.report.terminal import headline

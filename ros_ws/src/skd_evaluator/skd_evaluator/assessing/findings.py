@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from skd_sim.dynamics.limits import clipped_line, command_limits
 from skd_sim.episode.aborts import counted_reasons
@@ -12,7 +13,9 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_evaluator.campaign.judge.rating import Rating, hit_too_often
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
+from skd_evaluator.measure import aborted
 from skd_evaluator.measure.doubt import DISBELIEF, disbelief, in_doubt
+from skd_evaluator.measure.risks import Touch
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 
 
@@ -26,8 +29,8 @@ def undefined(rating: Rating) -> str | None:
     if assessment.reasons and not assessment.attempts:
         why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
     elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
-        aborted = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
-        why = f"{why}, and {aborted} of {assessment.attempts + aborted} kamikaze episodes were aborted"
+        lost = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
+        why = f"{why}, and {lost} of {assessment.attempts + lost} kamikaze episodes were aborted"
     return f"{why}; SKD is not defined"
 
 
@@ -93,32 +96,44 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
     return margin_doubts({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
 
 
-def too_many_aborted(rating: Rating, maximum: float) -> str | None:
-    """Return, in one line, that more episodes were aborted than may be; None if that is not so.
+def any_aborted(rating: Rating) -> bool:
+    """Whether any episode was aborted of which a figure is."""
+    scales = () if rating.risks is None else rating.risks.scales
+    return (
+        bool(rating.reasons)
+        or any(one.lost or one.number_of(Touch.ABORTED) for one in scales)
+        or any(point.aborted for point in rating.budgets)
+    )
+
+
+def aborted_lines(rating: Rating) -> list[str]:
+    """Return, a line each, how many episodes of each figure were aborted, and what it would be at worst."""
+    return aborted.aborted_lines(rating.as_dict()) if any_aborted(rating) else []
+
+
+def too_many_aborted(rating: Rating, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
+    """Return, in one line, of which figure more episodes were aborted than may be; None if that is not so.
 
     Args:
         rating: the rating of all episodes, aborted ones counted.
         maximum: share of the episodes that may be aborted.
+        figures: content of its assessment.json, of one that was made anew from its episodes, which are not all.
     """
-    reasons = rating.reasons
-    if not reasons or len(reasons) <= maximum * rating.episodes:
+    if figures is None and not any_aborted(rating):
         return None
-    most = next(iter(counted_reasons(reasons).values()))
-    return (
-        f"{len(reasons)} of {rating.episodes} episodes were aborted, more than --max-aborted {100 * maximum:g} %; "
-        f"{most['count']} of them: {most_frequent(reasons)}"
-    )
+    return aborted.too_many_aborted(figures or rating.as_dict(), maximum)
 
 
-def why_failed(rating: Rating, maximum_aborted: float) -> list[str]:
+def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
     """Return why an assessment counts as failed, a line each; empty if it does not.
 
     Args:
         rating: the rating of all episodes, aborted ones counted.
-        maximum_aborted: share of the episodes that may be aborted.
+        maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
+        figures: see `too_many_aborted`.
     """
-    reasons = [undefined(rating), too_many_aborted(rating, maximum_aborted), *disbelief(rating.warnings)]
-    return [why for why in reasons if why]
+    too_many = too_many_aborted(rating, maximum_aborted, figures)
+    return [why for why in (undefined(rating), too_many, *disbelief(rating.warnings)) if why]
 
 
 def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
@@ -128,10 +143,10 @@ def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
 
     Args:
         rating: the rating of all episodes, aborted ones counted.
-        maximum_aborted: share of the episodes that may be aborted.
+        maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
     """
-    aborted = too_many_aborted(rating, maximum_aborted)
-    found = [undefined(rating), f"{DISBELIEF}{aborted}" if aborted else None]
+    too_many = too_many_aborted(rating, maximum_aborted)
+    found = [undefined(rating), f"{DISBELIEF}{too_many}" if too_many else None]
     return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
 
 

@@ -17,7 +17,7 @@ from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.findings import why_failed, with_failures
+from skd_evaluator.assessing.findings import aborted_lines, why_failed, with_failures
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
@@ -81,8 +81,8 @@ def assess(
         margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
         curve: whether kamikazes are planned that are held to a budget, for the vulnerability curve.
         behaviour: how people walk, for the risk: `walkers`, a file, or `none`.
-        max_aborted: percentage of the episodes that may be aborted. An aborted episode says nothing about the car; if
-            more are aborted, the figures are not to be believed.
+        max_aborted: percentage of the episodes that may be aborted, of all and of those of each figure. An aborted
+            episode says nothing about the car; if more are aborted, the figures are not to be believed.
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
@@ -90,8 +90,8 @@ def assess(
 
     Returns:
         The assessment; `as_dict()` has the figures of assessment.json under their names. Why these may be those of
-        another car, and whatever else makes `skd assess` end with exit code 1, is a warning of Python's, and one of its
-        `warnings`.
+        another car, what aborted episodes may hide, and whatever else makes `skd assess` end with exit code 1, is a
+        warning of Python's, and one of its `warnings`.
 
     Raises:
         UsageError: an argument is not allowed, or does not go with the others, or an option does not exist.
@@ -127,7 +127,8 @@ def assess(
         rating = replace(failed, seconds=seconds)
         if folder is not None:
             folder.write(lambda where: fill(where, rating))
-    for line in dict.fromkeys([*in_doubt(rating.warnings), *why_failed(rating, 1.0)]):
+    said = [*in_doubt(rating.warnings), *why_failed(rating, 1.0), *aborted_lines(rating)]
+    for line in dict.fromkeys(said):
         warnings.warn(line, stacklevel=2)
     return rating
 

@@ -16,6 +16,7 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.asked import refuse_copies
+from skd_evaluator.assessing.findings import aborted_lines
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
 from skd_evaluator.campaign.judge.alone import FEW_DRIVES, MANY_DRIVES, doubts_of_driving, doubts_of_standing_off
@@ -235,7 +236,8 @@ def assessed(
         rating = with_floors(rating, runners.here, progress)
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
-    return replace(rating, warnings=(*rating.warnings, *_doubts_of_the_car(rating, plan, runners)))
+    doubts = _doubts_of_the_car(rating, plan, runners)
+    return replace(rating, warnings=(*rating.warnings, *aborted_lines(rating), *doubts))
 
 
 def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[str, ...]:

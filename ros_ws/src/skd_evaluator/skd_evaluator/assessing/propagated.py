@@ -26,6 +26,7 @@ from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.aborted import too_many_aborted
 from skd_evaluator.measure.doubt import DISBELIEF, in_doubt
 from skd_evaluator.measure.margins import stopped_at
 from skd_evaluator.risk.asked import risk_asked
@@ -159,14 +160,8 @@ def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) ->
             f"{sum(one['aborted'] for one in aborted)} episodes in {len(aborted)} of {count} draws were aborted "
             f"({reasons.get('first') or kind}); they count in no figure"
         )
-        worst = max(one["aborted"] / (one["aborted"] + _ran(one)) for one in aborted)
-        found.append(f"{DISBELIEF}{line}" if worst > maximum_aborted else line)
+        found.append(f"{DISBELIEF}{line}" if any(too_many_aborted(one, maximum_aborted) for one in aborted) else line)
     return [" ".join(line.split()) for line in found]
-
-
-def _ran(figures: Mapping[str, Any]) -> int:
-    """Return how many episodes of an assessment were not aborted: kamikazes, and runs along φ."""
-    return int(figures["collision_runs"]) + sum(int(one["attempts"]) for one in figures["objectives"].values())
 
 
 def _silent(*_told: object) -> None:

@@ -35,6 +35,7 @@ from skd_evaluator.campaign.plan.plan import (
     split_episode_id,
     walks_a_way,
 )
+from skd_evaluator.measure.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
@@ -162,8 +163,9 @@ def rating_from(
     )
     rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
     standing = doubts_of_standing_off(plan.controller, replays)
+    lost = aborted_lines(rating.as_dict()) if rating.reasons else []
     if damage is None:
-        return replace(rating, warnings=standing)
+        return replace(rating, warnings=(*lost, *standing))
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = [*judged_otherwise(first.scenario), *unfinished_episodes(unfinished)]
@@ -175,6 +177,7 @@ def rating_from(
         which = f" of objective {objective}" if len(objectives) > 1 else ""
         lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])
+    lines += lost
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
     lines += doubts_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same

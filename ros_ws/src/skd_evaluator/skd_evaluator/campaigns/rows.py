@@ -83,7 +83,7 @@ def done_row(
         "ranking_objective": str(rating.for_deformation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
         "episodes": rating.episodes,
-        "problems": why_failed(rating, maximum_aborted),
+        "problems": why_failed(rating, maximum_aborted, figures),
         "warnings": warnings_of(rating),
         "sha256": dict(digests),
     }

@@ -215,8 +215,8 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         type=percentage,
         default=MAXIMUM_ABORTED,
         metavar="PERCENT",
-        help="percentage of the episodes that may be aborted. An aborted episode says nothing about the car; if more "
-        "are aborted, the exit code is 1 (default: 5)",
+        help="percentage of the episodes that may be aborted, of all kamikazes and runs along φ and of those of each "
+        "figure. An aborted episode says nothing about the car; if more are aborted, the exit code is 1 (default: 5)",
     )
 
 

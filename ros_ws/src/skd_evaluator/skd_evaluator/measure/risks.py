@@ -94,6 +94,8 @@ class ScaleRisk:
         subsets: what subset simulation found; None: it was not asked.
         confidence: of the intervals by φ.
         ticks: of each crude run, until its end or the contact; None: not known.
+        lost: crossings of subset simulation that were aborted, with which it ended: then there is no risk at this
+            scale. They are neither hits nor misses, and whoever ends just those that hit had none.
     """
 
     scale: float
@@ -102,6 +104,7 @@ class ScaleRisk:
     subsets: Subsets | None = None
     confidence: float = 0.95
     ticks: IntArray | None = None
+    lost: int = 0
 
     @property
     def counts(self) -> list[tuple[int, int]]:
@@ -138,7 +141,9 @@ class ScaleRisk:
 
     @cached_property
     def value(self) -> float | None:
-        """R(s); None without a run."""
+        """R(s); None without a run, or where subset simulation was asked and crossings of it were aborted."""
+        if self.lost:
+            return None
         if self.subsets is not None:
             return mean(self.subsets.estimates)
         return self.hits / self.runs if self.runs else None
@@ -146,6 +151,8 @@ class ScaleRisk:
     @cached_property
     def ci95(self) -> Interval | None:
         """95 % interval of the estimate, for these φ: Wilson's, the rule of three, or log-t over replicates."""
+        if self.lost:
+            return None
         if self.subsets is not None:
             if not self.value:  # no replicate came to a hit: it is less than what its levels tell
                 return 0.0, 0.1 ** (int(self.subsets.levels.min()) - 1)
@@ -157,6 +164,8 @@ class ScaleRisk:
     @cached_property
     def ci95_by_phi(self) -> Interval | None:
         """95 % interval over φ: for the mean of all φ that there might be; None below two φ."""
+        if self.lost:
+            return None
         if self.subsets is None:
             found = clustered_rate(self.counts, self.confidence)
             return found.interval if found else None
@@ -166,6 +175,8 @@ class ScaleRisk:
     @property
     def method(self) -> str:
         """How it was estimated, and from how much."""
+        if self.lost:
+            return f"none; subset simulation was ended (crude: {self.hits} of {self.runs} runs)"
         if self.subsets is None:
             rule = ", rule of three" if self.runs and not self.hits else ""
             return f"crude, {self.hits} of {self.runs} runs{rule}"
@@ -200,11 +211,14 @@ class ScaleRisk:
             "flank": self.number_of(Touch.FLANK),
             "standing": self.number_of(Touch.STANDING),
             "aborted": self.number_of(Touch.ABORTED),
+            "subset_aborted": self.lost or None,
             "note": "; ".join(self._notes()),
         }
 
     def _notes(self) -> list[str]:
         found = [CONDITIONAL] if self.value is not None and self.value < UNSEEN else []
+        if self.lost:
+            found.append(f"not known: {crossings_lost(self.lost)} in subset simulation; none of them counts as a miss")
         many = self.subsets is not None and len(self.subsets.levels) > 1
         if self.subsets is not None and many and float(np.std(self.subsets.estimates, ddof=1)) > (self.value or 0.0):
             found.append(UNEVEN)
@@ -246,6 +260,11 @@ class Risks:
             "failures": self.failures,
         }
         return found
+
+
+def crossings_lost(count: int) -> str:
+    """Return in words how many crossings were aborted."""
+    return "1 crossing was aborted" if count == 1 else f"{count} crossings were aborted"
 
 
 def log_t_interval(estimates: FloatArray, confidence: float = 0.95) -> Interval | None:

@@ -91,6 +91,16 @@ def doubts_of(car: CarUnderTest, seen: Seen) -> Iterator[str]:
     yield from _knows_stillness(car, seen)
 
 
+def aborted(seen: Seen) -> Iterator[str]:
+    """Yield, a line each, how many episodes were aborted: a car can end its process just before it hits."""
+    for what, logs, follows in (
+        ("static tests", seen.tests, "their cells have no colour"),
+        ("kamikazes", seen.kamikazes, "they count for nothing"),
+    ):
+        if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
+            yield f"{lost} of {len(logs)} {what} were aborted, and {follows}"
+
+
 def clipped(seen: Seen) -> Iterator[str]:
     """Yield, in a line, how often the car asked for more than it can do."""
     logs = [log for log in (*seen.tests, *seen.kamikazes) if log.clipped]

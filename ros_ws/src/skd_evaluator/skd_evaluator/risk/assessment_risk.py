@@ -31,7 +31,7 @@ from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
 from skd_evaluator.risk.batched_car import batched_car
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 from skd_evaluator.risk.known_car import KnownCar
-from skd_evaluator.risk.subset import Effort, Levels, Replicate, gathered, levels_of, replicate
+from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, Levels, Replicate, gathered, levels_of, replicate
 
 LABEL: Final = "risk"
 RUNS: Final = 2000
@@ -214,12 +214,14 @@ def _scales(
                 mine |= dict(zip(rows[parts[-1].touch == Touch.FRONT].tolist(), other.hits, strict=True))
                 progress(LABEL, number * runs + int(rows[-1]) + 1, total)
             ends = Ends.together(parts)
-        subsets = None
+        subsets, lost = None, 0
         if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
-            subsets = _subsets(
-                encounter, scale, effort, runner, None if known is not None else together or other, progress
-            )
-        yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks)
+            unknown = None if known is not None else together or other
+            try:
+                subsets = _subsets(encounter, scale, effort, runner, unknown, progress)
+            except AbortedCrossingsError as error:
+                lost = error.count
+        yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks, lost)
     kept += [*other.kept.logs, *(together.kept.logs if together is not None else ())]
 
 
@@ -251,7 +253,11 @@ def _failures(
 def _subsets(
     encounter: Encounter, scale: float, effort: Effort, runner: ExecutorRunner, other: Runner | None, progress: Progress
 ) -> Subsets:
-    """Return what subset simulation finds; `other` runs crossings of a car that is not known."""
+    """Return what subset simulation finds; `other` runs crossings of a car that is not known.
+
+    Raises:
+        AbortedCrossingsError: crossings of it were aborted.
+    """
     found: list[Replicate] = []
     numbers = range(effort.replicates)
     levels = levels_of(encounter, KnownCar(encounter) if other is None else other, scale, effort)

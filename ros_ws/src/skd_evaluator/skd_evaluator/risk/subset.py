@@ -21,8 +21,9 @@ import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.episode.randomness import Role, generator
 
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.behaviour.walking import OF_PERSON
-from skd_evaluator.measure.risks import Subsets, Touch
+from skd_evaluator.measure.risks import Subsets, Touch, crossings_lost
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 
 REPLICATES: Final = 16
@@ -61,6 +62,19 @@ class Effort:
     levels: int = LEVELS
 
 
+class AbortedCrossingsError(AssessmentError):
+    """Crossings of a simulation were aborted: nobody knows whether they are hits, and no estimate can leave them out.
+
+    Attributes:
+        count: how many of those that were run together.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Say how many."""
+        super().__init__(f"{crossings_lost(count)} in subset simulation")
+        self.count = count
+
+
 class Levels(NamedTuple):
     """What all replicates share.
 
@@ -82,7 +96,11 @@ class Replicate(NamedTuple):
 
 
 def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort) -> Levels:
-    """Find the levels by a simulation whose own estimate is not used."""
+    """Find the levels by a simulation whose own estimate is not used.
+
+    Raises:
+        AbortedCrossingsError: crossings of it were aborted.
+    """
     count, rng = effort.per_level, generator(encounter.plan.seed, _FIRST, Role.RISK, round(1000 * scale))
     now, ends = _begun(encounter, runner, scale, count, rng)
     thresholds: list[float] = []
@@ -118,6 +136,9 @@ def replicate(
         number: of the replicate, from which its draws follow.
         effort: how much.
         levels: as `levels_of` has found them.
+
+    Raises:
+        AbortedCrossingsError: crossings of it were aborted.
     """
     count, rng = effort.per_level, generator(encounter.plan.seed, number, Role.RISK, round(1000 * scale))
     phis, probability = len(encounter.safe), 1.0
@@ -150,7 +171,19 @@ def _begun(
         rng.standard_normal((count, runner.car_normals)),
         _DRAWS + rng.integers(_DRAWS, size=count),
     )
-    return crossings, runner.run(crossings, scale)
+    return crossings, _run(runner, crossings, scale)
+
+
+def _run(runner: Runner, crossings: Crossings, scale: float) -> Ends:
+    """Run crossings.
+
+    Raises:
+        AbortedCrossingsError: some were aborted.
+    """
+    ends = runner.run(crossings, scale)
+    if lost := int((ends.touch == Touch.ABORTED).sum()):
+        raise AbortedCrossingsError(lost)
+    return ends
 
 
 def _kind(turn: int) -> int:
@@ -171,7 +204,7 @@ def _next(
 ) -> tuple[Crossings, Ends, float]:
     """Return crossings after a move within a level, how they ended, and the share of the moves that were accepted."""
     trial = _moved(now, _MOVED[kind], step, len(encounter.safe), rng)
-    found = runner.run(trial, scale)
+    found = _run(runner, trial, scale)
     fine = found.missed <= threshold
     return now.where(fine, trial), ends.where(fine, found), float(fine.mean())
 

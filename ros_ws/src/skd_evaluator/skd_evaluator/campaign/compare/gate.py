@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.measure.aborted import at_worst
 from skd_evaluator.measure.margins import stopped_at
 
 _OF_THE_SEARCH = ("margin", "margin_p10", "equivalent_multiplier")
@@ -29,6 +30,10 @@ class Limit:
     name: str
     value: float
     is_least: bool = True
+
+    def is_kept_by(self, value: float) -> bool:
+        """Whether a figure of this value keeps the limit."""
+        return value >= self.value if self.is_least else value <= self.value
 
 
 @dataclass(frozen=True)
@@ -54,13 +59,16 @@ class Check:
 
 
 def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Check]:
-    """Check an assessment against limits; a figure that is not defined is an error.
+    """Check an assessment against limits.
+
+    A figure that is not defined is an error, and so is one that would be judged otherwise had the car hit in every
+    episode that was aborted.
 
     Args:
         result: content of assessment.json.
         limits: the limits that figures of the assessment have to keep.
     """
-    return [_check_limit(figure(result, limit.name), limit, _stopped(result, limit)) for limit in limits]
+    return [_at_worst(result, limit, _check_limit(result, limit)) for limit in limits]
 
 
 def _stopped(result: Mapping[str, Any], limit: Limit) -> str:
@@ -73,11 +81,12 @@ def _stopped(result: Mapping[str, Any], limit: Limit) -> str:
     return f"the search for the margin {stopped_at(result)}, so this is an upper bound: give a larger --margin-limit"
 
 
-def _check_limit(value: float | None, limit: Limit, stopped: str) -> Check:
+def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
+    value, stopped = figure(result, limit.name), _stopped(result, limit)
     name = f"{limit.name} {'≥' if limit.is_least else '≤'} {limit.value:g}"
     if value is None:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
-    beyond = value < limit.value if limit.is_least else value > limit.value
+    beyond = not limit.is_kept_by(value)
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
     text = f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
     if stopped and not beyond:
@@ -85,18 +94,29 @@ def _check_limit(value: float | None, limit: Limit, stopped: str) -> Check:
     return Check(name, text, failed=beyond)
 
 
+def _at_worst(result: Mapping[str, Any], limit: Limit, check: Check) -> Check:
+    """Return a check as an error where the car may have hit in aborted episodes, and would be judged otherwise then."""
+    worst = None if check.error else at_worst(result, limit.name)
+    if worst is None or limit.is_kept_by(worst.value) == check.passed:
+        return check
+    lost = f"it would be {worst.value:.6g} if the car had hit in the {worst.of} that were aborted"
+    return replace(check, text=f"not judged: {check.text}, and {lost}", failed=False, error=True)
+
+
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """Compare an assessment with an earlier one: it fails if a figure is surely worse, and none is surely better.
 
     A verdict that the car is less safe waits until no estimate points the other way; a gate does not. Figures in doubt,
-    of either, are an error where they would pass.
+    of either, are an error where they would pass; so is a car that would fall behind had it hit in every episode of its
+    own that was aborted.
 
     Args:
         folder: folder of the assessment.
         earlier: the earlier result, behind which the car must not fall.
     """
     name = f"not worse than {earlier.folder}"
-    found = compare(earlier, read_result(folder))
+    mine = read_result(folder)
+    found = compare(earlier, mine)
     judge = found.behind_by or found.decided_by
     beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *found.lines())))
     if judge is None:
@@ -108,4 +128,17 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
     text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
     failed = found.behind_by is not None
+    if not failed and (why := _may_be_behind(earlier, mine)):
+        return Check(name, f"not judged: {text}; {why}", error=True)
     return Check(name, text, failed=failed, error=found.in_doubt and not failed)
+
+
+def _may_be_behind(earlier: StoredResult, mine: StoredResult) -> str:
+    """Return why a car may be behind an earlier result by its aborted episodes; empty where it is not."""
+    scales = (mine.figures.get("risk") or {}).get("scales") or ()
+    if unknown := [f"R({one['scale']:g})" for one in scales if one.get("subset_aborted")]:
+        return f"{', '.join(unknown)} is not known, for crossings of subset simulation were aborted"
+    at_worst = compare(earlier, replace(mine, groups={**mine.groups, **mine.worst})) if mine.worst else None
+    if at_worst is None or at_worst.behind_by is None:
+        return ""
+    return f"it would be less safe by {at_worst.behind_by} if it had hit in all of its aborted episodes"

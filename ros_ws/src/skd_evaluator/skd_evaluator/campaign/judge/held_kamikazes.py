@@ -12,7 +12,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import one_of
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.vulnerability_curve import budget_points
+from skd_evaluator.measure.vulnerability_curve import BudgetPoint, budget_points
 
 BUDGETS = (0.25, 0.5, 1.0, 2.0)
 """η, m, to which kamikazes are held."""
@@ -25,10 +25,8 @@ def held_attempts(plan: Plan) -> int:
     return max(1, -(-plan.kamikaze_count // _PART))
 
 
-def held_to(
-    assessment: Assessment, eta: float, runner: EpisodeRunner, kept: list[EpisodeLog]
-) -> tuple[float, int, int]:
-    """Run kamikazes that plan for a deformation of at most η; return η, how many were hit within it, and of how many.
+def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner, kept: list[EpisodeLog]) -> BudgetPoint:
+    """Run kamikazes that plan for a deformation of at most η; return how many were hit within it, and of how many.
 
     Their number is fixed beforehand: to go on until enough have collided would make the share too high. One on each φ,
     by lot, is put into `kept`.
@@ -41,17 +39,17 @@ def held_to(
         for index, phi in enumerate(assessment.safe)
         for attempt in range(each)
     ]
-    successes = attempts = 0
+    successes = aborted = 0
     for number, log in enumerate(runner.run(episodes)):
         if number in looked_at:
             kept.append(log)
-        attempts += log.outcome != Outcome.ABORTED
+        aborted += log.outcome == Outcome.ABORTED
         if log.hit:
             phi = log.episode.safe_trajectory
             assert phi is not None
             ticks = log.impact_time / plan.scenario.time_step
             successes += deformation(phi.positions, log.trajectory.positions, ticks) <= eta
-    return eta, successes, attempts
+    return BudgetPoint(eta, successes, len(episodes) - aborted, aborted)
 
 
 def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
@@ -63,7 +61,7 @@ def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> R
     assessment = rating.for_deformation
     if not assessment.plan.limits_deformation or not assessment.attempts:
         return rating
-    points: list[tuple[float, int, int]] = []
+    points: list[BudgetPoint] = []
     kept: list[EpisodeLog] = []
     for number, eta in enumerate(BUDGETS, start=1):
         points.append(held_to(assessment, eta, runner, kept))

@@ -248,5 +248,6 @@ def _risk_columns(rating: Rating) -> Columns:
         "risk_per_level": np.array([0 if one is None else one.per_level for one in subsets], np.int64),
         "risk_open": np.array([0 if one is None else one.open_levels for one in subsets], np.int64),
         "risk_tick": np.concatenate([_contact_ticks(one) for one in scales]),
+        **({"risk_lost": np.array([one.lost for one in scales], np.int64)} if any(one.lost for one in scales) else {}),
         **(failure_columns(rating.risks.failing) if rating.risks.failing else {}),
     }

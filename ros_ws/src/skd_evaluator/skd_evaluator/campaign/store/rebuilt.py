@@ -86,12 +86,14 @@ class Recomputed:
         contradict: those that do not.
         unknown: names of those of which the folder does not say enough.
         rating: what its episodes give.
+        figures: the content of assessment.json that they give.
     """
 
     agree: tuple[str, ...]
     contradict: tuple[Contradiction, ...]
     unknown: tuple[str, ...]
     rating: Rating
+    figures: Mapping[str, Any]
 
 
 def can_be_rebuilt(stored: StoredEpisodes) -> bool:
@@ -219,6 +221,7 @@ def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence:
     touches = further["risk_touch"].astype(np.int64).reshape(len(scales), -1)
     # Older files do not say when somebody is hit.
     ticks = further["risk_tick"].astype(np.int64).reshape(touches.shape) if "risk_tick" in further else None
+    lost = further["risk_lost"].tolist() if "risk_lost" in further else [0] * len(scales)
     levels = further["risk_levels"].reshape(len(scales), -1)
     shares = further["risk_share"].reshape(len(scales), -1, phis)
     if not np.isin(touches, [*map(int, Touch)]).all():
@@ -228,7 +231,8 @@ def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence:
         per_level, subsets = int(further["risk_per_level"][row]), None
         if per_level:
             subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
-        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, None if ticks is None else ticks[row]))
+        ended = None if ticks is None else ticks[row]
+        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, ended, lost[row]))
     return Risks(figures["risk"]["behaviour"], found)
 
 
@@ -240,7 +244,8 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
     """
     # What is compared is what would have been written.
     rating = rebuilt(figures, stored)
-    found = dict(entries_of(json.loads(json.dumps(rating.as_dict()))))
+    written = json.loads(json.dumps(rating.as_dict()))
+    found = dict(entries_of(written))
     told = dict(entries_of(json.loads(json.dumps(_equivalent(figures, rating.margins)))))
     found |= told
     said = dict(entries_of(figures))
@@ -276,7 +281,7 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
         elif name not in agree:
             agree.append(name)
     contradict += [*_margins_that_cannot_be(rating, stored), *_floors_that_cannot_be(stored)]
-    return Recomputed(tuple(agree), tuple(contradict), tuple(unknown), rating)
+    return Recomputed(tuple(agree), tuple(contradict), tuple(unknown), rating, written)
 
 
 def _margins_that_cannot_be(rating: Rating, stored: StoredEpisodes) -> Iterator[Contradiction]:

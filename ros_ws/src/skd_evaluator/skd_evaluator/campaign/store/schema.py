@@ -86,7 +86,11 @@ def _definitions() -> dict[str, Any]:
                 runs=_said(_COUNT, "crude crossings, aborted ones left out"),
                 hits=_said(_COUNT, "of these, by the front of the moving car"),
                 flank=_said(_COUNT, "contacts with a side or the rear of the moving car"),
-                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT, note=_TEXT)),
+                standing=_said(_COUNT, "contacts with a car slower than hit_speed"), aborted=_COUNT,
+                subset_aborted=_said(
+                    {"type": ["integer", "null"], "minimum": 1},
+                    "crossings of subset simulation that were aborted, with which it ended; null: none were"),
+                note=_TEXT)),
             failures=_said(or_null(_object(
                 scale=_said(_NUMBER, "s at which they are"), runs=_COUNT,
                 hits=_said(_COUNT, "crude crossings in which the car hits"),
@@ -141,7 +145,8 @@ def _definitions() -> dict[str, Any]:
         "vulnerability_curve": _object(
             kamikazes=ref("curve"),
             budgets=_list(_object(
-                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT, attempts=_COUNT)),
+                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT,
+                attempts=_said(_COUNT, "aborted ones left out"), aborted=_COUNT)),
             margins=or_null(ref("curve"))),
         "provenance": _said(_object(
             date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",

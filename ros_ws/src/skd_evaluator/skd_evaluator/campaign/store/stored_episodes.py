@@ -65,6 +65,7 @@ _FURTHER = {
     "risk_levels": Column(np.int64, (-1,)),
     "risk_per_level": Column(np.int64, (-1,)),
     "risk_open": Column(np.int64, (-1,)),
+    "risk_lost": Column(np.int64, (-1,)),
     "risk_tick": Column(np.int32, (-1,)),
     "risk_failure": Column(np.int64, (-1,)),
     "risk_failure_positions": Column(np.float64, (-1, 2)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.risks import Risks, Touch
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
@@ -47,6 +48,8 @@ class StoredResult:
             both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
             simulation estimates, not there where the risk is not known.
         remarks: remarks on the assessment, a line each.
+        worst: those of the groups of risk and deformation that would be others if the car had hit in every episode that
+            was aborted, kamikazes without any deformation.
     """
 
     folder: Path
@@ -56,6 +59,7 @@ class StoredResult:
     objective: str
     groups: Mapping[str, tuple[FloatArray, ...]]
     remarks: tuple[str, ...] = ()
+    worst: Mapping[str, tuple[FloatArray, ...]] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         return figures_html(self.figures, in_doubt(self.figures.get("warnings") or ()))
@@ -131,8 +135,23 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
         risks = stored_risks(figures, stored)
     if risks is not None:
         groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
+    worst = {} if risks is None else _at_worst(risks)
+    lost = (stored.outcome == Outcome.ABORTED) & (stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)
+    if lost.any():
+        more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
+        worst["deformation"] = tuple(np.concatenate(pair) for pair in zip(groups["deformation"], more, strict=True))
     doubted = (f"{folder}: {line}" for line in in_doubt(figures.get("warnings") or ()))
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted)), stored
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted), worst), stored
+
+
+def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
+    """Return the groups of the crude risks some of whose crossings were aborted, as if the car had hit in these."""
+    found = {}
+    for one in risks.scales:
+        if one.value is not None and one.subsets is None and one.number_of(Touch.ABORTED):
+            hits = np.where(one.touches == Touch.ABORTED, int(Touch.FRONT), one.touches)
+            found[f"risk_{one.scale:g}"] = replace(one, touches=hits).groups
+    return found
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:

@@ -20,6 +20,7 @@ from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hol
 from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
+from skd_evaluator.measure.aborted import aborted_lines
 from skd_evaluator.measure.doubt import in_doubt
 
 if TYPE_CHECKING:
@@ -142,6 +143,7 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks), read=read)
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
+            remarks += aborted_lines(found.figures)
             starts = starts_that_differ(folder, figures, stored)
             if starts is not None:
                 (problems if starts.refused else remarks).append(starts.line)

@@ -102,17 +102,25 @@ def print_result(
         failures.append(unlogged)
     for why in failures:
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
-    if (out.path / "logs").is_dir():  # of the node graph
-        say_aborted(arguments.command, rating.reasons, rating.episodes, out)
+    # How many of which is among the warnings, and the reason among the failures, if they are too many.
+    logs = out.path / "logs"
+    if rating.reasons and (logs.is_dir() or not any(most_frequent(rating.reasons) in why for why in failures)):
+        print(f"skd {arguments.command}: why episodes were aborted: {_reasons(rating.reasons, logs)}", file=sys.stderr)
     return 1 if failures else 0
 
 
 def say_aborted(command: str, reasons: Sequence[str], episodes: int, out: ResultFolder) -> None:
-    """Say how many episodes of a graph were aborted and why, and which log says more; nothing if none was."""
+    """Say how many episodes were aborted and why, and which log of a graph says more; nothing if none was."""
     if reasons:
-        log = log_of(out.path / "logs", most_frequent(reasons))
-        counts = f"{len(reasons)} of {counted(episodes, 'episode')} aborted ({counts_in_words(reasons)})"
-        print(f"skd {command}: {counts}; log: {log}", file=sys.stderr)
+        aborted = f"{len(reasons)} of {counted(episodes, 'episode')} aborted"
+        print(f"skd {command}: {aborted}: {_reasons(reasons, out.path / 'logs')}", file=sys.stderr)
+
+
+def _reasons(reasons: Sequence[str], logs: Path) -> str:
+    """Return in words why episodes were aborted: which log of a graph says more, or else the most frequent reason."""
+    first = most_frequent(reasons)
+    more = f"log: {log_of(logs, first)}" if logs.is_dir() else f"the first one so: {first}"
+    return f"{counts_in_words(reasons)}; {more}"
 
 
 def print_tables(result: Mapping[str, Any], *, details: bool) -> None:

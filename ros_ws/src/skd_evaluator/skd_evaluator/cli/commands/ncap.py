@@ -26,7 +26,7 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.measure.doubt import disbelief
-from skd_evaluator.ncap.doubts import Seen, clipped, doubts_of
+from skd_evaluator.ncap.doubts import Seen, aborted, clipped, doubts_of
 from skd_evaluator.ncap.judging import Asked, judged_grid
 from skd_evaluator.ncap.points import HOW, points_of, with_calculator
 from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return _INTERRUPTED
-    warnings = tuple(clipped(seen))
+    warnings = (*aborted(seen), *clipped(seen))
     if not (car := asked.plan.car).is_own:
         fresh = partial(InProcessRunner, 1, isolated=True)
         again = doubts_of_episodes(car, seen.kamikazes, seen.led, fresh, seen.tests)

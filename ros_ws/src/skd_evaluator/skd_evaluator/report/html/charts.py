@@ -78,6 +78,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             budgets = [
                 {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])}
                 for point in (one.curve or {})["budgets"]
+                if point["attempts"]
             ]
     scale = {"domain": names, "range": colours}
     legend = (

@@ -10,6 +10,7 @@ from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.episode.episode import Mode
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
+from skd_evaluator.measure.aborted import aborted_lines
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
@@ -60,6 +61,7 @@ def warnings_of(subject: Subject) -> list[str]:
     for kind, reasons in figures["aborted_reasons"].items():
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
         found.append(f"{counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
+    found += [line for line in aborted_lines(figures) if line not in figures["warnings"]]  # older results do not say
     for row in figures["per_safe_trajectory"]:
         if not row["safe"]:
             found.append(

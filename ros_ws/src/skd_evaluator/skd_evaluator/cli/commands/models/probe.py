@@ -89,8 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd probe: {problem}", file=sys.stderr)
     if problem or disbelief(doubts):
         return 1
-    if arguments.graph:
-        say_aborted("probe", [log.reason for log in aborted], len(logs), out)
+    say_aborted("probe", [log.reason for log in aborted], len(logs), out)
     if len(aborted) == len(logs):
         print(f"skd probe: all episodes were aborted: {aborted[0].reason}", file=sys.stderr)
         return 1

@@ -1,0 +1,250 @@
+"""What aborted episodes may hide: of which figures they are, what these would be at worst, and what no gate passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from skd_evaluator.assessing.findings import any_aborted, too_many_aborted, why_failed
+from skd_evaluator.campaign.compare.gate import Limit, check_limits
+from skd_evaluator.campaign.judge.held_kamikazes import held_to
+from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.plan.options import WALKERS
+from skd_evaluator.campaign.store.episodes_file import _risk_columns
+from skd_evaluator.campaign.store.rebuilt import recompute
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.measure.aborted import aborted_lines, at_worst, lost_in
+from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.measure.risks import Risks, ScaleRisk, Touch
+from skd_evaluator.measure.vulnerability_curve import BudgetPoint, budget_points
+from skd_evaluator.pytest_plugin import Assessed
+from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
+from skd_sim.choices.objective import Objective
+from skd_sim.episode.episode import Episode, Mode, Outcome
+from test_campaign import attempt, straight
+from test_doubts import PLAN, assessed
+
+MANY = replace(PLAN, kamikaze_count=50, collision_runs=40)
+_FIGURES = ("collision_rate", "hit_rate", "kamikaze_success_rate", "objectives.paper.success_rate")
+
+
+def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Rating:
+    """A car of which the first episodes on the first φ end so; kamikazes collide, and of others one in twenty."""
+
+    def decide(episode: Episode) -> tuple[Outcome, int]:
+        if episode.mode == mode and episode.safe_trajectory.name == "one" and attempt(episode) < count:
+            return lost, 0
+        hit = episode.mode == Mode.KAMIKAZE or attempt(episode) == 19
+        return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
+
+    return assessed(decide, plan)
+
+
+def with_risk(*touches: Touch, lost: int = 0) -> Rating:
+    scales = [ScaleRisk(1.0, np.array(touches, np.int64), 2, lost=lost)]
+    return replace(rating(0), risks=Risks(load_behaviour(WALKERS).as_dict(), scales))
+
+
+def test_each_figure_is_held_against_the_limit_on_its_own() -> None:
+    """3 of 40 are too many, be they 3 of 140 in all; one of 10 is one."""
+    found = rating(3)
+    assert (len(found.reasons), found.episodes) == (3, 140)
+    assert (too_many_aborted(found, 0.05) or "").startswith("3 of 40 runs along φ were aborted, more than --max-abort")
+    assert why_failed(found, 0.05)
+    assert too_many_aborted(found, 0.08) is None
+    one = rating(1, plan=replace(MANY, collision_runs=10))
+    assert too_many_aborted(one, 0.05) is None
+    assert too_many_aborted(one, 0.0)
+    kamikazes = rating(4, mode=Mode.KAMIKAZE, plan=replace(MANY, kamikaze_count=20, collision_runs=400))
+    assert "4 of 44 kamikazes of objective paper were aborted" in (too_many_aborted(kamikazes, 0.05) or "")
+
+
+def test_crossings_are_held_against_it_too() -> None:
+    some = [Touch.NONE] * 17 + [Touch.ABORTED] * 2
+    found = with_risk(*some)
+    assert too_many_aborted(found, 0.05) == (
+        "2 of 19 crossings of the risk at scale 1 were aborted, more than --max-aborted 5 %"
+    )
+    assert too_many_aborted(with_risk(*some[:-1]), 0.05) is None
+    curve = replace(rating(0), budgets=tuple(budget_points([BudgetPoint(0.5, 1, 18, 2)])))
+    every = replace(rating(12), risks=found.risks)
+    assert (too_many_aborted(every, 0.05) or "").startswith(
+        "12 of 140 episodes, 2 of 19 crossings of the risk at scale 1 were aborted, more than --max-aborted 5 %; 12 of "
+    )
+    assert "2 of 20 kamikazes held to η = 0.5 m" in (too_many_aborted(curve, 0.05) or "")
+    assert aborted_lines(curve.as_dict()) == [
+        "2 of 20 kamikazes held to η = 0.5 m were aborted and count for nothing; if the car had hit in all of them, "
+        "the share of these that are hit would be 15.0 % in place of 5.6 %"
+    ]
+
+
+@pytest.mark.parametrize("mode", [Mode.REPLAY, Mode.KAMIKAZE])
+@pytest.mark.parametrize("name", _FIGURES)
+def test_the_worst_is_what_the_same_episodes_give_with_hits(mode: Mode, name: str) -> None:
+    def of(result: Any) -> float:
+        for word in name.split("."):
+            result = result[word]
+        return float(result)
+
+    # Kamikazes go on until enough have collided: those that were run in place of aborted ones stay.
+    found = rating(2, mode=mode).as_dict()
+    plan = MANY if mode == Mode.REPLAY else replace(MANY, kamikaze_count=52)
+    worst = rating(2, Outcome.COLLISION, mode, plan).as_dict()
+    told = at_worst(found, name)
+    along = "rate" in name and "success" not in name
+    if along != (mode == Mode.REPLAY):
+        assert told is None
+    elif along:
+        assert told is not None
+        assert told.value == of(worst) == pytest.approx(4 / 40)
+    else:
+        assert told is not None
+        assert told.value == of(worst) == 1.0
+
+
+def test_the_worst_of_a_length_is_that_with_hits_at_none() -> None:
+    found = rating(2, mode=Mode.KAMIKAZE).as_dict()
+    assert (found["pairs"], found["kamikaze_aborted"]) == (100, 2)
+    for name in ("deformation", "skd", "objectives.paper.skd_prefix"):
+        values = np.full(100, found["objectives"]["paper"][name.rpartition(".")[2]])
+        told = at_worst(found, name)
+        assert told is not None
+        assert told.value == pytest.approx(np.mean([*values, 0.0, 0.0]))
+    rows = found["objectives"]["paper"]["per_safe_trajectory"]
+    assert [at_worst(found, f"per_safe_trajectory.{row}.skd") is None for row in (0, 1)] == [False, True]
+    told = at_worst(found, "objectives.paper.per_safe_trajectory.0.skd")
+    assert told is not None
+    assert told.value == pytest.approx(50 * rows[0]["skd"] / 52)
+    assert all(at_worst(found, name) is None for name in ("margin", "mean_impact_speed", "nonsense.of.mine", "seed"))
+
+
+def test_the_worst_of_a_risk_is_that_with_hits() -> None:
+    touches = [Touch.NONE, Touch.FRONT, Touch.ABORTED, Touch.STANDING] * 5
+    found = with_risk(*touches).as_dict()
+    hits = with_risk(*(Touch.FRONT if one == Touch.ABORTED else one for one in touches)).as_dict()
+    for name in ("risk_1", "risk.scales.0.value"):
+        told = at_worst(found, name)
+        assert told is not None
+        assert told.value == hits["risk_1"] == 0.5
+    assert aborted_lines(found) == [
+        "5 of 20 crossings of the risk at scale 1 were aborted and count for nothing; if the car had hit in all of "
+        "them, R(1) would be 50.0 % in place of 33.3 %"
+    ]
+
+
+def test_nothing_is_said_where_nothing_was_aborted() -> None:
+    found = replace(with_risk(Touch.NONE), budgets=(BudgetPoint(0.5, 1, 18),))
+    assert not any_aborted(found)
+    assert lost_in(found.as_dict()) == aborted_lines(found.as_dict()) == []
+    assert too_many_aborted(found, 0.0) is None
+
+
+def test_what_is_lost_is_said_of_one_and_of_all() -> None:
+    assert aborted_lines(rating(1).as_dict()) == [
+        "1 of 40 runs along φ was aborted and counts for nothing; if the car had hit in it, the collision rate would "
+        "be 7.5 % in place of 5.1 %"
+    ]
+    (line,) = aborted_lines(with_risk(Touch.ABORTED, Touch.ABORTED).as_dict())
+    assert line.endswith("were aborted and count for nothing; no other is left, so R(1) is not known")
+
+
+@pytest.mark.parametrize(
+    ("limit", "is_least", "outcome"),
+    [
+        (0.10, False, "passed"),  # at worst 4 of 40
+        (0.09, False, "error"),
+        (0.06, False, "error"),
+        (0.05, False, "failed"),  # 2 of 38 are more already
+        (0.05, True, "passed"),
+    ],
+)
+def test_a_gate_takes_rates_at_their_worst(limit: float, is_least: bool, outcome: str) -> None:
+    """A car that ends its process before it hits had passed."""
+    (check,) = check_limits(rating(2).as_dict(), [Limit("collision_rate", limit, is_least)])
+    assert (check.passed, check.error, check.failed) == (outcome == "passed", outcome == "error", outcome == "failed")
+    if check.error:
+        assert check.text == (
+            f"not judged: collision_rate is 0.0526316, below {limit:g}, and it would be 0.1 if the car had hit in the "
+            "2 of 40 runs along φ that were aborted"
+        )
+
+
+def test_a_gate_takes_lengths_at_their_worst() -> None:
+    found = rating(2, mode=Mode.KAMIKAZE).as_dict()
+    skd = found["skd"]
+    checks = check_limits(found, [Limit("skd", factor * skd) for factor in (1.01, 0.99, 0.97)])
+    assert [(one.failed, one.error) for one in checks] == [(True, False), (False, True), (False, False)]
+
+
+def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> None:
+    car = Assessed(SimpleNamespace(as_dict=rating(2).as_dict), Path("r"))  # type: ignore[arg-type]
+    assert car.collision_rate == pytest.approx(2 / 38)
+    assert car.collision_rate < 0.11
+    assert 0.0 <= car.collision_rate <= 0.1
+    assert not car.collision_rate <= 0.05
+    with pytest.raises(AssessmentError, match=r"collision_rate is 0.0526316, and it would be 0.1 if .* 2 of 40 runs"):
+        assert car.collision_rate < 0.06
+    with pytest.raises(AssessmentError, match="not judged"):
+        assert car.collision_rate <= 0.06
+    with pytest.raises(AssessmentError, match="not judged"):
+        assert car.collision_rate < 0.06
+    assert type(Assessed(SimpleNamespace(as_dict=rating(0).as_dict), Path("r")).collision_rate) is float  # type: ignore[arg-type]
+
+
+class Aborting:
+    """Crossings that are hit by nobody, but for one that is aborted."""
+
+    car_normals = 0
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        touch = np.zeros(len(crossings), np.int64)
+        touch[3] = Touch.ABORTED
+        return Ends(touch, np.where(touch == Touch.ABORTED, np.inf, 1.0))
+
+
+def test_subset_simulation_ends_with_the_first_aborted_crossing() -> None:
+    """It had counted as a miss."""
+    here = Encounter(PLAN, (straight(),), np.ones(12) * 0.1)
+    with pytest.raises(AbortedCrossingsError) as told:
+        levels_of(here, Aborting(), 1.0, Effort(2, 100, 3))
+    assert told.value.count == 1
+
+
+def test_a_risk_whose_subset_simulation_was_aborted_is_not_known(tmp_path: Path) -> None:
+    found = with_risk(Touch.NONE, Touch.NONE, lost=2)
+    content = found.as_dict()
+    assert (content["risk_1"], content["risk_1_ci95"], content["risk_1_ci95_runs"]) == (None, None, None)
+    (scale,) = content["risk"]["scales"]
+    assert scale["note"] == ("not known: 2 crossings were aborted in subset simulation; none of them counts as a miss")
+    assert aborted_lines(content) == ["R(1) is not known: 2 crossings of subset simulation were aborted"]
+    (check,) = check_limits(content, [Limit("risk_1", 0.9, is_least=False)])
+    assert check.error
+    write_assessment(tmp_path, found)
+    again = recompute(content, read_episodes(tmp_path))
+    assert not [one for one in again.contradict if one.name.startswith("risk")]
+    forged = {**content, "risk_1": 0.25}
+    assert "risk_1" in {one.name for one in recompute(forged, read_episodes(tmp_path)).contradict}
+    assert "risk_lost" not in {*_risk_columns(with_risk(Touch.NONE))}  # of a car without any the file is as ever
+
+
+def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
+    ends = {0: Outcome.ABORTED, 1: Outcome.COLLISION}
+
+    class Runner:
+        def run(self, episodes: list[Episode]) -> Any:
+            for number, episode in enumerate(episodes):
+                (log,) = rating(0).assessments[0].kamikaze[0].logs[:1]
+                yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
+
+    plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEFORMATION)
+    point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner(), [])
+    assert (point.attempts, point.aborted) == (9, 1)
+    every = BudgetPoint(0.5, 0, 0, 3)
+    assert (every.probability, budget_points([every])) == (None, [every])
