@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,17 +18,21 @@ from cli_support import SMALL, one_line
 from skd_evaluator.campaign.compare.gate import Check, Limit, check_limits, check_not_worse
 from skd_evaluator.campaign.judge.rating import rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.figure_names import check_figure, figure, scalar_figures
 from skd_evaluator.campaign.store.results import write_assessment
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.gate import Gate
+from skd_evaluator.measure.aborted import at_worst
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
+from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
@@ -118,6 +123,35 @@ def test_a_car_is_held_against_an_earlier_one(cars):
     assert "less safe" in worse.text
     assert check_not_worse(safe, read_result(easily_hit)).passed
     assert check_not_worse(safe, read_result(safe)).passed
+
+
+class Aborting:
+    """A runner of whose kamikazes every second attempt is aborted."""
+
+    def __init__(self, runner: InProcessRunner) -> None:
+        self.runner = runner
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for log in self.runner.run(episodes):
+            lost = log.episode.mode == Mode.KAMIKAZE and log.episode.episode_id % 2
+            yield aborted(log.episode, "process ended: it did") if lost else log
+
+
+def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tmp_path):
+    """It passed: its planned deformation is that of the attempts that it let go on."""
+    plan = replace(PLAN, multiplier=1.15)
+    with InProcessRunner(1) as runner:
+        safe = safe_trajectories(PLAN, runner)
+        write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner), lambda *_progress: None))
+    earlier, mine = read_result(cars[1.15]), read_result(tmp_path)
+    counts = mine.figures["objectives"]["deformation"]
+    assert sum(map(len, mine.worst["deformation"])) == counts["attempts"] + counts["aborted"]
+    assert mean(np.concatenate(mine.worst["deformation"])) == pytest.approx(at_worst(mine.figures, "deformation").value)
+    found = check_not_worse(tmp_path, earlier)
+    assert (found.failed, found.error) == (False, True)
+    assert "it would be less safe by deformation if it had hit in all of its aborted episodes" in found.text
+    assert check_not_worse(tmp_path, mine).error
+    assert check_not_worse(cars[1.15], mine).passed
 
 
 def doubted(folder: Path, to: Path) -> Path:
