@@ -12,7 +12,9 @@ from skd_evaluator.assessing.otherwise import (
     first_run_flatters,
     flattered,
     further_of,
+    hid_hits,
     is_same,
+    lost_of,
     named,
     one_run_stands_apart,
     some_of,
@@ -24,6 +26,7 @@ from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_traje
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
 PLAN = Plan(load_scenario("crossing"), safe_count=1, simulations=5)
@@ -55,6 +58,34 @@ def test_how_many_are_run_again() -> None:
         assert len({*map(id, first), *map(id, second)}) == some + further
     aborted = [replace(logs[0], outcome=Outcome.ABORTED) for _ in range(30)]
     assert some_of(aborted) == further_of(aborted, []) == []
+
+
+def test_only_aborted_episodes_whose_process_ended_are_run_again() -> None:
+    ended = abort_reason(AbortKind.ENDED, "it died")
+    aborted = replace(log_of(), outcome=Outcome.ABORTED, reason=ended)
+    silent = replace(aborted, reason=abort_reason(AbortKind.NO_ANSWER, "for 60 s"))
+    assert lost_of([log_of(), aborted, silent]) == [aborted]
+    assert len(lost_of([aborted] * 30)) == 8
+
+
+def test_aborted_episodes_hid_hits_where_they_collide_more_often_than_others() -> None:
+    """A crash by chance hits as many of those that collide as of others; one that aborts again tells nothing."""
+
+    def hid(again: str, others: str, mode: Mode = Mode.REPLAY) -> tuple[str, ...]:
+        ends = {"h": Outcome.COLLISION, ".": Outcome.ARRIVED, "a": Outcome.ABORTED}
+        lost = replace(log_of(mode), outcome=Outcome.ABORTED)
+        pairs = [(lost, replace(lost, outcome=ends[letter])) for letter in again]
+        crossings = [log_of(stage=Stage.RISK, outcome=Outcome.COLLISION)] * 50
+        logs = [lost, *(log_of(mode, outcome=ends[letter]) for letter in others), *crossings]
+        return hid_hits("my:Car", pairs, logs)
+
+    assert hid("aaaa", "." * 90) == hid("....", "." * 90) == hid("", "h." * 50) == ()
+    (line,) = hid("aha.", "." * 90)  # 2 of 92 by Laplace's rule: (1 − 91/92 ** 2) = 0.02
+    assert line.startswith(f"{DISBELIEF}1 of 2 aborted episodes (runs along φ) collided when they were run again in a")
+    assert "and of others 0 of 90 had: my:Car" in line
+    assert hid("h.", "h" * 10 + "." * 80) == ()  # binomtest(1, 2, 11/92, alternative="greater").pvalue is 0.22
+    assert hid("hhh", "h" * 10 + "." * 80)  # and of 3 of 3 it is 0.002
+    assert hid("hhhh", "h" * 90 + "." * 20, Mode.KAMIKAZE) == ()  # as most kamikazes do
 
 
 def test_of_three_runs_by_chance_none_stands_apart_more_often_than_the_others() -> None:

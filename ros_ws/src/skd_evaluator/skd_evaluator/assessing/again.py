@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.otherwise import further_of, is_same, named, some_of, went_otherwise
+from skd_evaluator.assessing.otherwise import further_of, hid_hits, is_same, lost_of, named, some_of, went_otherwise
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.lot import shuffled, spread_by_lot
 from skd_evaluator.campaign.run.alone import Alone, Questions, overhear
@@ -116,7 +117,8 @@ def doubts_of_the_controller(rating: Rating, fresh: Fresh) -> tuple[str, ...]:
         rating: the rating, whose episodes have been run in process.
         fresh: makes a new process in which episodes are run again; see `Fresh`.
     """
-    logs = (*rating.kamikaze_logs, *rating.replays)
+    lost = [log for one in rating.assessments for group in one.kamikaze for log in group.lost]
+    logs = (*rating.kamikaze_logs, *rating.replays, *lost)
     return doubts_of_episodes(rating.plan.car, logs, rating.led, fresh, rating.besides)
 
 
@@ -143,7 +145,8 @@ def doubts_of_episodes(
         # None of another simulator, which are slow.
         own = ([log for log in group if is_own_world(log.episode.simulator)] for group in (besides, logs))
         further = shuffled([log for group in own for log in further_of(group, some)])
-        return _doubts(car, some, further, spread_by_lot(led, WAYS), fresh, alone)
+        hidden = partial(_hidden_hits, car.controller, [*besides, *logs], some[0])
+        return _doubts(car, some, further, spread_by_lot(led, WAYS), fresh, alone, hidden)
 
 
 def _doubts(
@@ -153,6 +156,7 @@ def _doubts(
     led: Sequence[LedWay],
     fresh: Fresh,
     alone: Alone,
+    hidden: Callable[[ExecutorRunner], tuple[str, ...]],
 ) -> tuple[str, ...]:
     name, every = car.controller, [*logs, *further]
     try:
@@ -163,6 +167,7 @@ def _doubts(
             seconds = time.perf_counter() - begin
             again = [*(one.log for one in heard), *runner.map(_led_again, further)]
             ways = list(runner.map(led_again, led))
+            hid = hidden(runner)
     except (AssessmentError, UsageError) as error:
         return (
             f"{DOUBT}when {len(every)} episodes were run again to see whether they go as before, this came of it: "
@@ -183,11 +188,20 @@ def _doubts(
                 f"{DISBELIEF if sure else DOUBT}{copies}{hits}: the margin {'is' if sure else 'may be'} that of "
                 "another car",
             )
-        return found
+        return (*found, *hid)
     doubts = _doubts_alone(name, alone, heard, _SLOWER * seconds)
     if otherwise:
         doubts += (f"{DISBELIEF}{copies}: the margin is that of another car",)
-    return doubts
+    return (*doubts, *hid)
+
+
+def _hidden_hits(name: str, logs: Sequence[EpisodeLog], fine: EpisodeLog, runner: ExecutorRunner) -> tuple[str, ...]:
+    """Run some aborted episodes again, each after one that is fine; see `hid_hits`.
+
+    Where one process after the other ends before it has finished anything, the work would end.
+    """
+    pairs = [(log, list(runner.run([fine.episode, log.episode]))[1]) for log in lost_of(logs)]
+    return hid_hits(name, pairs, logs)
 
 
 def _doubts_alone(name: str, alone: Alone, heard: Sequence[Heard], limit: float) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
+from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
 from skd_evaluator.campaign.plan.lot import spread_by_lot
@@ -18,6 +19,8 @@ EPISODES = 12
 """So many are run again as they were, one by lot of each of as many parts of all."""
 FURTHER, SHARE = 48, 20
 """So many more at most, and one of so many, are run again with somebody who is led where whoever planned had gone."""
+LOST = 8
+"""So many that were aborted are run again at most."""
 _BY_CHANCE = 0.05  # so seldom may chance alone have so many collisions come, and so few go
 _FAR = 10.0  # times as far apart, so that it is no chance of the same noise
 _OF_STAGES = {
@@ -32,6 +35,7 @@ _FIGURES_OF = {
     Stage.PROBE: "episodes to learn from",
     Stage.LEARNING: "episodes to learn from",
 }
+_RATED = "kamikazes and runs along φ"
 
 _Item = TypeVar("_Item")
 Pair = tuple[EpisodeLog, EpisodeLog]
@@ -48,6 +52,50 @@ def further_of(logs: Sequence[EpisodeLog], but: Sequence[EpisodeLog]) -> list[Ep
     taken = set(map(id, but))
     left = [log for log in logs if log.outcome != Outcome.ABORTED and id(log) not in taken]
     return spread_by_lot(left, min(FURTHER, max(EPISODES, len(logs) // SHARE)))
+
+
+def lost_of(logs: Sequence[EpisodeLog]) -> list[EpisodeLog]:
+    """Return a few episodes whose process ended; who gave no answer takes as long as it may each time."""
+    ended = [log for log in logs if log.outcome == Outcome.ABORTED and kind_of(log.reason) == AbortKind.ENDED]
+    return spread_by_lot(ended, LOST)
+
+
+def hid_hits(name: str, lost: Sequence[Pair], logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
+    """Return, in a line, that aborted episodes surely collide more often when they are run again than others have.
+
+    Whoever crashes by chance does so in those that collide as often as in others. One that is aborted again says
+    nothing. Empty where chance explains it.
+
+    Args:
+        name: name of the car.
+        lost: the aborted episodes with their second runs.
+        logs: all episodes.
+    """
+    kinds: dict[tuple[str, Mode], list[bool]] = {}
+    for one, again in lost:
+        if again.outcome != Outcome.ABORTED:
+            kinds.setdefault(_of(one), []).append(again.outcome == Outcome.COLLISION)
+    for kind, hits in kinds.items():
+        others = [
+            log.outcome == Outcome.COLLISION for log in logs if log.outcome != Outcome.ABORTED and _of(log) == kind
+        ]
+        share = (sum(others) + 1) / (len(others) + 2)  # none of few does not mean never
+        if sum(hits) and _at_least(sum(hits), len(hits), share) < _BY_CHANCE / len(kinds):
+            return (
+                f"{DISBELIEF}{sum(hits)} of {len(hits)} aborted episodes ({_in_words(*kind)}) collided when they were "
+                f"run again in a new process, and of others {sum(others)} of {len(others)} had: {name} ends its "
+                "process more often where it is about to collide, and its figures leave that out",
+            )
+    return ()
+
+
+def _of(log: EpisodeLog) -> tuple[str, Mode]:
+    return figure_of(log), log.episode.mode
+
+
+def _in_words(figure: str, mode: Mode) -> str:
+    together = figure == _RATED
+    return ("kamikazes" if mode == Mode.KAMIKAZE else "runs along φ") if together else figure
 
 
 def is_same(first: EpisodeLog, second: EpisodeLog) -> bool:
@@ -202,7 +250,7 @@ def figure_of(log: EpisodeLog) -> str:
     """Return in words of which figure an episode is one."""
     if _is_way_of_search(log):
         return "ways of the margin's search"
-    return _FIGURES_OF.get(_stage(log), "kamikazes and runs along φ")
+    return _FIGURES_OF.get(_stage(log), _RATED)
 
 
 def named(log: EpisodeLog) -> str:
