@@ -108,6 +108,12 @@ def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, 
     assert [line for line in stored if line.startswith("do not believe these figures: ")] == [
         line for line in found["warnings"] if "were aborted, more than" in line
     ]
+    assert (
+        sum(
+            "1 of 2 kamikazes of objective paper was aborted and counts for nothing" in one for one in found["warnings"]
+        )
+        == 1
+    )
     with warnings.catch_warnings(record=True) as said:
         allowed = assess("quitter:Car", max_aborted=100, **QUITTED, **ALONE)
     assert not any("were aborted, more than" in str(one) for one in [*said, *allowed.warnings])

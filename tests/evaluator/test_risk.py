@@ -249,6 +249,24 @@ def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, mon
     assert found.scales[0].episodes >= 6 + 2 * 20
 
 
+def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings, monkeypatch):
+    """They counted as misses: of the crude crossings, which come first, none is aborted here."""
+    small = Effort(replicates=2, per_level=20, levels=2)
+    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.Effort", lambda: small)
+
+    class Quitter(InProcessRunner):
+        def run(self, episodes):
+            for log in super().run(episodes):
+                crude = split_episode_id(log.episode.episode_id)[2] < 1 << 31
+                yield log if crude else replace(log, outcome=Outcome.ABORTED, reason="process ended: it did")
+
+    with Quitter(1) as runner:
+        found = with_risks(ratings["carla"], RiskAsked(WALKERS, runs=6, subset=True), runner, quiet)
+    assert [(one.value, one.lost, one.runs) for one in found.risks.scales] == [(None, 20, 6)] * 3
+    assert found.as_dict()["risk_1"] is None
+    assert found.risk_note == ""
+
+
 def test_how_many_runs_there_are():
     asked, many = RiskAsked(WALKERS), replace(PLAN, collision_runs=500)
     assert runs_of(many, asked) == 2000
