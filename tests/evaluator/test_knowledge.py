@@ -185,8 +185,9 @@ def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.Monke
     others.append(folder_of(plan, None, None))
     (tmp_path / "its_law.py").write_text("GAIN = 2\n", encoding="utf-8")
     others.append(folder_of(plan, None, None))
-    external = replace(plan, controller="external")
-    others += [folder_of(external, "node --gain 1", {}), folder_of(external, "node --gain 2", {})]
+    external, node = replace(plan, controller="external"), tmp_path / "node"
+    node.touch()
+    others += [folder_of(external, f"{node} --gain 1", {}), folder_of(external, f"{node} --gain 2", {})]
     assert len({here, *others}) == 1 + len(others)
     assert folder_of(external, None, {}) is None  # whatever somebody has started
 

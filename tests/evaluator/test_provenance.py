@@ -38,7 +38,8 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     assert "--out 'out dir'" in said["command"]
     assert Path(said["folder"]) == here
     digest = hashlib.sha256(CONTROLLERS.encode()).hexdigest()
-    assert said["controller_files"] == [{"path": str(here / "my_cars.py"), "sha256": digest}]
+    assert said["controller_files"][0] == {"path": str(here / "my_cars.py"), "sha256": digest}
+    assert [one["path"] for one in said["controller_files"][1:]] == [str(here / "good.csv")]  # no result of it
     assert said["car_model_sha256"] is None
 
 

@@ -12,6 +12,13 @@ from typing import Final
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import real_path
 
+MARKERS: Final = (
+    "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
+    "fusion.json", "encounters.json", "behaviour.yaml", "ncap.json", "reference.json", "trend.json",
+    "export.json", "import.json", "simulator.json",
+)  # fmt: skip
+"""A folder with one of these holds results of ours."""
+
 
 def tails(folders: Sequence[Path]) -> list[str]:
     """Return of each folder as little of the end of its path as tells all of them apart."""

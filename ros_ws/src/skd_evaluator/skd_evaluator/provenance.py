@@ -9,16 +9,14 @@ import platform
 import shlex
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
-from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import sha256_of
-from skd_sim.program.places import users_first
+from skd_sim.choices.car_under_test import CarUnderTest
+
+from skd_evaluator.campaign.plan.car_files import car_files, controller_files, in_words
 
 _GIT_PATIENCE = 10.0  # s
 
@@ -43,11 +41,14 @@ def provenance(
     """
     now = datetime.datetime.now(datetime.UTC)
     around = surroundings_of(command) if surroundings is None else surroundings
-    files = controller_files(car, controller_command)
     return {
         "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
         **around,
-        "controller_files": [{"path": _in_words(path), "sha256": sha256_of(path)} for path in files],
+        "controller_files": [
+            {"path": path, "sha256": digest}
+            for path, digest in car_files(car, controller_command).digests.items()
+            if digest  # whoever has removed it meanwhile
+        ],
         "controller_git": around["controller_git"]
         if "controller_git" in around
         else controller_revision(car, controller_command, around["git"]),
@@ -62,14 +63,9 @@ def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "command": shlex.join(command),
-        "folder": _in_words(Path.cwd()),
+        "folder": in_words(Path.cwd()),
         "git": git_revision(),
     }
-
-
-def _in_words(path: Path) -> str:
-    """Return a path as a text that can be written: names of files may have bytes that are no UTF-8."""
-    return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | None) -> dict[str, Any] | None:
@@ -124,45 +120,3 @@ def _git(git: str, folder: Path, *words: str) -> str | None:
         )
         return done.stdout if done.returncode == 0 else None
     return None
-
-
-def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
-    """Return the files that say how a car drives, as far as names lead to them; nothing of them is run.
-
-    Of `package.module:Class`, or of a registered name, that is the module's; of a node's command line, every word that
-    names a file.
-    """
-    if car.is_external:
-        with suppress(ValueError):  # a quotation mark too many: it will not start either
-            return list(dict.fromkeys(_regular(shlex.split(command))))
-        return []
-    try:
-        target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
-    except UsageError:
-        return []
-    path = module_file(target)
-    return [] if path is None else [path]
-
-
-def _regular(names: Sequence[str]) -> Iterator[Path]:
-    for name in names:
-        with suppress(OSError, ValueError, RuntimeError):  # the last: of a home that nobody has
-            path = Path(name).expanduser().resolve()
-            if path.is_file() and os.access(path, os.R_OK):
-                yield path
-
-
-def module_file(target: str) -> Path | None:
-    """Return the file of the module in `package.module:Class`, if one can be read; nothing is imported."""
-    module = target.partition(":")[0]
-    search: Sequence[str] | None = users_first()
-    found = None
-    parts = module.split(".")
-    for number in range(1, len(parts) + 1):
-        found = None if search is None else PathFinder.find_spec(".".join(parts[:number]), list(search))
-        if found is None:
-            return None
-        search = found.submodule_search_locations
-    if found is None or found.origin is None:
-        return None
-    return next(_regular([found.origin]), None)

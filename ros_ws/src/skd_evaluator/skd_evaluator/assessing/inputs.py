@@ -13,9 +13,9 @@ from skd_sim.encounter.known_scenarios import SCENARIOS, is_named, lineage
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import real_path
 
+from skd_evaluator.campaign.plan.car_files import controller_files
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
 from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.provenance import controller_files
 
 _WRITTEN = ("out", "junit", "markdown", "csv")
 """Options that name what is written."""

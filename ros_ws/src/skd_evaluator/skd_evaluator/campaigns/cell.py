@@ -13,12 +13,12 @@ from skd_sim.choices.options import options_of, values_of
 from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.inputs.outside import sha256_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.campaign.judge.held_kamikazes import BUDGETS, held_attempts
+from skd_evaluator.campaign.plan.car_files import CarFiles, car_files
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
@@ -26,7 +26,6 @@ from skd_evaluator.campaigns.campaign_file import Combination
 from skd_evaluator.campaigns.episode_record import digest_of, digest_of_trajectory
 from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
-from skd_evaluator.provenance import controller_files, module_file
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 
 
@@ -47,6 +46,7 @@ class Cell:
         swept: the values that the campaign sweeps, by key.
         identity: all that its figures depend on, as plain data.
         where: its place in the campaign file, for error lines.
+        not_compared: why not all files of its car are part of its identity; empty: all that are known of are.
     """
 
     name: str
@@ -61,6 +61,7 @@ class Cell:
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
     where: str
+    not_compared: str = ""
 
     @property
     def key(self) -> bytes:
@@ -138,6 +139,7 @@ def _cell(
     if values["curve"] and graph:
         raise UsageError("curve goes with assessments in process: leave out graph")
     risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
+    files = _files_of(plan, objectives, values["controller_command"] or "")
     return Cell(
         one.name,
         plan,
@@ -149,9 +151,17 @@ def _cell(
         risk,
         values["startup_timeout"],
         one.swept,
-        _identity(one, plan, objectives, safe, risk),
+        _identity(one, plan, objectives, safe, risk, files),
         one.where,
+        files.why_not,
     )
+
+
+def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> CarFiles:
+    """Return the files of a car, and of plug-ins by which it is rated."""
+    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
+    others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
+    return car_files(plan.car, command, others)
 
 
 def _identity(
@@ -160,6 +170,7 @@ def _identity(
     objectives: Sequence[Objective],
     safe: Sequence[Trajectory] | None,
     risk: RiskAsked,
+    files: CarFiles,
 ) -> dict[str, Any]:
     """Return all that the figures of a cell depend on."""
     values = one.values
@@ -167,11 +178,6 @@ def _identity(
     options["objective"] = ",".join(objectives)
     options["car_model"] = _sha256(plan.car_model.encode()) if plan.car_model else ""
     further = ("graph", "floor", "margin_limit", "curve")
-    command = values["controller_command"] or ""
-    files = controller_files(plan.car, command)
-    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
-    others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
-    files += [path for path in map(module_file, others) if path is not None]
     graph: dict[str, Any] = {}
     if values["graph"]:  # else these are of no effect
         graph = {
@@ -185,7 +191,7 @@ def _identity(
         "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
-        "file": {str(path): sha256_of(path) for path in files},
+        "file": files.digests,
         "environment": dict(likeness()),
     }
 

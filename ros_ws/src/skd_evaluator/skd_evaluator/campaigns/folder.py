@@ -25,12 +25,12 @@ from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessing.inputs import lies_in
-from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.campaign.store.results import MARKERS
+from skd_evaluator.campaign.store.manifest import MANIFEST, hold, read_manifest, write_manifests
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
 from skd_evaluator.campaigns.rows import CHECKED
 from skd_evaluator.campaigns.store import FILE_NAME as STORE
+from skd_evaluator.files import MARKERS
 from skd_evaluator.temporary_folders import PREFIX, make_temporary
 
 if TYPE_CHECKING:
@@ -154,8 +154,10 @@ class CampaignFolder:
         now = {str(cell["name"]): cell for cell in json.loads(json.dumps(asked))["cells"]}
         advice = "put it back, or give another --out"
         for name in itertools.chain(then.keys() - now.keys(), now.keys() - then.keys()):
-            what = "is no longer asked for" if name in then else "was not asked for"
-            raise UsageError(f"{self._option}: cell {name} {what} when this campaign began; {advice}")
+            then_or_now = "was asked for when this campaign began, and is not now"
+            if name in now:
+                then_or_now = "was not asked for when this campaign began, and is now"
+            raise UsageError(f"{self._option}: cell {name} {then_or_now}; {advice}")
         for name, cell in now.items():
             first, second = flat(then[name]), flat(cell)
             for key in [*second, *first]:
@@ -234,6 +236,30 @@ class CampaignFolder:
         _to_disk(self.path, only=True)
         return digests
 
+    def sign_cell(self, name: str) -> bool:
+        """Sign a cell that was done before, whose result has been checked, and return whether that was to be done.
+
+        Raises:
+            UsageError: it is signed by another key, or is not what was signed, or not what was written.
+            OSError: it cannot be written.
+        """
+        folder = self.path / name
+        if self._signer is None or self._signer.has_signed(folder / MANIFEST):
+            return False
+        manifest = read_manifest(folder)
+        if manifest is None:
+            raise UsageError(
+                f"{folder}: has no {MANIFEST} that could be signed; remove it, and --resume makes it again"
+            )
+        held = hold(folder, manifest)
+        if strange := (*held.changed, *held.missing):
+            raise UsageError(
+                f"{folder / strange[0]}: is not what was written, and so is not signed; remove {folder}, and --resume "
+                "makes it again"
+            )
+        self._signer.sign(folder / MANIFEST)
+        return True
+
     def write_rows(self, content: Mapping[str, Any], columns: Sequence[str]) -> None:
         """Write campaign.json and, of its rows, campaign.csv."""
         write_safely(self.path / CAMPAIGN, _json(content))
@@ -295,7 +321,8 @@ def _difference(cell: str, key: str, before: Any, now: Any) -> str:
     """Return what has changed in a cell, in words."""
     kind, _, name = key.partition(".")
     if kind == "file":
-        return f"{name}, which cell {cell} drives with, has changed"
+        what = "was not there: it has come" if before is None else "is gone" if now is None else "has changed"
+        return f"{name}, one of the files of the car of cell {cell}, {what}"
     if kind == "environment":
         return f"{name} has changed from {before} to {now}"
     if kind == "safe_trajectories":

@@ -28,7 +28,7 @@ from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.attempts import SEED, finished, own_attempts
-from skd_evaluator.learning.kept_models import folder_of, keep_model, kept_model
+from skd_evaluator.learning.kept_models import day_of, files_of, folder_of, keep_model, kept_model
 from skd_evaluator.learning.waiting import with_waiting_reward
 from skd_evaluator.version import version
 
@@ -54,16 +54,19 @@ class Lesson:
         folder: folder in which the model is kept; None: it is not kept.
         fresh: whether it was learned just now.
         seconds: wall-clock time that it took.
+        compared: with what a model that was learned before goes, or why none is kept, in words.
     """
 
     text: str
     folder: Path | None
     fresh: bool
     seconds: float
+    compared: str = ""
 
     def line(self) -> str:
         """Return what a user should know, in one line."""
-        where = "" if self.folder is None else f", kept in {self.folder}"
+        where = f", {self.compared}" if self.compared else ""
+        where += "" if self.folder is None else f", kept in {self.folder}"
         done = f"{PROBES} probes and {ATTEMPTS} attempts of kamikazes in {self.seconds:.0f} s"
         said = f"learned the car from {done}{where}" if self.fresh else f"the car was learned before{where}"
         return f"{said}; --knowledge nothing does without"
@@ -102,23 +105,40 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        folder = folder_of(plan, command, graph)
-        lesson = _lesson(plan, runner, progress, folder, believed, graph=graph is not None)
+        lesson = _lesson(plan, runner, progress, believed, command, graph)
     say(lesson.line())
     return replace(plan, car_model=lesson.text)
 
 
 def _lesson(
-    plan: Plan, runner: EpisodeRunner, progress: Progress, folder: Path | None, believed: Believed, *, graph: bool
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    believed: Believed,
+    command: str | None,
+    graph: Mapping[str, Any] | None,
 ) -> Lesson:
     begin = time.perf_counter()
+    folder, files = folder_of(plan, command, graph), files_of(plan, command)
     known = None if folder is None else kept_model(folder, plan.scenario)
     if known is not None:
-        return Lesson(known, folder, fresh=False, seconds=0.0)
+        same = f"on {day_of(folder)} with the same {_counted(len(files.all))}" if folder else ""
+        same += " (all that its command names)" if plan.car.is_external else ""
+        return Lesson(known, folder, fresh=False, seconds=0.0, compared=same)
     seen: list[EpisodeLog] = []
-    car = lesson_of(plan, runner, progress, InProcessRunner(1) if graph else runner, seen)
-    kept = believed(seen, lambda: folder is not None and keep_model(folder, car))
-    return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=time.perf_counter() - begin)
+    car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1), seen)
+
+    def keep() -> bool:
+        """Keep the model, unless files of the car have changed since it began to be learned."""
+        return folder is not None and folder_of(plan, command, graph) == folder and keep_model(folder, car)
+
+    kept, seconds = believed(seen, keep), time.perf_counter() - begin
+    why_not = files.why_not and f"and keeps no model of it because {files.why_not}"
+    return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=seconds, compared=why_not)
+
+
+def _counted(files: int) -> str:
+    return f"{files} file" if files == 1 else f"{files:,} files"
 
 
 def lesson_of(

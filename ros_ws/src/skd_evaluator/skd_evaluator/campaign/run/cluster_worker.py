@@ -12,17 +12,18 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 from importlib.metadata import version as version_of
+from pathlib import Path
 
 from skd_sim.apart.apart import have_sent
 from skd_sim.apart.beginning import SentModule
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 
+from skd_evaluator.campaign.plan.car_files import car_files, controller_files, digest_of
 from skd_evaluator.campaign.run.executor_runner import Answer, answers
 from skd_evaluator.campaign.run.worker_pool import WorkerPool
 from skd_evaluator.campaign.run.workers import warm_up_with
 from skd_evaluator.likeness import likeness
-from skd_evaluator.provenance import controller_files
 
 _PROTOCOL = 4
 """Of pickled answers. From 5 on a small array comes back as a view of a view of bytes, which takes twice the memory."""
@@ -53,6 +54,7 @@ class SentController:
         path: path of the module's file on the machine where the campaign runs.
         sha256: digest of that file; empty if no file was found.
         source: content of the file if the module is no part of a package; None: workers have to have it installed.
+        files: the other files of the car: path on that machine, name from the folder of the package on, digest.
     """
 
     name: str
@@ -60,6 +62,7 @@ class SentController:
     path: str
     sha256: str
     source: bytes | None
+    files: tuple[tuple[str, str, str], ...] = ()
 
 
 def sent(car: CarUnderTest) -> SentController:
@@ -70,7 +73,10 @@ def sent(car: CarUnderTest) -> SentController:
         content = path.read_bytes()
         alone = path.name == f"{module}.py"
         digest = hashlib.sha256(content).hexdigest()
-        return SentController(car.controller, module, str(path), digest, content if alone else None)
+        files = car_files(car)
+        others = zip(map(str, files.all), files.names, files.sha256, strict=True)
+        further = tuple(one for one in others if one[0] != str(path))
+        return SentController(car.controller, module, str(path), digest, content if alone else None, further)
     return SentController(car.controller, module, "", "", None)
 
 
@@ -78,9 +84,10 @@ def _have(controller: SentController) -> None:
     """See that a controller here is that of the campaign.
 
     Raises:
-        UsageError: its module, of a package, is another, or not there.
+        UsageError: its module, of a package, is another, or not there, or another of its files.
     """
     if controller.source is not None:
+        _compare(controller, {path: digest_of(Path(path)) for path, _, _ in controller.files})
         have_sent(controller.module, SentModule(controller.path, controller.source))
         return
     here = sent(CarUnderTest(controller.name))
@@ -90,6 +97,24 @@ def _have(controller: SentController) -> None:
             f"worker on {platform.node()} {what} the controller {controller.name}: a module of a package has to be "
             "installed, the same, on all workers; a single file is sent to them"
         )
+    found = {name: digest for _, name, digest in here.files}
+    _compare(controller, {path: found.get(name) for path, name, _ in controller.files})
+
+
+def _compare(controller: SentController, here: Mapping[str, str | None]) -> None:
+    """See that the other files of a controller are here what they are on the campaign's machine.
+
+    Raises:
+        UsageError: one is not.
+    """
+    for path, _, digest in controller.files:
+        if here[path] != digest:
+            what = "has another" if here[path] else "does not have"
+            raise UsageError(
+                f"worker on {platform.node()} {what} {path}, one of the files of the controller {controller.name}: "
+                "only a module that stands alone in its folder is sent to the workers, all else has to be there, the "
+                "same"
+            )
 
 
 def _with_controllers(controllers: Sequence[SentController], task: bytes) -> list[Answer]:

@@ -23,20 +23,12 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.files import note_in_place
+from skd_evaluator.files import MARKERS, note_in_place
 from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary, remove
 from skd_evaluator.version import version
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.signature import Signer
-
-MARKERS = (
-    "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",
-    "fusion.json", "encounters.json", "behaviour.yaml", "ncap.json", "reference.json", "trend.json",
-    "export.json", "import.json", "simulator.json",
-)  # fmt: skip
-"""A folder with one of these holds results of ours."""
-
 
 LOGS = "logs"
 _FAILED = ".failed"

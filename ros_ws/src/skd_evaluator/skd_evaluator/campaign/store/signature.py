@@ -50,6 +50,19 @@ class Signer:
             raise UsageError(f"--sign {path}: is no private key as ssh-keygen writes it") from error
         self._public = _wire(self._key.public_key(), f"--sign {path}")
 
+    def has_signed(self, path: Path) -> bool:
+        """Return whether a file has a signature by this key; none is fine.
+
+        Raises:
+            UsageError: it has another one, or one that does not hold.
+        """
+        signature = path.with_name(path.name + _SUFFIX)
+        if not signature.is_symlink() and not signature.exists():
+            return False
+        if fault := PublicKey.of(self).fault_of(path):
+            raise UsageError(f"{fault}; move the signature away if this result is to be signed")
+        return True
+
     def sign(self, path: Path) -> None:
         """Write the signature of a file beside it.
 
@@ -83,6 +96,13 @@ class PublicKey:
         except Exception as error:  # whatever the bytes make its reader raise
             raise UsageError(f"--key {path}: is no public key as ssh-keygen writes it (….pub)") from error
         self._public = _wire(self._key, f"--key {path}")
+
+    @classmethod
+    def of(cls, signer: Signer) -> PublicKey:
+        """Return the public key of one that signs."""
+        made = cls.__new__(cls)
+        made._key, made._public = signer._key.public_key(), signer._public
+        return made
 
     def fault_of(self, path: Path) -> str:
         """Return why a file is not signed by this key, in one line; empty: it is."""

@@ -16,6 +16,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.inputs import inputs_of
 from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
+from skd_evaluator.campaign.plan.car_files import leave_out
 from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaigns.campaign import Campaign, planned_rows
 from skd_evaluator.campaigns.campaign_file import Combination, read_campaign
@@ -44,7 +45,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
     combinations = read_campaign(arguments.path)
+    leave_out(
+        [arguments.path, *([] if arguments.out is None else [Path(arguments.out)])]
+    )  # the file: what it asks for is held cell by cell
     cells = make_cells(combinations)
+    signer = signer_of(arguments)
     if arguments.dry_run:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
@@ -56,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
         cells,
         resume=arguments.resume,
         overwrite=arguments.overwrite,
-        signer=signer_of(arguments),
+        signer=signer,
         reads=_read_by(combinations, arguments),
     )
     try:
@@ -64,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             if folder.resumed and not arguments.quiet:
                 print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
+            if folder.resumed:
+                _say_what_was_taken_over(campaign, cells)
             _run_cells(campaign, arguments, _live(campaign, arguments))
         except KeyboardInterrupt:
             return _interrupted(campaign, arguments, out)
@@ -75,6 +82,20 @@ def run(arguments: argparse.Namespace) -> int:
         return _say_result(campaign, arguments, out)
     finally:
         folder.close()
+
+
+def _say_what_was_taken_over(campaign: Campaign, cells: Sequence[Cell]) -> None:
+    """Say what a user cannot see of what a campaign goes on with."""
+    if campaign.signed_before:
+        done = counted(campaign.signed_before, "cell")
+        print(f"skd campaign: signed {done} that had been done without a signature", file=sys.stderr)
+    for label, why_not in dict.fromkeys((cell.plan.car.label, cell.not_compared) for cell in cells):
+        if why_not:
+            print(
+                f"skd campaign: warning: whether {label} still is the car with which this campaign began was not "
+                f"compared in full, because {why_not}",
+                file=sys.stderr,
+            )
 
 
 def _read_by(combinations: Sequence[Combination], arguments: argparse.Namespace) -> list[Path]:

@@ -19,6 +19,7 @@ from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import headline, in_short
 
 _FEW = 3
+_FILES = 10  # of a car, whose digests are shown
 """Most pairs of cars that a sentence names."""
 
 
@@ -216,7 +217,10 @@ def _origin_rows(origin: Mapping[str, Any] | None) -> list[tuple[str, str]]:
         ("command line", str(origin["command"])),
         ("git revision", f"{git['revision']}{', modified' if git['modified'] else ''}" if git else NOTHING),
     ]
-    rows += [(f"SHA-256 of {one['path']}", str(one["sha256"])) for one in origin["controller_files"]]
+    files = origin["controller_files"]
+    rows += [(f"SHA-256 of {one['path']}", str(one["sha256"])) for one in files[:_FILES]]
+    if len(files) > _FILES:
+        rows.append(("SHA-256 of further files", f"of {len(files) - _FILES}, in assessment.json"))
     if origin["car_model_sha256"]:
         rows.append(("SHA-256 of the car model", str(origin["car_model_sha256"])))
     return rows
