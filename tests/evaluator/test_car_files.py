@@ -217,10 +217,10 @@ def test_a_worker_with_another_file_of_the_car_is_refused(cars: Path) -> None:
     controller = sent(CarUnderTest("netcar:Car"))
     _have(controller)
     put(cars / "weights.txt", "7 3")
-    with pytest.raises(UsageError, match="has another .*weights.txt"):
+    with pytest.raises(UsageError, match=r"has another .*weights\.txt"):
         _have(controller)
     (cars / "weights.txt").unlink()
-    with pytest.raises(UsageError, match="does not have .*weights.txt"):
+    with pytest.raises(UsageError, match=r"does not have .*weights\.txt"):
         _have(controller)
 
 
