@@ -156,7 +156,7 @@ def _definitions() -> dict[str, Any]:
             git=_said(or_null(git), "of the checkout that SKD ran from; null: it was installed"),
             controller_files=_said(_list(_object(path=_TEXT, sha256=sha256)),
                                    "of the controller's module or what its command names, and what is beside it"),
-            controller_git=_said(or_null(git), "of the checkout that the module, or last file named, is in; null: none"),
+            controller_git=_said(or_null(git), "of the checkout that the module, or last file named, is in"),
             car_model_sha256=_said({**sha256, "type": ["string", "null"]}, "of car_model above, as it was given"),
         ), "what ran, when and where; nothing in it is a figure, and two equal assessments differ in it"),
     }  # fmt: skip
