@@ -168,7 +168,7 @@ class _Starts:
         """Add a module, those above it and what belongs to them; tell whether there is one."""
         search = users_first() if search is None else tuple(search)
         found = list(_modules(name, search))
-        for one in found:
+        for one in reversed(found):  # the module itself first
             self._add(one.file, one.folder, search)
         return bool(found) and found[-1].name == name
 
