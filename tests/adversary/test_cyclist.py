@@ -26,8 +26,8 @@ from skd_adversary.model.road_user.wheeled import (
     RIGHT,
 )
 from skd_adversary.model.road_users import road_user_named
-from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.validation.recomputation import ROUNDING, recompute
 from skd_sim.choices.actions import Actions
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario

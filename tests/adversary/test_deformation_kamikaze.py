@@ -19,8 +19,8 @@ from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST,
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
-from skd_evaluator.bags.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.validation.recomputation import ROUNDING, recompute
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario

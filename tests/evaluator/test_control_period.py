@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from clairvoyant_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.plan.plan import OWN, Plan, safe_trajectories
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
+from skd_evaluator.campaign.validation.verdict import examine
 from skd_evaluator.floor.assessment_floor import check_floor
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import search_margin

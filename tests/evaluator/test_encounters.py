@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_id
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.validation.verdict import examine
 from skd_evaluator.floor.assessment_floor import check_floor, foretold
 from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories

@@ -17,11 +17,11 @@ from common import assert_valid
 from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.bags.validation.verdict import examine
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.validation.verdict import examine
 from skd_evaluator.report.html.packing import unpack
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects

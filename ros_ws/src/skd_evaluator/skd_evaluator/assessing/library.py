@@ -117,7 +117,7 @@ def assess(
         objectives = objectives_named(values["objective"])
         risk = risk_asked(behaviour)
         folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
-        runner = make_runner(None, workers or available_workers(), isolated=not plan.car.is_own)
+        runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
         runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
         told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
         rating = assess_in_process(

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.measure.doubt import DOUBT
+
+_STRAYED: Final = 0.01
+"""m: far more than another simulator rounds, and less than any figure shows."""
 
 
 def described(simulator_and_scenario: tuple[str, Scenario]) -> Mapping[str, Any] | None:
@@ -27,6 +32,8 @@ def described(simulator_and_scenario: tuple[str, Scenario]) -> Mapping[str, Any]
 def with_simulation(rating: Rating, runner: ExecutorRunner) -> Rating:
     """Return the rating with what its simulator says of the car, asked in a process that may run it.
 
+    So it is warned of episodes that cannot have happened, and of an adversary that does not go quite as it is told.
+
     Args:
         rating: the rating, whose episodes have been run.
         runner: asks, where it runs episodes.
@@ -34,4 +41,24 @@ def with_simulation(rating: Rating, runner: ExecutorRunner) -> Rating:
     plan = rating.plan
     if is_own_world(plan.simulator):
         return rating
-    return replace(rating, simulation=next(iter(runner.map(described, [(plan.simulator, plan.scenario)]))))
+    said = next(iter(runner.map(described, [(plan.simulator, plan.scenario)])))
+    return replace(rating, simulation=said, warnings=(*rating.warnings, *_doubts(rating, plan.simulator)))
+
+
+def _doubts(rating: Rating, simulator: str) -> tuple[str, ...]:
+    """Return what a reader should know of what a simulator said in the episodes of a rating, a line each."""
+    found = []
+    refuted = [one for one in rating.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
+    if refuted:
+        found.append(
+            f"{DOUBT}simulator {simulator} contradicts itself in {len(refuted)} of {rating.episodes} episodes, which "
+            f"were aborted, as if they said nothing about the car ({refuted[0]})"
+        )
+    logs = [*rating.kamikaze_logs, *rating.replays]
+    strayed = [log.strayed for log in logs if log.strayed > _STRAYED]
+    if strayed:
+        found.append(
+            f"in {len(strayed)} of {len(logs)} episodes in simulator {simulator} the adversary was not where it had "
+            f"been told to go, by up to {max(strayed):.2g} m: it obeys later than at once, or not quite"
+        )
+    return tuple(found)

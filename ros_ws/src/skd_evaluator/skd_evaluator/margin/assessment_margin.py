@@ -32,6 +32,7 @@ from skd_evaluator.margin.search.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.search.episode_search import LIMIT as WALKED_LIMIT
 from skd_evaluator.margin.search.episode_search import walked_margins, why_not_walked
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
+from skd_evaluator.margin.walked_doubts import doubts_of_walking
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
@@ -262,6 +263,8 @@ def with_margins(
             rating = replace(rating, besides=(*rating.besides, *sampled.kept.logs))
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
             unfound = walked.unfound
+            if not is_own_world(plan.simulator):
+                rating = replace(rating, warnings=(*rating.warnings, *doubts_of_walking(walked, plan)))
         else:
             planned = planned_ways(rating)
             found = least_ways(

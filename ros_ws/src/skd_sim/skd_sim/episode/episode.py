@@ -130,6 +130,8 @@ class EpisodeLog:
             keeps it to itself.
         own_contact: time since the start of the first contact by the simulator's own shapes, s; nan without one. None
             where the simulator has no shapes of its own, or did not say; SKD's geometry alone counts.
+        strayed: greatest distance (m) between the adversary and where its commands would have taken it, of another
+            simulator in process; 0 of SKD's own world, which takes it there, and where it is not known.
     """
 
     episode: Episode
@@ -144,6 +146,7 @@ class EpisodeLog:
     timing: Timing = UNTIMED
     belief: FloatArray | None = None
     own_contact: float | None = None
+    strayed: float = 0.0
 
     @property
     def hit(self) -> bool:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, cast
 from skd_sim.choices.registry import reason_of
 from skd_sim.choices.simulators import SIMULATORS, is_own_world
 from skd_sim.errors import UsageError
+from skd_sim.simulation.checked_simulator import CheckedSimulator
 from skd_sim.simulation.simulator import require_others
 
 if TYPE_CHECKING:
@@ -44,7 +45,10 @@ def repeats_itself(name: str) -> bool:
 
 
 class NamedSimulator:
-    """The simulator that an episode names, kept from one episode to the next; see `Simulator`."""
+    """The simulator that an episode names, kept from one episode to the next; see `Simulator`.
+
+    Any but SKD's own world is looked at as it goes; see `CheckedSimulator`.
+    """
 
     places_others: Final = True
     """It asks the one that is named."""
@@ -52,14 +56,17 @@ class NamedSimulator:
     def __init__(self) -> None:
         """Wait for an episode."""
         self._name = ""
+        self._made: Simulator
         self._simulator: Simulator
 
     def reset(self, episode: Episode) -> Frame:
         """Make the simulator if the episode names another one than the last did, and begin the episode."""
         if episode.simulator != self._name:
-            self._simulator = make_simulator(episode.simulator)
+            self._made = make_simulator(episode.simulator)
             self._name = episode.simulator
-        require_others(self._simulator, self._name, episode)
+            own = is_own_world(self._name)
+            self._simulator = self._made if own else CheckedSimulator(self._made, self._name)
+        require_others(self._made, self._name, episode)
         return self._simulator.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
@@ -75,6 +82,11 @@ class NamedSimulator:
     def own_contact(self) -> float | None:
         """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
         return getattr(self._simulator, "own_contact", None)
+
+    @property
+    def strayed(self) -> float:
+        """Greatest distance between the adversary and where it was told to go (m), of another simulator than SKD's."""
+        return getattr(self._simulator, "strayed", 0.0)
 
     @property
     def clipped(self) -> int:

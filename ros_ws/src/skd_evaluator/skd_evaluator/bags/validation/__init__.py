@@ -7,7 +7,7 @@
 from skd_evaluator.bags.validation.acceptance import Found, accept
 from skd_evaluator.bags.validation.damage import Damage
 from skd_evaluator.bags.validation.decisions import Decided, Otherwise, Unverified, decide_again
-from skd_evaluator.bags.validation.verdict import Verdict, examine, is_over
+from skd_evaluator.campaign.validation.verdict import Verdict, examine, is_over
 
 __all__ = [
     "Damage", "Decided", "Found", "Otherwise", "Unverified", "Verdict", "accept", "decide_again", "examine", "is_over",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.bags.validation.damage import Damage
-from skd_evaluator.bags.validation.verdict import Verdict, examine
+from skd_evaluator.campaign.validation.verdict import Verdict, examine
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
 from skd_sim.state import CarState
 
-from skd_evaluator.bags.validation.recomputation import ROUNDING
-from skd_evaluator.bags.validation.verdict import examine
+from skd_evaluator.campaign.validation.recomputation import ROUNDING
+from skd_evaluator.campaign.validation.verdict import examine
 
 Velocity = tuple[float, float]
 

@@ -18,6 +18,7 @@ from skd_adversary.model.road_users import check_kind
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.choices.knowledge import check_knowledge
 from skd_sim.choices.options import shared_options
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -99,6 +100,11 @@ class Plan(CampaignOptions):
         check_kind(self.scenario)
         clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
         object.__setattr__(self, "scenario", clocked)
+
+    @property
+    def runs_others_code(self) -> bool:
+        """Whether its episodes run a controller or a simulator that is not SKD's own, which may end its process."""
+        return not (self.car.is_own and is_own_world(self.simulator))
 
     @property
     def limits_deformation(self) -> bool:

@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, Self, TypeVar
 
 from skd_sim.apart.apart import apart
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog
 
 from skd_evaluator.campaign.run.assembly import aborted
@@ -107,7 +108,10 @@ def _run_and_send(episode: Episode) -> tuple[Any, ...]:
 
 
 def _lost_episode(episode: Episode, reason: str) -> tuple[Any, ...]:
-    return _sent(aborted(episode, f"{reason} (controller {episode.controller})"))
+    whose = f"controller {episode.controller}"
+    if not is_own_world(episode.simulator):
+        whose += f", simulator {episode.simulator}"
+    return _sent(aborted(episode, f"{reason} ({whose})"))
 
 
 def _lost(_item: object, reason: str) -> NoReturn:

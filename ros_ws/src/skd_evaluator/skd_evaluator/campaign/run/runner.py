@@ -10,6 +10,7 @@ from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversa
 from skd_adversary.itself.fidelity import watch
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.knowledge import Knowledge
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import (
     Controller,
     is_sensing,
@@ -18,6 +19,7 @@ from skd_sim.controllers import (
     require_sensor,
     sight_of,
 )
+from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.sensors import make_laser
@@ -25,6 +27,7 @@ from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Simulator, SimulatorError, require_others
 
 from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.campaign.validation.verdict import examine
 
 
 def run_episode(
@@ -39,12 +42,26 @@ def run_episode(
         episode: specification of the episode.
         controller: controller of the car under test; by default made from the specification.
         adversary: decides how the adversary moves; by default made from the specification.
-        simulator: moves both; by default the one that the specification names. If it fails, the episode is aborted.
+        simulator: moves both; by default the one that the specification names. If it fails, the episode is aborted; so
+            it is if another one than SKD's own world is named, and says what cannot have happened.
+
+    Raises:
+        AssessmentError: the controller, or the simulator that is named, raises or answers what is no answer.
     """
     try:
-        return _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)
+        log = _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)
     except SimulatorError as error:
         return aborted(episode, str(error))
+    return log if simulator is not None or is_own_world(episode.simulator) else _examined(log)
+
+
+def _examined(log: EpisodeLog) -> EpisodeLog:
+    """Return the log of another simulator, or, where it cannot have happened, that of an episode that was aborted."""
+    fault = examine(log).fault
+    if not fault:
+        return log
+    said = f"simulator {log.episode.simulator} gave what cannot have happened: {fault}"
+    return aborted(log.episode, abort_reason(AbortKind.REFUTED, said))
 
 
 def _run(
@@ -87,6 +104,7 @@ def _run(
         clipped=simulator.clipped,
         belief=_belief(believed, len(frames)),
         own_contact=getattr(simulator, "own_contact", None),
+        strayed=getattr(simulator, "strayed", 0.0),
     )
 
 

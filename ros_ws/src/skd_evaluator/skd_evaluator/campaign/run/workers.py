@@ -10,6 +10,7 @@ from typing import Any
 
 from skd_sim.apart.apart import controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import (
     BasicController,
     control_period_of,
@@ -67,15 +68,17 @@ def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
 class InProcessRunner(ExecutorRunner):
     """Runs episodes in this process, or in worker processes forked from it; the results are the same.
 
-    A controller of a user's own always runs in workers, for its code may end the process that it runs in.
+    A controller or a simulator of a user's own always runs in workers, for its code may end the process it runs in.
     """
 
     def __init__(self, workers: int = 1, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT) -> None:
         """Prepare to run.
 
         Args:
-            workers: number of processes; with one, episodes of SKD's own controllers run in the caller's process.
-            isolated: whether a user's own controller is to come; then `start` starts a worker even if one is asked for.
+            workers: number of processes; with one, episodes of SKD's own controllers in SKD's own world run in the
+                caller's process.
+            isolated: whether a controller or a simulator of a user's own is to come; then `start` starts a worker even
+                if one is asked for.
             answer_limit: time that a call of a user's controller may take, s.
         """
         super().__init__()
@@ -106,7 +109,7 @@ class InProcessRunner(ExecutorRunner):
             pool.shutdown(wait=wait, cancel_futures=True)
 
     def _expect(self, episodes: Sequence[Episode]) -> None:
-        self._isolated |= not all(episode.car.is_own for episode in episodes)
+        self._isolated |= not all(episode.car.is_own and is_own_world(episode.simulator) for episode in episodes)
 
     @property
     def _apart(self) -> bool:

@@ -210,7 +210,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         rating, problem = _assess_graph(arguments, plan, further, out, begin)
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
-    runner = runner_of(arguments, isolated=not plan.car.is_own, answer_limit=arguments.startup_timeout)
+    runner = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=arguments.startup_timeout)
     fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
     runners = Runners.in_process(runner, fresh, rated=recorder)

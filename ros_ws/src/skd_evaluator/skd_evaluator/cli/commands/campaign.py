@@ -140,7 +140,7 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above |
     if in_process := campaign.in_process:
         runner = runner_of(
             arguments,
-            isolated=not all(cell.plan.car.is_own for cell in in_process),
+            isolated=any(cell.plan.runs_others_code for cell in in_process),
             answer_limit=max(cell.answer_limit for cell in in_process),
         )
         with runner:

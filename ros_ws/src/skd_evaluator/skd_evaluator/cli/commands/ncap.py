@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     grids: list[Grid] = []
     seen = Seen()
     try:
-        with runner_of(arguments, isolated=not asked.plan.car.is_own) as runner:
+        with runner_of(arguments, isolated=asked.plan.runs_others_code) as runner:
             if asked.margin_limit:
                 warm_up_margins()
             runner.start()

@@ -46,7 +46,8 @@ class WalkedMargins:
         repeated: how many of the ways that hit did so again when they were walked once more.
         hits: how many ways hit.
         apart: greatest distance of the car (m) from where it was after the same ways before.
-        aborted: number of episodes that were aborted.
+        episodes: number of episodes that were run, aborted ones included.
+        reasons: why episodes were aborted, one each.
     """
 
     ways: list[LeastWay | None]
@@ -55,7 +56,13 @@ class WalkedMargins:
     repeated: int
     hits: int
     apart: float
-    aborted: int
+    episodes: int
+    reasons: tuple[str, ...]
+
+    @property
+    def aborted(self) -> int:
+        """Number of episodes that were aborted."""
+        return len(self.reasons)
 
     @property
     def unfound(self) -> int:
@@ -163,15 +170,17 @@ def walked_margins(
     for attempt in attempts:
         for log in known.get(attempt.episode.episode_id, ()):
             attempt.learn(log)
-    aborted = _walk(attempts, [attempt.as_phi() for attempt in attempts], runner)
-    if aborted == len(attempts):
-        raise AssessmentError("every way that was walked was aborted")
+    reasons = _walk(attempts, [attempt.as_phi() for attempt in attempts], runner)
+    if len(reasons) == len(attempts):
+        raise AssessmentError(f"every way that was walked was aborted ({reasons[0]})")
+    episodes_run = len(attempts)
     means = {1: _mean(attempts)}
     walks = 1
     budget = min(budget, limit)
     while True:
         left = [attempt for attempt in attempts if not attempt.done]
-        aborted += _walk(left, [attempt.next_way() for attempt in left], runner)
+        reasons += _walk(left, [attempt.next_way() for attempt in left], runner)
+        episodes_run += len(left)
         walks += 1
         means[walks] = _mean(attempts)
         progress(f"{LABEL}, whole episodes", walks, budget)
@@ -191,7 +200,8 @@ def walked_margins(
         repeated,
         hits,
         max(attempt.tree.apart for attempt in attempts),
-        aborted + lost,
+        episodes_run + hits,
+        (*reasons, *lost),
     )
 
 
@@ -199,23 +209,23 @@ def _mean(attempts: Sequence[_Attempt]) -> float:
     return float(np.mean([attempt.margin for attempt in attempts]))
 
 
-def _walk(attempts: Sequence[_Attempt], ways: Sequence[list[Velocity]], runner: EpisodeRunner) -> int:
-    """Run episodes along one way for each attempt, learn from them, and return how many were aborted."""
+def _walk(attempts: Sequence[_Attempt], ways: Sequence[list[Velocity]], runner: EpisodeRunner) -> list[str]:
+    """Run episodes along one way for each attempt, learn from them, and return why some were aborted."""
     episodes = [walked(attempt.episode, way) for attempt, way in zip(attempts, ways, strict=True)]
-    aborted = 0
+    reasons = []
     for attempt, way, log in zip(attempts, ways, runner.run(episodes), strict=True):
-        aborted += log.outcome == Outcome.ABORTED
+        reasons += [log.reason] * (log.outcome == Outcome.ABORTED)
         attempt.learn(log, way)
-    return aborted
+    return reasons
 
 
-def _repeat(attempts: Sequence[_Attempt], runner: EpisodeRunner) -> tuple[int, int, int]:
-    """Walk each best way once more; return how many there are, how many hit again, and how many were aborted."""
+def _repeat(attempts: Sequence[_Attempt], runner: EpisodeRunner) -> tuple[int, int, list[str]]:
+    """Walk each best way once more; return how many there are, how many hit again, and why some were aborted."""
     ours = [attempt for attempt in attempts if attempt.tree.best_way is not None]
-    repeated = aborted = 0
+    repeated, reasons = 0, list[str]()
     logs = runner.run([walked(attempt.episode, attempt.best) for attempt in ours])
     for attempt, log in zip(ours, logs, strict=True):
-        aborted += log.outcome == Outcome.ABORTED
+        reasons += [log.reason] * (log.outcome == Outcome.ABORTED)
         repeated += log.hit
         attempt.tree.learn(log)
-    return len(ours), repeated, aborted
+    return len(ours), repeated, reasons

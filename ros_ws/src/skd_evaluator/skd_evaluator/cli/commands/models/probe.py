@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.simulation.named_simulator import make_simulator
@@ -60,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         car = _car(arguments)
         workers = arguments.workers or available_workers()
-        runner = InProcessRunner(workers, isolated=not car.is_own, answer_limit=arguments.startup_timeout)
+        isolated = not (car.is_own and is_own_world(arguments.simulator))
+        runner = InProcessRunner(workers, isolated=isolated, answer_limit=arguments.startup_timeout)
         recorder = Recorder(runner)
         try:
             with runner:

@@ -10,7 +10,7 @@ from skd_sim.encounter.road import HEADING_NORTH, road_position
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
-from skd_evaluator.bags.validation.recomputation import driven, first_touch, follows_phi
+from skd_evaluator.campaign.validation.recomputation import driven, first_touch, follows_phi
 
 LARGEST_ACCELERATION = 20.0
 """m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""

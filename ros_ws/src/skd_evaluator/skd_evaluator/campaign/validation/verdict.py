@@ -13,9 +13,9 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.arrays import FARTHEST, within_reach
-from skd_evaluator.bags.validation.plausibility import implausible
-from skd_evaluator.bags.validation.recomputation import ROUNDING, determined, first_touch, recompute
 from skd_evaluator.campaign.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
+from skd_evaluator.campaign.validation.plausibility import implausible
+from skd_evaluator.campaign.validation.recomputation import ROUNDING, determined, first_touch, recompute
 
 _WHILE_RUNNING = (
     AbortKind.NO_ANSWER, AbortKind.NOT_STARTED, AbortKind.NOT_FINITE, AbortKind.ENDED, AbortKind.STOPPED,
