@@ -14,12 +14,13 @@ from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, Self, TypeVar
 
 from skd_sim.apart.apart import apart
+from skd_sim.apart.printing import lead_prints
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog
 
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.worker_pool import LostWorkerError, portable, say_finished
+from skd_evaluator.campaign.run.worker_pool import LostWorkerError, in_worker, portable, say_finished
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 _Item = TypeVar("_Item")
@@ -90,6 +91,8 @@ class Pace:
 
 
 def _run(episode: Episode) -> EpisodeLog:
+    if not is_own_world(episode.simulator) and in_worker():
+        lead_prints(episode.simulator)
     if episode.car.is_own:
         return run_episode(episode)
     return run_episode(episode, apart(episode.car))

@@ -67,6 +67,11 @@ class _Here:
     signs: Any = [0] * _SIGNS
 
 
+def in_worker() -> bool:
+    """Return whether this process is a worker of a pool."""
+    return bool(_Here.signs[_PID])
+
+
 def say_finished() -> None:
     """Say, in a worker, that an item of its task is finished: should it die, the next one is to blame."""
     _Here.signs[_DONE] += 1

@@ -1,0 +1,297 @@
+"""Simulators that say what cannot be, in process: what comes of it is an aborted episode, a warning or one line."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import random
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_support import SMALL, skd_from_nothing
+from skd_evaluator import assess
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.errors import AssessmentError
+from skd_sim.choices.simulators import SIMULATORS
+from skd_sim.controllers import BasicController
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.simulation.simulator import Frame, WorldSimulator
+from skd_sim.state import AdversaryState
+
+CROSSING = load_scenario("crossing")
+STEP = CROSSING.time_step
+QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=0.0))
+TINY = {
+    "safe_count": 2, "kamikaze_count": 1, "collision_runs": 4, "simulations": 20, "workers": 1, "behaviour": "none",
+    "objective": "deformation",
+}  # fmt: skip
+
+
+class Named(WorldSimulator):
+    """SKD's own world by another name."""
+
+    repeats_itself = True
+
+
+class NoContact(Named):
+    """Its car drives through people."""
+
+    def reset(self, episode: Episode) -> Frame:
+        thin = replace(episode.scenario.car, width=0.02, front=0.01, rear=0.01)
+        return super().reset(replace(episode, scenario=replace(episode.scenario, car=thin)))
+
+
+class NanSpeed(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        return frame._replace(car=frame.car._replace(speed=math.nan))
+
+
+class Forgetful(Named):
+    """Does not repeat itself, though it says so."""
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        return super().step(acceleration + random.uniform(-3.0, 3.0), velocity)
+
+
+class Stays(Named):
+    """Its pedestrian does not obey."""
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        return super().step(acceleration, (0.0, 0.0))
+
+
+class Drifts(Named):
+    """Its pedestrian is pushed East, by little in each tick."""
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        return super().step(acceleration, (velocity[0] + 0.14, velocity[1]))
+
+
+class Late(Named):
+    """Its pedestrian obeys a tick later."""
+
+    def reset(self, episode: Episode) -> Frame:
+        self._last = (0.0, 0.0)
+        return super().reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        now, self._last = self._last, velocity
+        return super().step(acceleration, now)
+
+
+class Elsewhere(Named):
+    """Its pedestrian starts two metres further North."""
+
+    def reset(self, episode: Episode) -> Frame:
+        frame = super().reset(episode)
+        return frame._replace(adversary=frame.adversary._replace(y=frame.adversary.y + 2.0))
+
+
+class Raises(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        raise ValueError("boom")
+
+
+class Leaves(Named):
+    def reset(self, episode: Episode) -> Frame:
+        raise SystemExit(0)
+
+
+class Skips(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        return frame._replace(tick=frame.tick + 1)
+
+
+class NoFrame(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        return "soon"  # type: ignore[return-value]
+
+
+class NoState(Named):
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        return super().step(acceleration, velocity)._replace(car=None)
+
+
+class Miscounts(Named):
+    clipped = "many"  # type: ignore[assignment]
+
+
+class Endless(Named):
+    """Its pedestrian stands still, and no tick is the last one."""
+
+    def reset(self, episode: Episode) -> Frame:
+        self._now = super().reset(episode)
+        return self._now
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        x, y = self._now.adversary.x + STEP * velocity[0], self._now.adversary.y + STEP * velocity[1]
+        self._now = Frame(self._now.tick + 1, self._now.car, AdversaryState(x, y, *velocity))
+        return self._now
+
+    clipped = 0  # type: ignore[assignment]
+
+
+class Dies(Named):
+    """Ends its process in the second tick of some episodes."""
+
+    def reset(self, episode: Episode) -> Frame:
+        self._mortal = episode.mode == Mode.REPLAY and episode.episode_id % 2 == 0
+        return super().reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        frame = super().step(acceleration, velocity)
+        if self._mortal and frame.tick == 2:
+            os._exit(7)
+        return frame
+
+
+@pytest.fixture(autouse=True)
+def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
+    for one in (
+        Named, NoContact, NanSpeed, Forgetful, Stays, Drifts, Late, Elsewhere, Raises, Leaves, Skips, NoFrame, NoState,
+        Miscounts, Endless, Dies,
+    ):  # fmt: skip
+        monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
+
+
+def crossed(simulator: str, multiplier: float = 1.0, *, waits: bool = False) -> EpisodeLog:
+    """Run an episode of somebody who crosses at 1.4 m/s, or waits for seven seconds after the first tick."""
+    ticks = np.arange(30)
+    x = -3.0 + 1.4 * STEP * (np.where(ticks < 25, np.minimum(1, ticks), ticks - 23) if waits else ticks)
+    phi = Trajectory(np.column_stack([x, np.zeros(30)]), STEP)
+    episode = Episode(
+        QUIET, Mode.REPLAY, 3, 2 << 30, safe_trajectory=phi, multiplier=multiplier, simulator=simulator
+    )  # fmt: skip
+    return run_episode(episode, BasicController(multiplier))
+
+
+def test_the_world_by_another_name_is_the_world():
+    """What is honest passes to the last bit, also where the car hits."""
+    outcomes = set()
+    for multiplier in (0.0, 2.0):
+        there, here = crossed("named", multiplier), crossed("world", multiplier)
+        assert there.outcome == here.outcome
+        np.testing.assert_array_equal(there.car, here.car)
+        np.testing.assert_array_equal(there.adversary, here.adversary)
+        outcomes.add(there.outcome)
+    assert outcomes == {Outcome.COLLISION, Outcome.ARRIVED}
+
+
+@pytest.mark.parametrize(
+    ("simulator", "kind", "what"),
+    [
+        ("nanspeed", AbortKind.NOT_FINITE, "speed of the car is nan in tick 1"),
+        ("stays", AbortKind.REFUTED, "in tick 1 the adversary goes 0.42 m beside where it was told to go"),
+        ("drifts", AbortKind.REFUTED, "the adversary is 1.0"),
+        ("elsewhere", AbortKind.REFUTED, "the adversary starts 2 m from where the specification has it"),
+        ("endless", AbortKind.REFUTED, ""),
+    ],
+)
+def test_an_episode_that_cannot_be_is_aborted(simulator: str, kind: AbortKind, what: str):
+    log = crossed(simulator, waits=simulator == "drifts")
+    assert log.outcome == Outcome.ABORTED
+    assert kind_of(log.reason) == kind
+    assert log.reason.startswith(f"{kind}: simulator {simulator}")
+    assert what in log.reason
+    assert "\n" not in log.reason
+
+
+@pytest.mark.parametrize(
+    ("simulator", "line"),
+    [
+        ("raises", "simulator raises: step failed with ValueError: boom (test_lying_simulators.py, line "),
+        ("leaves", "simulator leaves: reset failed with SystemExit: 0 (test_lying_simulators.py, line "),
+        ("skips", "simulator skips: step must return the frame of tick 1, got that of tick 2"),
+        ("noframe", "simulator noframe: step must return a Frame, got 'soon'"),
+        ("nostate", "simulator nostate: step must return a Frame, got Frame(tick=1, car=None"),
+        ("miscounts", "simulator miscounts: clipped must be a whole number from 0 on, got 'many'"),
+    ],
+)
+def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line: str):
+    with pytest.raises(AssessmentError) as raised:
+        crossed(simulator)
+    assert str(raised.value).startswith(line)
+    assert "\n" not in str(raised.value)
+
+
+def test_one_that_obeys_a_tick_later_counts_with_a_warning():
+    log = crossed("late")
+    assert log.outcome != Outcome.ABORTED
+    assert log.strayed == pytest.approx(1.4 * STEP)
+    found = assess("basic", simulator="late", margin_limit=0, **TINY)
+    assert found.reasons == []
+    (line,) = [one for one in found.warnings if "simulator late" in one]
+    assert "the adversary was not where it had been told to go" in line
+    honest = assess("basic", simulator="named", margin_limit=0, **TINY)
+    assert [one for one in honest.warnings if "told to go" in one] == []
+
+
+def test_who_drives_through_people_has_no_margin_and_is_not_believed():
+    found = assess("basic", multiplier=0.25, simulator="nocontact", margin_limit=64, **TINY)
+    assert found.reasons
+    assert all("simulator nocontact gave what cannot have happened: " in one for one in found.reasons)
+    assert found.margins is None
+    assert "simulator nocontact gave what cannot have happened" in found.margin_note
+    lines = [one for one in found.warnings if one.startswith(("do not believe", "these figures are in doubt"))]
+    assert any("contradicts itself" in one for one in lines)
+    assert any("were aborted, more than" in one for one in lines)
+
+
+def test_who_says_that_it_repeats_itself_has_to():
+    random.seed(5)
+    found = assess("basic", simulator="forgetful", margin_limit=64, **TINY)
+    assert any(
+        "simulator forgetful does not repeat itself though it says that it does" in one for one in found.warnings
+    )
+    assert found.margins is not None
+
+
+def test_one_that_ends_its_process_aborts_its_episodes_by_name():
+    """With one worker as well: it is a process of its own."""
+    found = assess("basic", simulator="dies", margin_limit=0, max_aborted=100.0, **TINY)
+    assert len(found.reasons) == 2
+    for one in found.reasons:
+        assert kind_of(one) == AbortKind.ENDED
+        assert "exit code 7" in one
+        assert "simulator dies" in one
+
+
+SOURCE = """
+from skd_sim.simulation.simulator import WorldSimulator
+class Prints(WorldSimulator):
+    def step(self, acceleration, velocity):
+        print('{"margin": 9}')
+        return super().step(acceleration, velocity)
+class Raises(WorldSimulator):
+    def step(self, acceleration, velocity):
+        raise ValueError("boom")
+"""
+
+
+def installed(folder: Path) -> Path:
+    (folder / "liars.py").write_text(SOURCE, encoding="utf-8")
+    about = folder / "liars-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: liars\nVersion: 1.0\n", encoding="utf-8")
+    entries = "[skd.simulators]\nprints = liars:Prints\nraises = liars:Raises\n"
+    (about / "entry_points.txt").write_text(entries, encoding="utf-8")
+    return folder
+
+
+def test_the_command_ends_in_one_line_and_prints_are_led_by_the_name(tmp_path: Path):
+    site = str(installed(tmp_path))
+    done = skd_from_nothing("assess", *SMALL, "--simulator", "raises", cwd=tmp_path, PYTHONPATH=site)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "skd assess: error: simulator raises: step failed with ValueError: boom (liars.py, line " in done.stderr
+    done = skd_from_nothing("assess", *SMALL, "--simulator", "prints", "--json", cwd=tmp_path, PYTHONPATH=site)
+    assert json.loads(done.stdout)["options"]["simulator"] == "prints"
+    assert 'prints | {"margin": 9}\n' in done.stderr
