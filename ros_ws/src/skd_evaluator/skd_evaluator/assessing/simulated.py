@@ -51,8 +51,8 @@ def _doubts(rating: Rating, simulator: str) -> tuple[str, ...]:
     refuted = [one for one in rating.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
     if refuted:
         found.append(
-            f"{DOUBT}simulator {simulator} contradicts itself in {len(refuted)} of {rating.episodes} episodes, which "
-            f"were aborted, as if they said nothing about the car ({refuted[0]})"
+            f"{DOUBT}{len(refuted)} of {rating.episodes} episodes in simulator {simulator} cannot have happened, and "
+            f"count for nothing ({refuted[0]})"
         )
     logs = [*rating.kamikaze_logs, *rating.replays]
     strayed = [log.strayed for log in logs if log.strayed > _STRAYED]
