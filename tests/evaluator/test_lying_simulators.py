@@ -256,7 +256,7 @@ def test_ways_of_a_margin_that_were_aborted_are_no_misses():
     assert line.startswith("these figures are in doubt: in the search for the margin, of 100 ways ")
     assert "5 were aborted (refuted: it touches): the margin may be less" in line
     assert doubts_of_walking(replace(walked, reasons=()), plan) == ()
-    with pytest.raises(AssessmentError, match="of 100 ways that were walked 6 were aborted .refuted: it touches.$"):
+    with pytest.raises(AssessmentError, match=r"of 100 ways that were walked 6 were aborted \(refuted: it touches\)$"):
         doubts_of_walking(replace(walked, reasons=walked.reasons + walked.reasons[:1]), plan)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.road import HEADING_NORTH, road_position
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 from skd_sim.geometry.contact import rectangle_distance, to_car_frame
@@ -39,7 +40,8 @@ def implausible(log: EpisodeLog) -> str:
 
 def _counted(log: EpisodeLog) -> str:
     commands = (len(log.adversary) - 1) * log.episode.scenario.control_periods
-    most = 0 if log.episode.car.commands_feasible else commands
+    # Another simulator says itself what its car can do.
+    most = 0 if log.episode.car.commands_feasible and is_own_world(log.episode.simulator) else commands
     if log.clipped > most:
         return f"{log.clipped} commands are said to have been clipped, of {most} that can be"
     return _timed(log, commands)
