@@ -127,6 +127,12 @@ class Miscounts(Named):
     clipped = "many"  # type: ignore[assignment]
 
 
+class Weak(Named):
+    """Cannot brake as hard as the scenario says, which is no lie."""
+
+    clipped = 3  # type: ignore[assignment]
+
+
 class Endless(Named):
     """Its pedestrian stands still, and no tick is the last one."""
 
@@ -160,7 +166,7 @@ class Dies(Named):
 def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
     for one in (
         Named, NoContact, NanSpeed, Forgetful, Stays, Drifts, Late, Elsewhere, Raises, Leaves, Skips, NoFrame, NoState,
-        Miscounts, Endless, Dies,
+        Miscounts, Weak, Endless, Dies,
     ):  # fmt: skip
         monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
 
@@ -223,6 +229,11 @@ def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line:
         crossed(simulator)
     assert str(raised.value).startswith(line)
     assert "\n" not in str(raised.value)
+
+
+def test_a_simulator_may_clip_what_the_scenario_allows():
+    log = crossed("weak", 2.0)
+    assert (log.outcome, log.clipped) == (Outcome.ARRIVED, 3)
 
 
 def test_one_that_obeys_a_tick_later_counts_with_a_warning():

@@ -91,6 +91,11 @@ class CheckedSimulator:
         return frame
 
     @property
+    def places_others(self) -> bool:
+        """Whether the simulator says that it places the others of a scenario."""
+        return bool(getattr(self._simulator, "places_others", False))
+
+    @property
     def clipped(self) -> int:
         """How many commands of this episode asked more of the car than it can do."""
         count: object = self._call("clipped", lambda: self._simulator.clipped)

@@ -56,17 +56,15 @@ class NamedSimulator:
     def __init__(self) -> None:
         """Wait for an episode."""
         self._name = ""
-        self._made: Simulator
         self._simulator: Simulator
 
     def reset(self, episode: Episode) -> Frame:
         """Make the simulator if the episode names another one than the last did, and begin the episode."""
         if episode.simulator != self._name:
-            self._made = make_simulator(episode.simulator)
+            made = make_simulator(episode.simulator)
             self._name = episode.simulator
-            own = is_own_world(self._name)
-            self._simulator = self._made if own else CheckedSimulator(self._made, self._name)
-        require_others(self._made, self._name, episode)
+            self._simulator = made if is_own_world(self._name) else CheckedSimulator(made, self._name)
+        require_others(self._simulator, self._name, episode)
         return self._simulator.reset(episode)
 
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
