@@ -210,7 +210,7 @@ def test_an_interrupted_campaign_says_how_to_go_on(here, begun, skd_here):
     # Whatever makes it another campaign is said, and nothing is lost by it.
     for text, part in (
         ("sweep: {seed: [0, 1, 2]}", "cell basic-C1_seed=2 was not asked for"),
-        ("sweep: {seed: [0]}", "cell basic-C1_seed=1 is no longer asked for"),
+        ("sweep: {seed: [0]}", "cell basic-C1_seed=1 was asked for when this campaign began, and is not now"),
         ("sweep: {seed: [0, 1]}\ncars: [{particles: 9}]", "particles of cell basic-C1_seed=0 has changed from 0 to 9"),
         (
             "sweep: {seed: [0, 1]}\ncars: [{scenario.eta_max: 4}]",
