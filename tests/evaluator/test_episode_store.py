@@ -50,13 +50,14 @@ def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
     )
 
 
+@pytest.mark.parametrize("strayed", [0.0, 0.25])
 @pytest.mark.parametrize("own", [None, math.nan, 1.25])
-def test_what_a_simulator_says_of_its_own_contact_is_kept(own: float | None):
-    log = dataclasses.replace(log_of(episode(3)), reason="später", own_contact=own)
+def test_what_another_simulator_says_and_does_is_kept(own: float | None, strayed: float):
+    log = dataclasses.replace(log_of(episode(3)), reason="später", own_contact=own, strayed=strayed)
     again = from_bytes(to_bytes(log), log.episode)
     np.testing.assert_equal(again.own_contact, own)
     assert bits(again) == bits(log)
-    if own is not None:
+    if own is not None or strayed:
         with pytest.raises(ValueError, match="length"):
             from_bytes(to_bytes(log)[:-1], log.episode)
 
@@ -69,6 +70,7 @@ def bits(log: EpisodeLog) -> list[bytes | str]:
         log.car.tobytes(),
         "nothing believed" if log.belief is None else log.belief.tobytes(),
         "nothing said" if log.own_contact is None else struct.pack("<d", log.own_contact),
+        struct.pack("<d", log.strayed),
         struct.pack(f"<{len(numbers)}d", *numbers),
         repr(whole),
         log.reason,
@@ -102,7 +104,7 @@ def test_a_record_knows_all_that_a_log_holds():
     """One field more is one that `bits` and the record have to have."""
     assert [one.name for one in dataclasses.fields(EpisodeLog)] == [
         "episode", "outcome", "adversary", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
-        "timing", "belief", "own_contact",
+        "timing", "belief", "own_contact", "strayed",
     ]  # fmt: skip
 
 

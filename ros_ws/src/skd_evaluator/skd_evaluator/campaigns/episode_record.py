@@ -19,7 +19,8 @@ from skd_sim.geometry.trajectory import Trajectory
 DIGEST_BYTES = 16
 _HEAD = struct.Struct("<BddqqqdIIII")
 """Outcome, impact (time, speed), depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
-_OWN_CONTACT = struct.Struct("<d")
+_OWN_CONTACT, _STRAYED = struct.Struct("<d"), struct.Struct("<dd")
+_NOTHING_SAID = -1.0  # no time of a contact
 """Last, where the simulator said it: the time of the contact by its own shapes."""
 
 
@@ -86,6 +87,8 @@ def to_bytes(log: EpisodeLog) -> bytes:
         log.timing.delay, len(adversary), len(belief), len(ages), len(reason),
     )  # fmt: skip
     own = b"" if log.own_contact is None else _OWN_CONTACT.pack(log.own_contact)
+    if log.strayed:
+        own = _STRAYED.pack(_NOTHING_SAID if log.own_contact is None else log.own_contact, log.strayed)
     return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason, own))
 
 
@@ -100,8 +103,15 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
     except struct.error as error:
         raise ValueError("it is too short") from error
     end = _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason
-    if len(data) not in (end, end + _OWN_CONTACT.size) or believed not in (0, states):
+    if len(data) not in (end, end + _OWN_CONTACT.size, end + _STRAYED.size) or believed not in (0, states):
         raise ValueError("it is of another length than it says")
+    own: float | None = None
+    strayed = 0.0
+    if len(data) == end + _STRAYED.size:
+        own, strayed = _STRAYED.unpack_from(data, end)
+        own = None if own == _NOTHING_SAID else own
+    elif len(data) > end:
+        (own,) = _OWN_CONTACT.unpack_from(data, end)
     sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
     numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
     adversary, car, belief, aged = np.split(numbers, sizes)
@@ -117,7 +127,8 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
         clipped,
         Timing(tuple(aged.tolist()), held, delay),
         belief.reshape(believed, 4).copy() if believed else None,
-        None if len(data) == end else float(_OWN_CONTACT.unpack_from(data, end)[0]),
+        own,
+        strayed,
     )
 
 
