@@ -49,7 +49,8 @@ def test_a_folder_whose_name_is_no_text_is_said_in_escapes(skd_here, here, monke
     odd.mkdir()
     (odd / "strange_cars.py").write_text(CONTROLLERS)
     monkeypatch.syspath_prepend(odd)
-    done = skd_here("assess", *SMALL, "--margin-limit", "0", "--controller", "strange_cars:Fine", "--out", here / "out")
+    quick = ("--margin-limit", "0", "--knowledge", "nothing", "--behaviour", "none")
+    done = skd_here("assess", *SMALL, *quick, "--controller", "strange_cars:Fine", "--out", here / "out")
     assert done.returncode == 0, done.stderr
     said = content(here / "out")["provenance"]
     assert said["controller_files"][0]["path"] == f"{here}/\\xffodd/strange_cars.py"
