@@ -30,6 +30,14 @@ def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
         return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
 
 
+def failed(whose: str, method: str, error: BaseException) -> AssessmentError:
+    """Return in one line what a user's code raised, and where; called while it is handled."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    said = f"{type(error).__name__}: {shown(error, str, 200)}"
+    where = f"{Path(frame.filename).name}, line {frame.lineno}"
+    return AssessmentError(f"{whose}: {method} failed with {said} ({where})")
+
+
 def _is_number(answer: Any) -> bool:
     """Return whether an answer may be taken for a number: `float` takes texts, too, and drops what is imaginary.
 
@@ -108,10 +116,7 @@ class GuardedController(WrappedController):
         except Interrupted:  # this process is to end
             raise
         except BaseException as error:  # a user's code may raise anything
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            said = f"{type(error).__name__}: {shown(error, str, 200)}"
-            where = f"{Path(frame.filename).name}, line {frame.lineno}"
-            raise AssessmentError(f"controller {self._name}: {method} failed with {said} ({where})") from None
+            raise failed(f"controller {self._name}", method, error) from None
 
 
 class GuardedSensingController(GuardedController):

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 import operator
-import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
-from skd_sim.apart.guard import shown
+from skd_sim.apart.guard import failed, shown
 from skd_sim.episode.aborts import AbortKind
 from skd_sim.episode.episode import Outcome
 from skd_sim.errors import AssessmentError, UsageError
@@ -178,10 +176,7 @@ class CheckedSimulator:
         except (UsageError, AssessmentError, SimulatorError, Interrupted):
             raise
         except BaseException as error:  # a user's code may raise anything
-            frame = traceback.extract_tb(error.__traceback__)[-1]
-            said = f"{type(error).__name__}: {shown(error, str, 200)}"
-            where = f"{Path(frame.filename).name}, line {frame.lineno}"
-            raise AssessmentError(f"simulator {self._name}: {method} failed with {said} ({where})") from None
+            raise failed(f"simulator {self._name}", method, error) from None
 
     def _fail(self, what: str) -> NoReturn:
         raise AssessmentError(f"simulator {self._name}: {what}") from None
