@@ -43,7 +43,7 @@ def test_what_is_needed_and_missing_is_an_error(capsys, monkeypatch):
 def test_what_is_optional_and_missing_is_none(capsys, monkeypatch, tmp_path: Path):
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["doctor", "--no-round-trip"]) == 0
-    assert "-- ssh-keygen: not installed; for signed results" in capsys.readouterr().out
+    assert "-- ffmpeg: not installed; for films" in capsys.readouterr().out
 
 
 def test_without_ros_nothing_is_installed(monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import shutil
 import subprocess
@@ -13,11 +12,8 @@ from pathlib import Path
 import pytest
 from cli_support import CONTROLLERS, CROSSING, SMALL, one_line
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands import episode
 from skd_evaluator.cli.parser import commands_of, make_parser
 from skd_sim.errors import UsageError
-from test_signatures import write_key
-from test_signed_commands import OTHER, RESULT, WORDS
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 SAID = "which this command reads; give another folder"
@@ -31,7 +27,6 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "physical": ["other", "{}/file"],
     "reference": ["--reference", "{}/file"],
     "fail_if_worse_than": ["--fail-if-worse-than", "{}"],
-    "sign": ["--sign", "{}/key"],
     "scenario": ["--scenario", "{}/mine.yaml"],
     "safe": ["--safe", "{}/ways"],
     "car_model": ["--car-model", "{}/file"],
@@ -86,32 +81,11 @@ def test_every_input_of_every_command_is_kept(command: str, tmp_path: Path, monk
             with pytest.raises(UsageError, match=SAID):
                 result_folder(found)
             tried += 1
-    assert tried >= 8
-    # A link that lies there is lost, too, wherever it leads; what is beside it is not.
+    assert tried >= 4
+    # What is beside it is not.
     words = [*needed, *["other"] * (2 if command == "fuse" else len(positional))]
-    key = make_parser().parse_args([command, *words, "--out", "base", "--overwrite", "--sign", "base/outward/key"])
-    with pytest.raises(UsageError, match=SAID):
-        result_folder(key)
     beside = make_parser().parse_args([command, *words, "--out", "base", "--overwrite"])
     assert result_folder(beside).path == Path("base")
-
-
-@pytest.mark.parametrize("command", sorted(set(WORDS) - {"campaign"}))
-def test_a_key_in_the_folder_that_is_replaced_is_refused_by_all_that_sign(
-    command: str, skd_here: Run, here: Path, sweep: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The whole command: the key was deleted, for good, by what it had signed."""
-    monkeypatch.setattr(episode, "prepare_ros", lambda _options: None)
-    shutil.copytree(sweep / "synthetic" / "C_0.5", here / "base")
-    key = write_key(here / "base" / "key")
-    (here / "mine.yaml").write_text(SCENARIO)
-    before = hashlib.sha256(key.read_bytes()).digest()
-    places = {RESULT: str(sweep / "synthetic" / "C_0.5"), OTHER: str(sweep / "synthetic" / "C_1")}
-    for words in WORDS[command]:
-        words = [places.get(word, word) for word in words]
-        done = skd_here(command, *words, "--out", "base", "--overwrite", "--sign", str(key))
-        one_line(done, 2, "--out base: holds", "base/key", SAID)
-        assert hashlib.sha256(key.read_bytes()).digest() == before
 
 
 def test_a_gate_that_failed_does_not_replace_what_it_was_held_against(skd_here: Run, here: Path, sweep: Path) -> None:
@@ -151,16 +125,12 @@ def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: 
     assert skd_here(*words).returncode == 0
     (here / "out" / "mine" / "ways.csv").write_text(CROSSING)
     (here / "campaign.yaml").write_text(f"{text}encounters: [{{safe: out/mine/ways.csv, name: there}}]\n")
-    key = write_key(here / "out" / "mine" / "key")
     one_line(skd_here(*words, "--overwrite"), 2, "the folder of cell mine holds out/mine/ways.csv")
     (here / "campaign.yaml").write_text(text)
-    one_line(skd_here(*words, "--overwrite", "--sign", str(key)), 2, "the folder of cell mine holds", "/key")
     assert (here / "out" / "mine" / "ways.csv").read_text() == CROSSING
-    key.rename(here / "out" / "key")
     (here / "campaign.yaml").rename(here / "out" / "campaign.yaml")
-    words = ("campaign", "out/campaign.yaml", "--out", "out", "--workers", "1", "--sign", "out/key")
+    words = ("campaign", "out/campaign.yaml", "--out", "out", "--workers", "1")
     for how in ("--resume", "--overwrite"):
         done = skd_here(*words, how)
         assert done.returncode == 0, done.stderr
         assert (here / "out" / "campaign.yaml").read_text() == text
-    assert (here / "out" / "key").is_file()

@@ -1,20 +1,14 @@
-"""A campaign is gone on with for the same car alone, and all of it is signed where that is asked for."""
+"""A campaign is gone on with for the same car alone."""
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
-from cli_support import one_line
-from skd_evaluator.campaign.store.manifest import MANIFEST
-from skd_evaluator.campaign.store.signature import PublicKey
-from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_sim.errors import UsageError
-from test_signatures import write_key
 
 SIZES = "safe_count: 1, kamikaze_count: 1, collision_runs: 1, simulations: 10, margin_limit: 0, behaviour: none"
 TWO = f"defaults: {{{SIZES}}}\ncars: [{{controller: basic, sweep: {{multiplier: [0.5, 1.0]}}}}]\n"
@@ -74,29 +68,3 @@ def test_a_cell_more_or_fewer_is_said(here: Path) -> None:
         CampaignFolder(here / "fewer", one, resume=True)
     with pytest.raises(UsageError, match=r"cell basic-C\S+ was not asked for when this campaign began, and is now;"):
         CampaignFolder(here / "more", two, resume=True)
-
-
-def test_cells_that_were_done_before_are_signed_too(here: Path, skd_here) -> None:
-    (here / "cars.yaml").write_text(TWO)
-    words = ("campaign", "cars.yaml", "--out", "out", "--workers", "1")
-    key = write_key(here / "key")
-    one_line(skd_here(*words, "--dry-run", "--sign", "nokey"), 2, "--sign", "nokey")
-    assert skd_here(*words).returncode == 0
-    shutil.rmtree(here / "out" / "basic-C0.5")
-    done = skd_here(*words, "--resume", "--sign", str(key))
-    assert done.returncode == 0, done.stderr
-    assert "signed 1 cell that had been done without a signature" in done.stderr
-    public = PublicKey(key.with_suffix(".pub"))
-    for name in ("basic-C0.5", "basic-C1"):
-        assert verify(here / "out" / name, public).fine
-    again = skd_here(*words, "--resume", "--sign", str(key))
-    assert (again.returncode, "signed" in again.stderr) == (0, False)
-    other = write_key(here / "other")
-    one_line(skd_here(*words, "--resume", "--sign", str(other)), 2, "by another key", "move the signature away")
-    signature = here / "out" / "basic-C1" / f"{MANIFEST}.sig"
-    signature.unlink()
-    (here / "out" / "basic-C1" / "skd.png").write_bytes(b"another picture")
-    (here / "out" / "basic-C1" / MANIFEST).open("a").write(f"{'0' * 64}  skd.png\n")
-    refused = skd_here(*words, "--resume", "--sign", str(key))
-    one_line(refused, 2, "basic-C1/skd.png: is not what was written, and so is not signed")
-    assert not signature.exists()

@@ -39,7 +39,6 @@ setup(
         "rosbags",
         "shtab",
         "Jinja2",
-        "cryptography",
         "pillow",
         "vl-convert-python",
     ],

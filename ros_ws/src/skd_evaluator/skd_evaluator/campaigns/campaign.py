@@ -63,7 +63,6 @@ class Campaign:
     Attributes:
         rows: what is known of each cell, in the order of the file.
         told: called with the row of each cell that ends from now on.
-        signed_before: how many cells that were done before had no signature, and have one now.
     """
 
     def __init__(
@@ -95,7 +94,6 @@ class Campaign:
             cell.name: row_of(cell, folder.path / cell.name, before.get(cell.name), maximum_aborted) for cell in cells
         }
         done = {name: row for name, row in rows.items() if row is not None}
-        self.signed_before = sum(folder.sign_cell(name) for name in done)
         self._cells = cells
         self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
         self.told: Callable[[Row], None] = lambda _row: None

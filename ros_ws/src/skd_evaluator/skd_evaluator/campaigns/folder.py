@@ -17,7 +17,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.former_names import scenario_of_today
@@ -25,16 +25,13 @@ from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessing.inputs import lies_in
-from skd_evaluator.campaign.store.manifest import MANIFEST, hold, read_manifest, write_manifests
+from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
 from skd_evaluator.campaigns.rows import CHECKED
 from skd_evaluator.campaigns.store import FILE_NAME as STORE
 from skd_evaluator.files import MARKERS
 from skd_evaluator.temporary_folders import PREFIX, make_temporary
-
-if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.signature import Signer
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
 _HEX = 16  # digits of a digest that are shown
@@ -55,7 +52,6 @@ class CampaignFolder:
         *,
         resume: bool = False,
         overwrite: bool = False,
-        signer: Signer | None = None,
         reads: Sequence[Path] = (),
     ) -> None:
         """Take the folder, and begin a campaign in it or go on with the one that is there.
@@ -65,7 +61,6 @@ class CampaignFolder:
             cells: what is asked for.
             resume: whether to go on with what is there.
             overwrite: whether to replace what is there.
-            signer: signs the cells.
             reads: files and folders that the campaign reads: none may be in the folder of a cell, which is replaced.
 
         Raises:
@@ -74,7 +69,6 @@ class CampaignFolder:
             OSError: it cannot be written.
         """
         self.path = path
-        self._signer = signer
         self._option = f"--out {path}"
         self._descriptor: int | None = None
         if path.exists() and not path.is_dir():
@@ -225,7 +219,7 @@ class CampaignFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            write_manifests(temporary, self._signer)
+            write_manifests(temporary)
             digests = {one: sha256_of(temporary / one) for one in CHECKED}
             _to_disk(temporary)
             self._remove_cell(target)
@@ -235,30 +229,6 @@ class CampaignFolder:
             raise
         _to_disk(self.path, only=True)
         return digests
-
-    def sign_cell(self, name: str) -> bool:
-        """Sign a cell that was done before, whose result has been checked, and return whether that was to be done.
-
-        Raises:
-            UsageError: it is signed by another key, or is not what was signed, or not what was written.
-            OSError: it cannot be written.
-        """
-        folder = self.path / name
-        if self._signer is None or self._signer.has_signed(folder / MANIFEST):
-            return False
-        manifest = read_manifest(folder)
-        if manifest is None:
-            raise UsageError(
-                f"{folder}: has no {MANIFEST} that could be signed; remove it, and --resume makes it again"
-            )
-        held = hold(folder, manifest)
-        if strange := (*held.changed, *held.missing):
-            raise UsageError(
-                f"{folder / strange[0]}: is not what was written, and so is not signed; remove {folder}, and --resume "
-                "makes it again"
-            )
-        self._signer.sign(folder / MANIFEST)
-        return True
 
     def write_rows(self, content: Mapping[str, Any], columns: Sequence[str]) -> None:
         """Write campaign.json and, of its rows, campaign.csv."""

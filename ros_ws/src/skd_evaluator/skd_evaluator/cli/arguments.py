@@ -27,7 +27,6 @@ from skd_evaluator.campaign.plan.options import (
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.results import ResultFolder
-    from skd_evaluator.campaign.store.signature import Signer
 
 CAR_GROUP = "car and test"
 
@@ -266,22 +265,6 @@ def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_verification_arguments(parser: argparse._ActionsContainer, flag: str) -> None:
-    """Add the option that has decisions made again, under some name, and --verify-seed."""
-    parser.add_argument(
-        flag,
-        dest="verified_share",
-        type=percentage,
-        nargs="?",
-        const=1.0,
-        metavar="PERCENT",
-        help="make the decisions of so many of the kamikazes again, from where the car was, and see whether they were "
-        "planned as is said: by as many simulations, for the same objective (without a number: of all)",
-    )
-    by_which = "by which those that are verified are drawn (default: another one each time, which is said)"
-    add_count(parser, "--verify-seed", 0, 2**31 - 1, by_which)
-
-
 def add_graph_arguments(
     parser: argparse.ArgumentParser,
     command: str,
@@ -310,10 +293,6 @@ def add_output_arguments(
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
     group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
-    if metavar != "FILE":
-        group.add_argument(
-            "--sign", type=Path, metavar="KEY", help="private key of OpenSSH's, with which the results are signed"
-        )
     group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
     loudness = group.add_mutually_exclusive_group()
     loudness.add_argument(
@@ -322,24 +301,11 @@ def add_output_arguments(
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
 
 
-def signer_of(arguments: argparse.Namespace) -> Signer | None:
-    """Return what signs results with the key that --sign names, if one was given.
-
-    Raises:
-        UsageError: it is no key that signs.
-    """
-    if arguments.sign is None:
-        return None
-    from skd_evaluator.campaign.store.signature import Signer
-
-    return Signer(arguments.sign)
-
-
 def result_folder(arguments: argparse.Namespace) -> ResultFolder:
     """Take the folder for the results.
 
     Raises:
-        UsageError: it cannot be taken, holds what the command reads, or --sign names no key that signs.
+        UsageError: it cannot be taken, or holds what the command reads.
     """
     from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
     from skd_evaluator.campaign.plan.car_files import leave_out
@@ -348,7 +314,7 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
     out = output_path(arguments)
     leave_out([out])
     refuse_to_replace(out, inputs_of(vars(arguments)))
-    return ResultFolder(out, overwrite=arguments.overwrite, signer=signer_of(arguments))
+    return ResultFolder(out, overwrite=arguments.overwrite)
 
 
 def output_path(arguments: argparse.Namespace) -> Path:

@@ -23,7 +23,6 @@ from skd_evaluator.cli.arguments import (
     add_output_arguments,
     add_pictures_argument,
     add_runner_arguments,
-    add_verification_arguments,
     positive_number,
     real_number,
     steps_of,
@@ -191,7 +190,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_max_aborted_argument(replay)
     add_floor_argument(replay)
-    add_verification_arguments(replay, "--verify")
     add_damage_argument(replay)
     add_details_argument(replay)
     add_gate_arguments(replay)
@@ -229,8 +227,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="check that results are unchanged and follow from their episodes",
         description="Compare every file of a result with its checksum in manifest.sha256, compute every figure of "
         "assessment.json anew from episodes.npz, and check that each episode can have happened. It says what agrees, "
-        "what does not (then the exit code is 1), and what cannot be recomputed from the folder. With --decisions it "
-        "also plans the kamikazes again.",
+        "what does not (then the exit code is 1), and what cannot be recomputed from the folder.",
     )
     verify.add_argument(
         "paths",
@@ -239,10 +236,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="DIR",
         help="folder of an assessment, a sweep or a campaign, or a folder of such",
     )
-    verify.add_argument(
-        "--key", type=Path, metavar="FILE", help="public key of OpenSSH's (….pub) by which each result has to be signed"
-    )
-    add_verification_arguments(verify, "--decisions")
     verify.add_argument("--json", action="store_true", help="print JSON, which names every figure, instead of lines")
 
     plan = commands.add_parser(

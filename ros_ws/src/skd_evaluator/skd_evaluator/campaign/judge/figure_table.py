@@ -309,8 +309,6 @@ FIGURES = (
     Figure("collision_standing_contacts", COUNT),
     Figure("left_out", LINES, told=Told.ASKED),
     Figure("warnings", LINES, told=Told.ASKED),
-    Figure("verification", Kind(ref("verification")), "of kamikazes whose decisions were made again, by skd replay "
-           "--verify alone", told=Told.ASKED, optional=True, newer=True),
     Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
            "each impact place that one of the φ stands for", told=Told.TESTED, optional=True, newer=True),
     Figure("name", TEXT, of=Of.PHI),

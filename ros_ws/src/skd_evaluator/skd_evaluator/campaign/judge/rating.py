@@ -68,7 +68,6 @@ class Rating:
         left_out: what recordings held besides, and why it does not count, a line each.
         warnings: what a reader should know of the episodes that count, a line each.
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
-        verification: what came of making the kamikazes' decisions again; None where nobody asked for it.
         provenance: what ran, when and where (`skd_evaluator.provenance`).
         static_tests: what came of the protocol's static tests, an entry of assessment.json each.
         simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
@@ -88,7 +87,6 @@ class Rating:
     left_out: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     until_width: UntilWidth | None = None
-    verification: Mapping[str, Any] | None = None
     provenance: Mapping[str, Any] | None = None
     static_tests: tuple[Mapping[str, Any], ...] = ()
     simulation: Mapping[str, Any] | None = None
@@ -300,7 +298,6 @@ class Rating:
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
             **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
-            **({} if self.verification is None else {"verification": dict(self.verification)}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
             "surrogate_measures": self.surrogates.as_dict(),

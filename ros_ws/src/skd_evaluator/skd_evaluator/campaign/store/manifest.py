@@ -12,16 +12,12 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_text, sha256_of
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.temporary_folders import PREFIX
-
-if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.signature import Signer
 
 MANIFEST = "manifest.sha256"
 SIGNATURE = f"{MANIFEST}.sig"
@@ -46,23 +42,22 @@ class Held:
     others: tuple[str, ...]
 
 
-def write_manifests(folder: Path, signer: Signer | None = None) -> None:
+def write_manifests(folder: Path) -> None:
     """Write the manifest of a folder, and before that one in each folder below it that holds an assessment.
 
     Args:
         folder: the folder of a result.
-        signer: signs each manifest.
 
     Raises:
         OSError: it cannot be written.
     """
     for inside in sorted(folder.glob(f"**/{ASSESSMENT}"), reverse=True):
         if inside.parent != folder:
-            _write(inside.parent, signer)
-    _write(folder, signer)
+            _write(inside.parent)
+    _write(folder)
 
 
-def _write(folder: Path, signer: Signer | None) -> None:
+def _write(folder: Path) -> None:
     lines = [
         f"{sha256_of(folder / name)}  {name}\n" for name in _files(folder) if _LINE.fullmatch(f"{'0' * 64}  {name}")
     ]
@@ -75,8 +70,6 @@ def _write(folder: Path, signer: Signer | None) -> None:
         temporary.replace(folder / MANIFEST)
     finally:
         temporary.unlink(missing_ok=True)
-    if signer is not None:
-        signer.sign(folder / MANIFEST)
 
 
 def _files(folder: Path) -> list[str]:

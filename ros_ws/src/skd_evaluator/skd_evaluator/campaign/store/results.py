@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
@@ -26,9 +26,6 @@ from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.files import MARKERS, note_in_place
 from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary, remove
 from skd_evaluator.version import version
-
-if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.signature import Signer
 
 LOGS = "logs"
 _FAILED = ".failed"
@@ -63,14 +60,13 @@ class ResultFolder:
         path: where the results are.
     """
 
-    def __init__(self, path: Path, *, overwrite: bool = False, signer: Signer | None = None) -> None:
-        """Take the folder; `signer` signs what is written.
+    def __init__(self, path: Path, *, overwrite: bool = False) -> None:
+        """Take the folder.
 
         Raises:
             UsageError: it cannot be written, holds something already, or another run has taken it.
         """
         self.path = path
-        self._signer = signer
         try:
             self._target = real_path(path)  # of a link, the folder behind it is replaced
             _check(self._target, f"--out {path}", overwrite=overwrite)
@@ -126,7 +122,7 @@ class ResultFolder:
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
-            write_manifests(temporary, self._signer)
+            write_manifests(temporary)
             self._exchange(temporary, replaced)
         except BaseException as error:
             if _is(self._target, whole):  # an interrupt came after all was done

@@ -115,12 +115,6 @@ def _definitions() -> dict[str, Any]:
         "until_width": _object(
             wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
             looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN))),
-        "velocity": {**_pair("(East, North), m/s", "number"), "type": "array"},
-        "verification": _object(
-            kamikazes=_COUNT, drawn=_COUNT, seed=_COUNT, verified=_COUNT,
-            not_verifiable={"type": "object", "additionalProperties": {"type": "integer", "minimum": 1}},
-            not_as_planned=_list(_object(
-                episode_id=_COUNT, objective=_TEXT, tick=_COUNT, recorded=ref("velocity"), planned=ref("velocity")))),
         "static_test": _object(
             place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
             target=_said(_FLAG, "whether the target was touched, and nobody else"),

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
@@ -16,15 +16,12 @@ from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
 from skd_evaluator.campaign.store.checked import starts_that_differ
-from skd_evaluator.campaign.store.manifest import MANIFEST, SIGNATURE, Held, hold, read_manifest
+from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
 from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 from skd_evaluator.measure.aborted import aborted_lines
 from skd_evaluator.measure.doubt import in_doubt
-
-if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.signature import PublicKey
 
 _CAMPAIGN, _CELLS, _TABLE, _SWEEP = "campaign.json", "cells.json", "campaign.csv", "sweep.json"
 _AGREE = 1e-7
@@ -43,7 +40,6 @@ class Verified:
         unknown: names of figures that cannot be recomputed from the folder, by the reason.
         problems: whatever else is wrong, a line each.
         remarks: remarks for the reader, a line each.
-        decisions: result of planning its kamikazes' decisions again, as JSON has it; None if nobody asked for it.
         read: its figures, whether they are of before the margin, and its episodes, for whoever looks at them further;
             None if they could not be read.
     """
@@ -55,7 +51,6 @@ class Verified:
     unknown: Mapping[str, tuple[str, ...]] | None = None
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
-    decisions: Mapping[str, Any] | None = None
     read: tuple[Mapping[str, Any], bool, StoredEpisodes] | None = None
 
     @property
@@ -77,7 +72,6 @@ class Verified:
             "unknown": {reason: list(names) for reason, names in (self.unknown or {}).items()},
             "problems": list(self.problems),
             "remarks": list(self.remarks),
-            **({} if self.decisions is None else {"decisions": dict(self.decisions)}),
         }
 
 
@@ -100,12 +94,11 @@ def folders_below(folder: Path) -> list[Path]:
     return found
 
 
-def verify(folder: Path, key: PublicKey | None = None) -> Verified:
+def verify(folder: Path) -> Verified:
     """Return what is to be said of a folder, whatever is wrong with it.
 
     Args:
         folder: the folder of a result.
-        key: by which it has to be signed.
     """
     try:
         there = {path.name for path in folder.iterdir()}
@@ -119,11 +112,6 @@ def verify(folder: Path, key: PublicKey | None = None) -> Verified:
     except UsageError as error:
         problems.append(str(error))
     remarks: list[str] = []
-    if key is not None and _CAMPAIGN not in there:  # whose rows are held against its cells
-        fault = key.fault_of(folder / MANIFEST)
-        (problems if fault else remarks).append(fault or "signed by the key")
-    elif SIGNATURE in there:
-        remarks.append("signed; --key says by whom it has to be")
     if _CAMPAIGN in there:
         problems += _rows_that_differ(folder)
     elif files is None and not problems:

@@ -23,7 +23,7 @@ from skd_evaluator.campaigns.campaign_file import Combination, read_campaign
 from skd_evaluator.campaigns.cell import Cell, make_cells
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import DONE, FAILED, Row
-from skd_evaluator.cli.arguments import output_path, signer_of
+from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
@@ -49,7 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
         [arguments.path, *([] if arguments.out is None else [Path(arguments.out)])]
     )  # the file: what it asks for is held cell by cell
     cells = make_cells(combinations)
-    signer = signer_of(arguments)
     if arguments.dry_run:
         return _say_plan(cells, arguments)
     if arguments.resume and arguments.out is None:
@@ -61,7 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
         cells,
         resume=arguments.resume,
         overwrite=arguments.overwrite,
-        signer=signer,
         reads=_read_by(combinations, arguments),
     )
     try:
@@ -86,9 +84,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _say_what_was_taken_over(campaign: Campaign, cells: Sequence[Cell]) -> None:
     """Say what a user cannot see of what a campaign goes on with."""
-    if campaign.signed_before:
-        done = counted(campaign.signed_before, "cell")
-        print(f"skd campaign: signed {done} that had been done without a signature", file=sys.stderr)
     for label, why_not in dict.fromkeys((cell.plan.car.label, cell.not_compared) for cell in cells):
         if why_not:
             print(

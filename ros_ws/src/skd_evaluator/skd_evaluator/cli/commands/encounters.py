@@ -35,12 +35,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.multipliers and arguments.action != "reference":
         raise UsageError("--multipliers goes with skd encounters reference")
-    if arguments.sign is not None and (
-        arguments.action == "campaign" or (arguments.action, arguments.out) == ("list", None)
-    ):
-        raise UsageError(
-            "--sign is for a folder of results; skd encounters campaign, and list without --out, write none"
-        )
     if arguments.action == "list":
         if arguments.names:
             raise UsageError("skd encounters list takes no names; skd encounters show does")

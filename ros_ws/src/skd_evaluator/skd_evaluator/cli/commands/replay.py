@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from dataclasses import replace
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.pipeline import planners_of
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.bags.verification import Sample, verified
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
@@ -53,28 +50,19 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     say_damage("replay", damage)
     plan = rating.plan
     known = foretold(plan.car, plan.scenario) or plan.car.is_own
-    said = ""
-    verifies = bool(arguments.verified_share)
-    if arguments.floor or known or verifies:
+    if arguments.floor or known:
         if arguments.floor:
             warm_up_floor()
         if known and arguments.margin_limit:
             warm_up_margins()
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
-            runner.start(planners_of(plan, [one.plan.objective for one in rating.assessments]) if verifies else ())
-            if arguments.floor or known:
-                rating = with_margins(rating, runner, progress, arguments.margin_limit)
+            runner.start(())
+            rating = with_margins(rating, runner, progress, arguments.margin_limit)
             if arguments.floor:
                 rating = with_floors(rating, runner, progress)
-            if verifies:
-                sample = Sample.of(arguments.verified_share, arguments.verify_seed)
-                found = verified(rating.kamikaze_logs, sample, runner, progress)
-                rating, said = found.told(rating), found.text
-    if said:
-        print(f"skd replay: {said}", file=sys.stderr)
-    if not (arguments.floor or known):
+    else:
         rating = replace(rating, margin_note=NEEDS_THE_CAR)
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
-    return print_result(rating, out, arguments, gate, problem, (*damage.warnings, said))
+    return print_result(rating, out, arguments, gate, problem, damage.warnings)

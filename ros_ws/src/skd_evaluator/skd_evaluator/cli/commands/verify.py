@@ -6,7 +6,6 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
@@ -16,11 +15,7 @@ from skd_evaluator.bags.completeness import missing_episodes
 from skd_evaluator.bags.logs import look_through
 from skd_evaluator.bags.replay import judged_otherwise
 from skd_evaluator.bags.validation import Damage
-from skd_evaluator.bags.verification import Sample, stored_verification
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
-from skd_evaluator.campaign.store.signature import PublicKey
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
@@ -34,13 +29,7 @@ _SHOWN = 20
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     folders = [folder for path in arguments.paths for folder in folders_below(path)]
-    key = None if arguments.key is None else PublicKey(arguments.key)
-    found = [with_regulator(with_episodes(verify(folder, key))) for folder in dict.fromkeys(folders)]
-    if arguments.verified_share:
-        sample = Sample.of(arguments.verified_share, arguments.verify_seed)
-        with InProcessRunner(available_workers()) as runner:
-            runner.start(warm_up_episodes())
-            found = [_with_decisions(one, sample, runner) for one in found]
+    found = [with_regulator(with_episodes(verify(folder))) for folder in dict.fromkeys(folders)]
     fine = all(one.fine for one in found)
     if arguments.json:
         print_json({"fine": fine, "results": [one.as_dict() for one in found]})
@@ -88,22 +77,6 @@ def _missing(stored: StoredEpisodes) -> list[str]:
         which = f" of objective {objective}"
         lines += missing_episodes([*own, *runs], {}, wanted=0, left_out=True, which=which)
     return [line.replace("no recording has", "it has no") for line in dict.fromkeys(lines)]
-
-
-def _with_decisions(found: Verified, sample: Sample, runner: ExecutorRunner) -> Verified:
-    """Return what was found with whether the kamikazes of the result were planned as it says."""
-    if found.problems or not (found.folder / ASSESSMENT).exists():
-        return found
-    try:
-        decided = stored_verification(found.folder, sample, runner, lambda _label, _done, _total: None)
-    except UsageError as error:
-        return replace(found, problems=(*found.problems, str(error)))
-    return replace(
-        found,
-        problems=(*found.problems, *decided.lines),
-        remarks=(*found.remarks, decided.text),
-        decisions=decided.as_dict(),
-    )
 
 
 def _lines(one: Verified) -> list[str]:

@@ -28,7 +28,6 @@ _DISTRIBUTIONS = {"PIL": "pillow", "yaml": "pyyaml", "vl_convert": "vl-convert-p
 _TOOLS = {
     "git": "the commit of a car's code in results",
     "ffmpeg": "films as mp4 (skd show --format mp4)",
-    "ssh-keygen": "signed results (--sign)",
 }
 _EXTRAS = {
     "dask": ("dask", "runs on a cluster (--scheduler)"),
