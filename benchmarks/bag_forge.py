@@ -20,7 +20,6 @@ from skd_sim.choices.options import options_to_text
 from skd_sim.episode.episode import EpisodeLog
 from skd_sim.episode.randomness import controller_seed
 from skd_sim.episode.stamps import next_start, tick_stamp
-from skd_sim.former_names import TOPICS as FORMER_TOPICS
 
 DEFINITIONS = Path(__file__).resolve().parents[1] / "ros_ws" / "src" / "skd_msgs" / "msg"
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
@@ -51,9 +50,8 @@ class Sent:
 
 
 def base(topic: str) -> str:
-    """Return a topic of ours without its namespace, and as it is called today."""
-    names = {name: name for name in TYPES} | FORMER_TOPICS
-    return next(names[name] for name in names if topic.endswith(name))
+    """Return a topic of ours without its namespace."""
+    return next(name for name in TYPES if topic.endswith(name))
 
 
 def _new(name: str, **fields: Any) -> Any:

@@ -98,7 +98,6 @@ def options(rng: random.Random) -> list[str]:
         *("--seed", str(rng.randrange(10_000))),
     ]
     seldom: list[list[str]] = [
-        ["--floor"],
         ["--curve"],
         ["--told"] if knowledge == "itself" else [],
         ["--controller-calls", "2000"] if knowledge == "itself" else [],

@@ -54,11 +54,6 @@ def _margin_speed(arrays: Arrays, draw: random.Random) -> None:
     arrays["margin_impact_speed"] *= draw.choice([0.5, 0.99])
 
 
-def _floor(arrays: Arrays, draw: random.Random) -> None:
-    if "floor" in arrays:
-        arrays["floor"] = draw.choice([-1.0, 0.5, 0.9, 1.1, 100.0]) * arrays["floor"]
-
-
 def _crossings(arrays: Arrays, draw: random.Random) -> None:
     """Call hits in crossings of the risk touches by the flank, or nothing."""
     if "risk_touch" not in arrays:  # nobody knows how a cyclist's ways vary
@@ -85,7 +80,6 @@ ARRAYS: dict[str, Callable[[Arrays, random.Random], None]] = {
     "margin's way": _margin_way,
     "margin's attempts": _margin_attempts,
     "margin's speeds": _margin_speed,
-    "floor": _floor,
     "crossings": _crossings,
     "clipped": _clipped,
     "runs left out": _runs_fewer,

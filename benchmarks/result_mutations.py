@@ -282,8 +282,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         scratch = Path(name)
         bases = [scratch / "known", scratch / "two"]
-        floor = [] if further else ["--floor"]  # there is one in straight encounters with a pedestrian alone
-        assert skd(["assess", *ASSESS, *further, *floor, "--out", str(bases[0])]) == 0
+        assert skd(["assess", *ASSESS, *further, "--out", str(bases[0])]) == 0
         assert skd(["assess", *ASSESS, *further, "--multiplier", "0.6", "--curve", "--out", str(bases[1])]) == 0
         truths = [said(base) for base in bases]
         for base, true in zip(bases, truths, strict=True):

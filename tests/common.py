@@ -12,13 +12,12 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import resources
 from typing import Any
 
 import jsonschema
 import numpy as np
-from skd_sim.former_names import SECTIONS
 
 PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
@@ -109,9 +108,3 @@ def assert_same_episodes(one: bytes, other: bytes) -> None:
         for name in set(here) & set(there):
             assert (here[name].dtype, here[name].shape) == (there[name].dtype, there[name].shape), name
             assert here[name].tobytes() == there[name].tobytes(), name
-
-
-def scenario_of_before(data: Mapping[str, Any]) -> dict[str, Any]:
-    """A scenario's plain data as files had it before the adversary was called so."""
-    then = {today: name for name, today in SECTIONS.items()}
-    return {then.get(key, key): value for key, value in data.items()}

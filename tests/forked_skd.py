@@ -36,7 +36,7 @@ _FIXED = ("SKD_CACHE_DIR", "XDG_CACHE_HOME", "HOME")
 """Variables that have had their effect before a command is forked."""
 _FIRST = (
     "--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5", "--workers", "1",
-    "--floor", "--quiet",
+    "--quiet",
 )  # fmt: skip
 
 

@@ -19,7 +19,6 @@ ROS_FOLDERS = ("nodes", "messages", "ros")
 ROOMS = {  # of the evaluator: which others each may import
     "measure": set(),
     "campaign": {"measure"},
-    "floor": {"measure", "campaign", "margin"},
     "margin": {"measure", "campaign"},
     "bags": {"measure", "campaign"},
     "report": {"measure", "campaign", "ncap"},
@@ -28,10 +27,10 @@ ROOMS = {  # of the evaluator: which others each may import
     "exchange": {"measure", "campaign", "bags", "fusion", "report"},
     "learning": {"campaign", "bags", "measure"},
     "risk": {"campaign", "bags", "margin", "measure"},
-    "assessing": {"measure", "campaign", "floor", "margin", "report", "learning", "risk"},
+    "assessing": {"measure", "campaign", "margin", "report", "learning", "risk"},
     "driving": {"campaign", "measure"},
     "ros": {"campaign", "bags", "learning", "assessing", "driving"},
-    "campaigns": {"measure", "campaign", "floor", "margin", "ros", "assessing", "risk"},
+    "campaigns": {"measure", "campaign", "margin", "ros", "assessing", "risk"},
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (

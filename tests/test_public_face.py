@@ -1,4 +1,4 @@
-"""What packages offer their users by name, and modules under their names of before."""
+"""What packages offer their users by name."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from skd_sim.public import _FORMER
 
-ROOT = Path(__file__).resolve().parent.parent
 FACES = ("skd_sim", "skd_adversary", "skd_evaluator", "skd_sim.episode", "skd_evaluator.campaign.plan")
 
 
@@ -39,20 +37,3 @@ def test_its_import_is_light(package):
     code = f"import sys, {package}; print(sorted({{'numpy', 'numba', 'scipy', 'rclpy'}} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("former", _FORMER)
-def test_a_module_that_has_moved_is_found_under_its_name_of_before(former):
-    today = importlib.import_module(_FORMER[former])
-    assert importlib.import_module(former) is today
-    assert today.__name__ == _FORMER[former]
-    assert today.__spec__ is not None
-    assert today.__spec__.name == _FORMER[former]
-
-
-def test_no_own_module_uses_a_name_of_before():
-    for file in [*ROOT.glob("ros_ws/src/**/*.py"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.py")]:
-        if file.name == "public.py":
-            continue
-        text = file.read_text(encoding="utf-8")
-        assert [name for name in _FORMER if f"{name} import" in text or f"`{name}" in text] == [], file

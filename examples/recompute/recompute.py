@@ -14,19 +14,16 @@ for k in np.flatnonzero((a["mode"] == 1) & touch):  # of each pair: Fréchet, pr
     cut, ticks = phi[: len(psi)], [*range(len(psi) - 1), a["impact_time"][k] / a["time_step"]]
     d[[0, 1, 3], k] = couple(phi, psi, max, 1), couple(cut, psi, max, 1), couple(cut, psi, np.add, 2)
     d[2, k] = max(np.hypot(*(to - np.interp(ticks, range(len(phi)), by) for by, to in zip(phi.T, psi.T, strict=True))))
-needed, floor = np.where(hit, np.fmin(d[2], most), most), a.get("floor", d[0] * np.nan)
+needed = np.where(hit, np.fmin(d[2], most), most)
 sets = [(f"objectives.{o}.", 2 * p, a["objective"] == o) for o, p in zip(a["objectives"], a["plans_deformation"])]
 each = [(f"per_safe_trajectory.{i}.", index == i) for i in range(len(a["safe_name"]))]
 for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows in sets for phi, mine in each]:
     tried, hits, kept = rows & ran, rows & touch, rows & touch & ~(d[of] > a["maximum_distance"])
-    reached, known, speeds = hit if of == 2 else touch, kept & (floor >= 0), a["impact_speed"][hits]
-    n, r = known.sum() / max(floor[known].sum(), 1e-9), d[0][known].sum() / max(floor[known].sum(), 1e-9)
+    reached, speeds = hit if of == 2 else touch, a["impact_speed"][hits]
     x = {"deformation": needed[tried], "deformation_of_successes": d[2, rows & hit], "skd": d[0, kept],
-         "warped": d[3, kept], "skd_prefix": d[1, kept], "floor": floor[known], "mean_impact_speed": speeds,
-         "floor_ratio": r + n * (d[0][known] - r * floor[known])}
+         "warped": d[3, kept], "skd_prefix": d[1, kept], "mean_impact_speed": speeds}
     y = {"attempts": tried.sum(), "failed": (tried & ~reached).sum(), "aborted": (rows & ~ran).sum(),
          "pairs": kept.sum(), "discarded_by_distance": (hits & ~kept).sum(), "standing_contacts": (speeds < 0.1).sum(),
-         "floor_missing": kept.sum() - known.sum() if of == 0 and "floor" in a else np.nan,
          "success_rate": reached[tried].mean(), "success_rate_ci95_attempts": wilson(reached[tried])}
     y |= {key: one.mean() for key, one in x.items() if one.size}
     ends = {key: [y[key] + side * z * sem(one) for side in (-1, 1)] for key, one in x.items() if one.size > 1}

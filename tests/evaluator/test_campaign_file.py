@@ -80,16 +80,6 @@ def test_any_key_of_a_scenario_can_be_swept(tmp_path):
     assert len({cell.key for cell in cells}) == len(cells)
 
 
-def test_keys_of_before_are_those_of_today(tmp_path):
-    text = "sweep:\n  scenario.{}.distance_noise: [0.5, 2]"
-    before, today = (make_cells(read(tmp_path, text.format(name))) for name in ("pedestrian", "adversary"))
-    assert before == today
-    assert [cell.plan.scenario.adversary.distance_noise for cell in before] == [0.5, 2.0]
-    both = "defaults: {scenario.pedestrian.speed: 2, scenario.adversary.speed: 2}"
-    with pytest.raises(UsageError, match=r"has key scenario\.adversary\.speed and key scenario\.pedestrian\.speed"):
-        read(tmp_path, both)
-
-
 def test_paths_are_those_beside_the_file(tmp_path, monkeypatch):
     (tmp_path / "deep").mkdir()
     (tmp_path / "deep" / "walk.csv").write_text(CROSSING)

@@ -73,17 +73,13 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], object]] = {
     "nothing": lambda figures: figures.update(margin=None),
     "gone": lambda figures: figures.pop("skd_ci95"),
     "gone inside": lambda figures: figures["vulnerability_curve"]["margins"]["points"][3].pop("ci95_attempts"),
-    "gone of what older versions lack": lambda figures: figures["surrogate_measures"]["kamikazes"]["deformation"][
-        "fatality_risk"
-    ].pop("defined"),
+    "gone of a measure": lambda figures: figures["surrogate_measures"]["kamikazes"]["deformation"]["fatality_risk"].pop(
+        "defined"
+    ),
     "equivalent": lambda figures: figures.update(equivalent_multiplier=1.5),
     "text": lambda figures: figures.update(equivalent_multiplier_text="1.500"),
 }
-UNSAID = {"gone"}
-"""Of these, those that older versions need not have had."""
 SAID = {
-    "gone inside",
-    "gone of what older versions lack",
     "margin_beyond",
     "inside",
     "curve",
@@ -113,7 +109,7 @@ def test_a_figure_that_does_not_follow_is_refused(result, name):
         read_result(result)
 
 
-@pytest.mark.parametrize("name", sorted(set(FORGERIES) - SAID - UNSAID))
+@pytest.mark.parametrize("name", sorted(set(FORGERIES) - SAID))
 def test_a_headline_of_an_older_result_that_does_not_follow_is_refused(result, name):
     edit(result, FORGERIES[name], "removed")
     with pytest.raises(UsageError):
@@ -166,7 +162,7 @@ def test_a_scenario_with_another_start_is_refused(result, name, manifest):
 
 def test_starts_are_said_by_how_much_they_differ(result):
     """All start as the scenario has it; a car that is 1.5 m/s faster is so by that much, in each of them."""
-    figures, stored = read_figures(result)[0], read_episodes(result)
+    figures, stored = read_figures(result), read_episodes(result)
     assert starts_that_differ(result, figures, stored) is None
     figures["scenario"]["car"]["start_speed"] += 1.5
     found = starts_that_differ(result, figures, stored)
@@ -220,7 +216,7 @@ def beyond_any_hit(values: np.ndarray) -> np.ndarray:
 def test_margins_greater_than_what_a_kamikaze_needed_are_found(result, manifest):
     """Whoever writes all files anew can lower no kamikaze's deformation below the margin of its attempt."""
     change_array(result, "margin", beyond_any_hit)
-    figures, _ = read_figures(result)
+    figures = read_figures(result)
     given = rebuilt(figures, read_episodes(result)).as_dict()
     keys = [key for key in given if not key.startswith("equivalent")]  # which are told of this car
     edit(result, lambda one: one.update({key: given[key] for key in keys if key in one}), manifest)
@@ -244,9 +240,8 @@ def test_whose_behaviour_a_risk_is_of_is_not_said_to_be_recomputed(result):
 
 
 def test_every_figure_but_what_was_asked_for_is_recomputed(result):
-    figures, former = read_figures(result)
+    figures = read_figures(result)
     found = recompute(figures, read_episodes(result))
-    assert not former
     assert found.contradict == ()
     tops = {name.partition(".")[0] for name in found.unknown}
     assert {"margin", "skd", "skd_ci95", "collision_rate", "measures", "clustering", "objectives"}.isdisjoint(tops)
@@ -274,18 +269,8 @@ def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
     write_assessment(tmp_path, rating)
     write_manifests(tmp_path)
     assert read_result(tmp_path).figures["aborted"] == 2
-    assert recompute(read_figures(tmp_path)[0], read_episodes(tmp_path)).contradict == ()
+    assert recompute(read_figures(tmp_path), read_episodes(tmp_path)).contradict == ()
     assert "2 episodes aborted" in render(read_subjects([tmp_path]))
 
 
 # --- the manifest, and skd verify
-
-
-def test_what_says_nothing_may_be_missing_inside(result: Path):
-    """Results of before lack what their version did not look for, as the likely failures of a risk."""
-    figures, _ = read_figures(result)
-    stored = read_episodes(result)
-    floor = figures["objectives"]["paper"].pop("floor")
-    assert (floor, recompute(figures, stored).contradict) == (None, ())
-    figures["objectives"]["paper"].pop("skd")
-    assert [one.name for one in recompute(figures, stored).contradict] == ["objectives.paper.skd"]

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clairvoyant_support import CROSSING, kamikaze_episode
+from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.campaign.plan.plan import OWN, Plan, safe_trajectories
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
 from skd_evaluator.campaign.validation.verdict import examine
-from skd_evaluator.floor.assessment_floor import check_floor
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.measure.distances.deformation import deformation
@@ -261,7 +260,7 @@ def test_synthetic_phi_do_not_depend_on_the_clock_of_the_car() -> None:
         assert own.positions[-1, 0] >= CROSSING.adversary.destination_x
 
 
-# --- floors and recordings
+# --- margins and recordings
 
 
 class Sequence:
@@ -306,8 +305,6 @@ def test_the_search_finds_what_can_be_walked(name: str) -> None:
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:
     with pytest.raises(ValueError, match="decides once a time step"):
         exact_margin(episode_of("basic"))
-    with pytest.raises(UsageError, match=r"that decides every 0\.1 s"):
-        check_floor(CarUnderTest(), OFTEN, [Objective.PAPER])
 
 
 @pytest.mark.parametrize("name", ["basic", "cal"])

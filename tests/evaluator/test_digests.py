@@ -27,14 +27,13 @@ from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.episodes_file import write_episodes
-from skd_evaluator.floor.assessment_floor import with_floor
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.state import AdversaryState, CarState
 
 DIGESTS = Path(__file__).with_name("digests.json")
-COLUMNS = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "floor")
+COLUMNS = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed")
 CROSSING = load_scenario("crossing")
 RECORDED = "recorded"  # stands for a file that the campaign writes first
 
@@ -96,7 +95,6 @@ PLANS = {
     "basic, C = 0.5, recorded, frechet": replace(_RECORDED, multiplier=0.5, objective=_FRECHET),
     "basic, C = 1, recorded, frechet": replace(_RECORDED, objective=_FRECHET),
     "basic, C = 1.15, recorded, frechet": replace(_RECORDED, multiplier=1.15, objective=_FRECHET),
-    "basic, C = 1, floor": replace(_SMALL, multiplier=1.1),
     "carla": replace(_SMALL, controller="carla"),
     "cal": replace(_SMALL, controller="cal", objective=_FRECHET),
     "multi-body": replace(_SMALL, scenario=load_scenario("crossing_multi_body")),
@@ -131,8 +129,6 @@ def digest_of(name: str) -> str:
             path.write_text(a_walk(), encoding="utf-8")
             plan = replace(plan, safe=str(path))
         assessment = assess(plan, safe_trajectories(plan, runner), runner, lambda *_progress: None)
-        if "floor" in name:
-            assessment = with_floor(assessment, runner, lambda *_progress: None)
     file = io.BytesIO()
     write_episodes(file, Rating((assessment,), 0.0))
     file.seek(0)

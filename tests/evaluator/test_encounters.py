@@ -17,11 +17,10 @@ from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_i
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.validation.verdict import examine
-from skd_evaluator.floor.assessment_floor import check_floor, foretold
+from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.objective import Objective
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -100,13 +99,6 @@ def test_who_cannot_do_it_says_so() -> None:
         with pytest.raises(UsageError, match="another simulator cannot be told yet"):
             FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
         assert not foretold(CarUnderTest("basic"), scenario)
-        with pytest.raises(UsageError, match="--floor needs a straight road and an adversary that is a disc"):
-            check_floor(CarUnderTest("basic"), scenario, [Objective.PAPER])
-
-
-def test_a_floor_of_who_rides_is_not_that_of_who_walks() -> None:
-    with pytest.raises(UsageError, match=r"--floor searches what a pedestrian can do, .* adversary\.kind is cyclist"):
-        check_floor(CarUnderTest(), replace(CROSSING, adversary=replace(BOX, kind="cyclist")), [Objective.PAPER])
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:

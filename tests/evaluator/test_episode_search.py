@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from search_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.campaign.plan.plan import Stage, episode_id, walks_a_way
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.margin.exact.exact import exact_margin

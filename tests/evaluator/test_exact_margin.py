@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clairvoyant_support import CROSSING, TIME_STEP, any_touch, bent, kamikaze_episode, place, touching
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from search_support import CROSSING, TIME_STEP, any_touch, bent, kamikaze_episode, place, touching
 from skd_adversary.model.road_user.pedestrian import action_velocity
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.margin.exact import exact, exact_search

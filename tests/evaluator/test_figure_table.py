@@ -36,15 +36,15 @@ SWEEP = (
     "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
     "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
     "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
-    "collision_rate_ci95_runs", "collision_rate_ci95", "floor", "floor_ci95", "floor_ratio", "floor_ratio_ci95",
+    "collision_rate_ci95_runs", "collision_rate_ci95",
 )  # fmt: skip
 CAMPAIGN = (
     "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
     "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
     "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
     "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "floor",
-    "floor_ci95", "floor_ratio", "floor_ratio_ci95", "aborted", "eta_max", "seconds",
+    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
+    "aborted", "eta_max", "seconds",
 )  # fmt: skip
 
 

@@ -68,7 +68,7 @@ def test_limits_hold_on_their_own_side(result):
 
 
 def test_what_is_not_defined_is_no_verdict_on_the_car(result):
-    (found,) = check_limits(result, [Limit("objectives.paper.floor", 0.1)])
+    (found,) = check_limits({**result, "closeness": None}, [Limit("closeness", 0.1)])
     assert (found.error, found.failed) == (True, False)
     beyond = {**result, "equivalent_multiplier": None, "equivalent_multiplier_text": "above 1.5"}
     assert figure(beyond, "equivalent_multiplier") == math.inf

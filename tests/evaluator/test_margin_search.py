@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clairvoyant_support import CROSSING, bent, kamikaze_episode
+from search_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.campaign.judge.rating import rate
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode

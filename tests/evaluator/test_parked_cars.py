@@ -123,10 +123,9 @@ def test_two_encounters_with_other_obstacles_are_not_the_same() -> None:
     assert encounter_difference(parked().as_dict(), parked().as_dict()) is None
 
 
-def test_the_command_says_what_obstacles_do_not_allow(tmp_path: Path) -> None:
+def test_a_safe_trajectory_through_an_obstacle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "parked.yaml").write_text(yaml.safe_dump(parked().as_dict()))
     through = ["t,x,y", *(f"{0.3 * k:.1f},{-4.0 + 0.5 * k:.2f},-2.5" for k in range(17))]
     (tmp_path / "phi.csv").write_text("\n".join(through) + "\n")
     arguments = ("assess", "--scenario", "parked.yaml", "--safe-count", "1", "--quiet")
-    one_line(skd(*arguments, "--floor", cwd=tmp_path), 2, "--floor needs a scenario without obstacles")
     one_line(skd(*arguments, "--safe", "phi.csv", cwd=tmp_path), 2, "phi.csv", "runs into obstacles[0]", "at 0.6 s")

@@ -22,7 +22,6 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.floor.assessment_floor import with_floors
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks
@@ -85,7 +84,6 @@ def results(request: pytest.FixtureRequest, safe, tmp_path_factory) -> Path:
     with InProcessRunner(1) as runner:
         plan = replace(PLAN, maximum_distance=request.param)
         rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
-        rating = with_floors(rating, runner, lambda *_progress: None)
         rating = with_margins(rating, runner, lambda *_progress: None, 300)
         runs = None if request.param is None else 2000  # without subset simulation, and with it
         rating = with_risks(rating, risk_asked("walkers", runs), runner, lambda *_progress: None)
@@ -175,7 +173,7 @@ def test_the_scripts_give_every_figure(results, recomputed):
     for figure in (
         "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
         "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
-        "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts", "floor", "floor_ratio_ci95",
+        "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts",
         "measures.warped.ci95", "measures.required_deceleration_at_entry.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",

@@ -267,7 +267,7 @@ def _of_result(data: bytes, folder: Path) -> None:
     (folder / "result" / "assessment.json").write_bytes(_figures())
     (folder / "result" / "episodes.npz").write_bytes(data)
     stored = read_episodes(folder / "result")
-    figures, _ = read_figures(folder / "result")
+    figures = read_figures(folder / "result")
     with understood(folder / "result" / "assessment.json"):
         recompute(figures, stored)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from skd_sim.public import exported, find_former_modules
+from skd_sim.public import exported
 
 if TYPE_CHECKING:
     from skd_sim.controllers.protocol import Controller as Controller
@@ -80,5 +80,3 @@ _WHERE = {
     "load_scenario": "skd_sim.encounter.scenario",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)
-
-find_former_modules()

@@ -28,7 +28,6 @@ from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTH
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.learning.kept_models import folder_of, forget_model
 from skd_evaluator.learning.lesson import Believed, learned, needs_learning
 from skd_evaluator.margin.ahead import margins_compiled_beside
@@ -132,7 +131,7 @@ class Runners:
     Attributes:
         rated: runs the kamikazes and the runs along φ from which the figures follow.
         others: runs all other episodes: for safe trajectories, and kamikazes that are held to a budget.
-        here: computes margins and floors from the logs, in processes of this machine.
+        here: computes margins from the logs, in processes of this machine.
         ways: runs whole episodes of a car that is a node, or in another simulator than SKD's own world, for its margin;
             None: such a car has no margin.
         fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
@@ -178,7 +177,7 @@ class Runners:
         """Return the runners of an assessment through the node graph.
 
         Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. Margins
-        and floors are computed in this process: the graph's threads make it unsafe to fork.
+        are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
         return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh, alone)
@@ -190,14 +189,12 @@ class Further:
 
     Attributes:
         margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
-        floor: whether the floor of SKD is computed.
         curve: whether kamikazes that are held to a budget are run, for the vulnerability curve.
         risk: what is asked of the risk.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.
     """
 
     margin_limit: int = DEFAULT_MARGIN_LIMIT
-    floor: bool = False
     curve: bool = False
     until_width: float | None = None
     risk: RiskAsked = NOTHING_ASKED
@@ -232,8 +229,6 @@ def assessed(
     rating = with_margins(rating, runners.here, progress, further.margin_limit, runners.ways)
     rating = with_risks(rating, further.risk, runners.here, progress, runners.ways)
     rating = with_static_tests(rating, runners.others)
-    if further.floor:
-        rating = with_floors(rating, runners.here, progress)
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
     doubts = _doubts_of_the_car(rating, plan, runners)
@@ -280,8 +275,6 @@ def assess_in_process(
         if plan.safe not in (SYNTHETIC, OWN) and not further.until_width:
             safe.extend(safe_trajectories(plan, runner))
         with margins_compiled_beside(wanted=further.margin_limit > 0) as load_margins:
-            if further.floor:
-                warm_up_floor()
             if further.risk.behaviour is not None:
                 warm_up_risk(plan)
             runner.start(planners_of(plan, objectives), inherited=load_margins)

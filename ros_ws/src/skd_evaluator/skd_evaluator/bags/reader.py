@@ -16,7 +16,6 @@ from rosbags.typesys.store import Typestore
 from skd_sim.choices.options import shared_options
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.former_names import TOPICS as FORMER_TOPICS
 
 from skd_evaluator.bags.inventory import METADATA, find_recordings, messages_said
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
@@ -39,8 +38,6 @@ _TOPICS = {
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
 }
-_ROLES = {name: name for name in _TOPICS} | {then: now for then, now in FORMER_TOPICS.items() if now in _TOPICS}
-"""Topic, or what it was called before → topic."""
 _LATER = {
     "skd_msgs/msg/Episode": 3,
     "skd_msgs/msg/EpisodeResult": 4,
@@ -221,8 +218,8 @@ def _gather(file: Path, graphs: dict[str, Recording], condition: Condition, dama
 
 def _namespace_and_role(topic: str) -> tuple[str, str] | None:
     """Return the namespace of a topic of SKD's, and which of them it is."""
-    name = next((name for name in _ROLES if topic.endswith(name)), None)
-    return None if name is None else (topic.removesuffix(name), _ROLES[name])
+    name = next((name for name in _TOPICS if topic.endswith(name)), None)
+    return None if name is None else (topic.removesuffix(name), name)
 
 
 def _publishers(channel: Channel) -> int:

@@ -337,7 +337,7 @@ class Campaign:
 
 
 def _further(cell: Cell) -> Further:
-    return Further(cell.margin_limit, cell.floor, cell.curve, risk=cell.risk)
+    return Further(cell.margin_limit, cell.curve, risk=cell.risk)
 
 
 class _Whole:

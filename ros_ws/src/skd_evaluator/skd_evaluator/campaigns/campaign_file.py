@@ -29,7 +29,6 @@ from skd_sim.choices.options import Option, options_of
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
-from skd_sim.former_names import options_of_today
 from skd_sim.inputs.outside import is_there
 from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
@@ -52,7 +51,6 @@ _CAMPAIGN = {one.name: one for one in options_of(CampaignOptions)}
 _GRAPH = {one.name: one for one in options_of(GraphOptions) if one.name != "graphs"}  # of the whole campaign
 _FURTHER = {
     "graph": Option("whether episodes run through the node graph", kind=bool, name="graph", default=False),
-    "floor": Option("whether the clairvoyant floor is computed too", kind=bool, name="floor", default=False),
     "margin_limit": Option(
         MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
     ),
@@ -134,7 +132,7 @@ class _Reader:
     def mapping(self, data: Any, where: str) -> Mapping[str, Any]:
         if not isinstance(data, Mapping):
             raise UsageError(f"{self._path}: {where} must be a mapping, got {type(data).__name__}")
-        return options_of_today(data, f"{self._path}: {where}")
+        return data
 
     def known(self, data: Mapping[str, Any], allowed: Sequence[str], prefix: str) -> None:
         for key in data:

@@ -24,7 +24,6 @@ from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_tra
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaigns.campaign_file import Combination
 from skd_evaluator.campaigns.episode_record import digest_of, digest_of_trajectory
-from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.likeness import likeness
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 
@@ -38,7 +37,6 @@ class Cell:
         plan: what to assess, whatever its objective.
         objectives: objectives of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
-        floor: whether the floor of SKD is computed.
         margin_limit: how many ticks the search for the margin may simulate in each attempt; 0: there is no margin.
         curve: whether kamikazes are held to largest deformations.
         risk: what is asked of the risk.
@@ -53,7 +51,6 @@ class Cell:
     plan: Plan
     objectives: tuple[Objective, ...]
     graph: GraphOptions | None
-    floor: bool
     margin_limit: int
     curve: bool
     risk: RiskAsked
@@ -132,10 +129,6 @@ def _cell(
         if source not in recorded:
             recorded[source] = safe_trajectories(plan, InProcessRunner(1))
         safe = recorded[source]
-    if values["floor"]:
-        check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
-        if safe is not None:
-            check_ends(safe, plan.scenario, objectives)
     if values["curve"] and graph:
         raise UsageError("curve goes with assessments in process: leave out graph")
     risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
@@ -145,7 +138,6 @@ def _cell(
         plan,
         objectives,
         GraphOptions(**values_of(GraphOptions, values)) if graph else None,
-        values["floor"],
         values["margin_limit"],
         values["curve"],
         risk,
@@ -177,7 +169,7 @@ def _identity(
     options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
     options["objective"] = ",".join(objectives)
     options["car_model"] = _sha256(plan.car_model.encode()) if plan.car_model else ""
-    further = ("graph", "floor", "margin_limit", "curve")
+    further = ("graph", "margin_limit", "curve")
     graph: dict[str, Any] = {}
     if values["graph"]:  # else these are of no effect
         graph = {

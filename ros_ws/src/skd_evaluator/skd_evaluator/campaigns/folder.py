@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.former_names import scenario_of_today
 from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
@@ -141,10 +140,7 @@ class CampaignFolder:
 
     def _refuse_changed(self, asked: Mapping[str, Any], before: Mapping[str, Any]) -> None:
         """Refuse to go on with a campaign of which something has changed, and say what."""
-        then = {
-            str(cell["name"]): {**cell, "scenario": scenario_of_today(cell.get("scenario"), str(self.path / CELLS))}
-            for cell in before["cells"]
-        }
+        then = {str(cell["name"]): cell for cell in before["cells"]}
         now = {str(cell["name"]): cell for cell in json.loads(json.dumps(asked))["cells"]}
         advice = "put it back, or give another --out"
         for name in itertools.chain(then.keys() - now.keys(), now.keys() - then.keys()):

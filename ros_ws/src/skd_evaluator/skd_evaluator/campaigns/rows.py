@@ -112,12 +112,12 @@ def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> 
         if written is not None and written != digests:
             changed = next(name for name in CHECKED if written.get(name) != digests[name])
             raise UsageError(f"{folder / changed}: is not what was written")
-        figures, former = read_figures(folder)
+        figures = read_figures(folder)
         stored = read_episodes(folder)
-        check_result(folder, figures, stored, manifest=manifest, former=former)
+        check_result(folder, figures, stored, manifest=manifest)
         with understood(folder / ASSESSMENT):
             _check_cell(cell, folder, figures, len(stored.safe))
-            if former or not can_be_rebuilt(stored):
+            if not can_be_rebuilt(stored):
                 raise UsageError(f"{folder}: is of an older version, whose row cannot be made from it")
             rating = rebuilt(figures, stored)
             return done_row(cell, figures, rating, maximum_aborted=maximum_aborted, digests=digests)

@@ -157,7 +157,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     }
     add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
-    add_floor_argument(group)
+    add_margin_limit_argument(group)
     add_risk_arguments(group)
     add_runner_arguments(group)
     add_output_arguments(parser)
@@ -219,16 +219,9 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_floor_argument(group: argparse._ActionsContainer) -> None:
-    """Add --floor and --margin-limit."""
+def add_margin_limit_argument(group: argparse._ActionsContainer) -> None:
+    """Add --margin-limit."""
     add_count(group, "--margin-limit", 0, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
-    group.add_argument(
-        "--floor",
-        action="store_true",
-        help="also compute the floor of SKD, and SKD divided by it. The floor is the least Fréchet distance that a "
-        "kamikaze could have reached in each episode if it had known all random draws of the car. Only the basic "
-        "controller has one, because only of that car is it known what it would have done",
-    )
 
 
 def add_behaviour_argument(group: argparse._ActionsContainer) -> None:

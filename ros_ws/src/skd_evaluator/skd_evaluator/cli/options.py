@@ -16,8 +16,8 @@ from skd_evaluator.cli.arguments import (
     add_count,
     add_damage_argument,
     add_details_argument,
-    add_floor_argument,
     add_graph_arguments,
+    add_margin_limit_argument,
     add_max_aborted_argument,
     add_options,
     add_output_arguments,
@@ -189,7 +189,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="leave out each kamikaze that ended up further than this many metres from its safe trajectory",
     )
     add_max_aborted_argument(replay)
-    add_floor_argument(replay)
+    add_margin_limit_argument(replay)
     add_damage_argument(replay)
     add_details_argument(replay)
     add_gate_arguments(replay)

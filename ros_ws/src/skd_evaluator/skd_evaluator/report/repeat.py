@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import default_knowledge
+from skd_sim.choices.knowledge import Knowledge, default_knowledge
 from skd_sim.choices.options import Option, options_of
 from skd_sim.encounter.known_scenarios import is_named
 from skd_sim.encounter.scenario import load_scenario
@@ -16,7 +16,6 @@ from skd_sim.episode.episode import Mode
 
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import split_episode_id
-from skd_evaluator.campaign.store.former_names import knowledge_of
 from skd_evaluator.measure.behaviour import WALKERS
 from skd_evaluator.measure.behaviour.model import load_behaviour
 
@@ -89,7 +88,7 @@ def _prefix(figures: Mapping[str, Any], words: list[str]) -> list[str]:
         "multiplier": figures["multiplier"],
         "car_model": CAR_MODEL_FILE if figures["car_model"] else "",
     }
-    known = knowledge_of(figures)
+    known = Knowledge(figures["knowledge"])
     if not figures["car_model"] and known != default_knowledge(CarUnderTest(str(figures["controller"]))):
         values["knowledge"] = known
     for one in options_of(CampaignOptions):

@@ -204,12 +204,9 @@ def _plus_minus(value: float | None, interval: Sequence[float] | None, digits: i
 def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of a sweep: one section per kind of safe trajectories, one row per multiplier; 80 columns wide.
 
-    What follows ± takes pairs as independent, as the paper does. With floors figures have a digit less, for they take
-    two columns more.
+    What follows ± takes pairs as independent, as the paper does.
     """
     table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
-    with_floor = any(row["floor"] is not None for row in rows)
-    digits = 2 if with_floor else 3
     table.add_column("φ, C")
     for name in (
         "margin\n(m)",
@@ -218,7 +215,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         "95 %,\nby φ",
         "coll.\nrate (%)",
         "SKD (m)\n± 95 %",
-        *(("floor\n(m)", "SKD /\nfloor") if with_floor else ("collide\n(%)",)),
+        "collide\n(%)",
     ):
         table.add_column(name, justify="right")
     previous = None
@@ -230,16 +227,12 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         previous = row["kind"]
         table.add_row(
             f"  {row['multiplier']:.3f}",
-            f"[bold]{_number(row['margin'], digits)}[/]",
+            f"[bold]{_number(row['margin'], 3)}[/]",
             _interval(row["margin_ci95"], 2),
-            _number(row["deformation"], digits),
+            _number(row["deformation"], 3),
             _interval(row["deformation_ci95"], 2),
             BARE.share(row["collision_rate"]),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
-            *(
-                (_number(row["floor"], 2), _number(row["floor_ratio"], 2))
-                if with_floor
-                else (BARE.share(row["kamikaze_success_rate"]),)
-            ),
+            BARE.share(row["kamikaze_success_rate"]),
         )
     return table

@@ -269,22 +269,12 @@ def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
         table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
 
 
-def _add_floor(table: Table, figures: Mapping[str, Any]) -> None:
-    if figures["floor_missing"] is not None:
-        table.add_row("  clairvoyant floor (m)", _number(figures["floor"]), _interval(figures["floor_ci95"]))
-        ratio = _interval(figures["floor_ratio_ci95"])
-        table.add_row("  SKD / floor", _number(figures["floor_ratio"]), ratio)
-    if figures["floor_missing"]:
-        table.add_row("  pairs without a floor", str(figures["floor_missing"]), "")
-
-
 def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
     objective, figures = _source(result, SKD_OBJECTIVES)
     if result["skd"] is not None:
         table.add_row("SKD (m)", f"{result['skd']:.3f}", _interval(result["skd_ci95"]))
         table.add_row("  the paper's interval, over pairs", "", _interval(result["skd_ci95_pairs"]))
         table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        _add_floor(table, result)
         for eta, bound in result["probability_bound"].items():
             interval = _interval(result["probability_bound_ci95"][eta])
             table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Theorem 1", f"{bound:.3f}", interval)

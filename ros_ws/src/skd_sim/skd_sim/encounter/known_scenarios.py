@@ -11,7 +11,6 @@ from typing import Any
 from skd_sim.choices.registry import Registry
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
-from skd_sim.former_names import scenario_of_today
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 _FOLDER = resources.files("skd_sim") / "scenarios"
@@ -53,7 +52,7 @@ def scenario_data(source: str) -> Any:
 
 
 def _extended(source: str, before: tuple[str, ...]) -> Any:
-    data = scenario_of_today(_own_data(source, before), source)
+    data = _own_data(source, before)
     if not isinstance(data, Mapping) or _EXTENDS not in data:
         return data
     base = _base_of(data, source)
@@ -83,7 +82,7 @@ def lineage(source: str) -> list[str]:
     found, at_place = [source], _AT_PLACE.fullmatch(source)
     if at_place is not None and source not in SCENARIOS and not Path(source).is_file():
         return [source, *lineage(at_place[1])]
-    data = scenario_of_today(_own_data(source, ()), source)
+    data = _own_data(source, ())
     return [*found, *lineage(_base_of(data, source))] if isinstance(data, Mapping) and _EXTENDS in data else found
 
 

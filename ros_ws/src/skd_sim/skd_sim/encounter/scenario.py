@@ -24,21 +24,19 @@ from skd_sim.encounter.lanes import off_lanes
 from skd_sim.encounter.protocol.relative import with_absolute_keys
 from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
-from skd_sim.former_names import scenario_of_today
 
 
 def scenario_from_dict(data: Any, where: str = "scenario") -> Scenario:
     """Build and check a scenario from plain data.
 
     Args:
-        data: nested mapping with the keys of `Scenario`, or with those of before (`skd_sim.former_names`); places may
-            be given by lanes (`skd_sim.encounter.lanes`).
+        data: nested mapping with the keys of `Scenario`; places may be given by lanes (`skd_sim.encounter.lanes`).
         where: file or other origin, for messages.
 
     Raises:
         UsageError: a key is missing, unknown or out of range, or the car overlaps the adversary at the start.
     """
-    data = with_absolute_keys(off_lanes(scenario_of_today(data, where), where), where)
+    data = with_absolute_keys(off_lanes(data, where), where)
     scenario = build(Scenario, data, where, "")
     scenario.road.check(where)
     scenario.adversary.check(where)
@@ -90,7 +88,7 @@ def changed_scenario(source: str, changes: Mapping[str, Any]) -> Scenario:
     Raises:
         UsageError: there is no such scenario or place in it, or it is none with these values.
     """
-    content = off_lanes(scenario_of_today(scenario_data(source), source), source)
+    content = off_lanes(scenario_data(source), source)
     if not isinstance(content, Mapping):
         return load_scenario(source)  # says what is wrong
     data = dict(content)

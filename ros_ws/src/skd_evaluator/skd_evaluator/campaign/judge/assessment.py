@@ -38,15 +38,11 @@ from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
 from skd_evaluator.measure.statistics.statistics import (
     Interval,
-    mean,
-    normal_interval,
-    ratio_interval,
     wilson_interval,
 )
 
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
-_ROUNDING = 1e-9  # m: a mean floor that is not above it is 0, where every kamikaze could have walked as φ
 _GAPS, _SPARSE = 1_000_000, 100
 """So many attempts may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
 CONFIDENCE = 0.95
@@ -71,8 +67,6 @@ class Assessment:
         skd: discrete Fréchet distances of all pairs.
         deformation: deformations of all attempts.
         seconds: wall-clock time it took.
-        floors: for each pair of SKD, φ by φ, the Fréchet distance that a clairvoyant kamikaze has in its episode, m;
-            nan where none collides; None: not asked for.
         attempt_deformations: for each φ, what each attempt counts as in the mean deformation, in the order of the
             attempts, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
@@ -86,7 +80,6 @@ class Assessment:
     skd: SkdResult
     deformation: MeanDeformation
     seconds: float
-    floors: FloatArray | None = None
     attempt_deformations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
@@ -143,21 +136,6 @@ class Assessment:
         }
         return {name: one and one.as_dict() for name, one in found.items()}
 
-    def floor_figures(self) -> dict[str, Any]:
-        """Return floor, SKD as a multiple of it, and intervals; each None where not asked for or not defined."""
-        if self.floors is None:
-            return dict.fromkeys(("floor", "floor_ci95", "floor_missing", "floor_ratio", "floor_ratio_ci95"))
-        known = np.isfinite(self.floors)
-        floors, distances = self.floors[known], self.skd.distances[known]
-        floor = mean(floors) if floors.size else None
-        return {
-            "floor": floor,
-            "floor_ci95": normal_interval(floors),
-            "floor_missing": int(self.floors.size - floors.size),
-            "floor_ratio": mean(distances) / floor if floor and floor > _ROUNDING else None,
-            "floor_ratio_ci95": ratio_interval(distances, floors) if floor and floor > _ROUNDING else None,
-        }
-
     def figures(self) -> dict[str, Any]:
         """Return everything that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
         skd, deformation = self.skd, self.deformation
@@ -178,7 +156,6 @@ class Assessment:
             "skd_prefix_ci95": skd.prefix_clustered and skd.prefix_clustered.interval,
             "variance": skd.variance,
             "plans_deformation": self.plan.limits_deformation,
-            **self.floor_figures(),
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),

@@ -265,10 +265,6 @@ FIGURES = (
            campaign=17, sweep=8),
     Figure("plans_deformation", FLAG, "whether these kamikazes plan for the deformation; else for the Fréchet distance",
            _OBJECTIVE),
-    Figure("floor", LENGTH, "mean least distance that a kamikaze could have reached in the episodes of the pairs, m; "
-           "null: not asked for", _SKD, independent=CI95, campaign=20, sweep=12),
-    Figure("floor_missing", COUNT_OR_NULL, "pairs without a floor", _SKD),
-    Figure("floor_ratio", RATIO, "SKD as a multiple of the floor", _SKD, independent=CI95, campaign=21, sweep=13),
     Figure("pairs", COUNT, of=_SKD, per_phi=True, campaign=18, sweep=9),
     Figure("discarded_by_distance", COUNT, of=_SKD),
     Figure("probability_bound", _each(ref("rate")), "η (m) → Theorem 1's upper bound of P(distance ≤ η) by these "

@@ -51,9 +51,7 @@ def check_files(folder: Path) -> bool:
     return check_unchanged(folder, (ASSESSMENT, EPISODES))
 
 
-def check_result(
-    folder: Path, figures: Mapping[str, Any], stored: StoredEpisodes, *, manifest: bool, former: bool
-) -> list[str]:
+def check_result(folder: Path, figures: Mapping[str, Any], stored: StoredEpisodes, *, manifest: bool) -> list[str]:
     """See that the figures of a result follow from its episodes; return what is to be said of it, a line each.
 
     So have the starts of its episodes to follow from its seed and its scenario. A result without a manifest is of an
@@ -62,15 +60,14 @@ def check_result(
 
     Args:
         folder: of the result.
-        figures: content of its assessment.json, under the keys of today.
+        figures: content of its assessment.json.
         stored: its episodes.
         manifest: whether it has one.
-        former: whether it is of before the margin, when its figures had other meanings.
 
     Raises:
         UsageError: a figure contradicts the episodes, or their starts contradict the scenario.
     """
-    old = former or not can_be_rebuilt(stored)
+    old = not can_be_rebuilt(stored)
     if old:
         if manifest:
             raise UsageError(
@@ -118,7 +115,7 @@ def starts_that_differ(folder: Path, figures: Mapping[str, Any], stored: StoredE
 
     Args:
         folder: of the result.
-        figures: content of its assessment.json, under the keys of today.
+        figures: content of its assessment.json.
         stored: its episodes.
 
     Raises:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
 
-from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import split_episode_id
 from skd_evaluator.campaign.store.stored_failures import failure_columns
@@ -45,34 +44,29 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
 
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
-    different objectives with one id have the same draws. Where the floor was asked for, `floor` (m) is that of the
-    trajectory's episode; nan for those that are no pair of SKD or have none. Arrays that begin with `margin` are of the
-    ways of least deformation, which nobody has planned.
+    different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
+    deformation, which nobody has planned.
     """
     logs: list[EpisodeLog] = []
-    rows: list[tuple[int, str, float]] = []  # number of φ, objective, floor
+    rows: list[tuple[int, str]] = []  # number of φ, objective
     for assessment in rating.assessments:
-        floors = _floors(assessment)
         for index, kamikaze in enumerate(assessment.kamikaze):
             for log in kamikaze.in_order:
                 logs.append(log)
-                floor = floors.get((index, log.episode.episode_id), math.nan)
-                rows.append((index, str(assessment.plan.objective), floor))
+                rows.append((index, str(assessment.plan.objective)))
     for log, index in zip(rating.replays, _along(rating), strict=True):
         logs.append(log)
-        rows.append((index, "", math.nan))
+        rows.append((index, ""))
     safe = _columns_of_safe(rating)
     columns = episode_columns(logs, safe)
     offsets = columns.pop("offsets")
-    indices, objectives, floor_column = zip(*rows, strict=True) if rows else ((), (), ())
+    indices, objectives = zip(*rows, strict=True) if rows else ((), ())
     count = len(rating.safe)
     if any(log.belief is not None for log in logs):
         columns["belief"] = _Later(lambda: _beliefs(logs, offsets[len(rating.safe) :]))
     if any(log.own_contact is not None for log in logs):
         own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
         columns["own_contact"] = np.array([*[math.nan] * count, *own])
-    if any(assessment.floors is not None for assessment in rating.assessments):
-        columns["floor"] = np.array([*[math.nan] * count, *floor_column])
     np.savez_compressed(
         path,
         **columns,
@@ -183,20 +177,6 @@ def _beliefs(logs: Sequence[EpisodeLog], offsets: npt.NDArray[np.int64]) -> npt.
 
 def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
     return np.array(texts, f"U{max(1, *map(len, texts))}" if texts else "U1")
-
-
-def _floors(assessment: Assessment) -> dict[tuple[int, int], float]:
-    """Return the floor of each pair by number of φ and id of its episode; nothing where it was not asked for."""
-    if assessment.floors is None:
-        return {}
-    pairs = [
-        (index, kamikaze.logs[kept].episode.episode_id)
-        for index, (kamikaze, row) in enumerate(
-            zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
-        )
-        for kept in row.kept.tolist()
-    ]
-    return dict(zip(pairs, assessment.floors.tolist(), strict=True))
 
 
 def _margin_columns(rating: Rating) -> Columns:

@@ -19,7 +19,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.arrays import FARTHEST
-from skd_evaluator.campaign.judge.assessment import CONFIDENCE, Assessment
+from skd_evaluator.campaign.judge.assessment import CONFIDENCE
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, NEWER, Told
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_set, split_episode_id
@@ -137,7 +137,6 @@ def rebuilt(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
         ]
     confidence = _confidence(figures)
     rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
-    rating = replace(rating, assessments=tuple(_with_floors(one, stored) for one in rating.assessments))
     margins = _margins(figures, stored, scenario, confidence)
     risks = stored_risks(figures, stored, confidence)
     return replace(rating, margins=margins, risks=risks and with_failures(risks, stored, scenario))
@@ -171,21 +170,6 @@ def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Tra
         clipped=int(stored.further["clipped"][number]),
         own_contact=float(stored.further["own_contact"][number]) if "own_contact" in stored.further else None,
     )
-
-
-def _with_floors(assessment: Assessment, stored: StoredEpisodes) -> Assessment:
-    """Return an assessment with the floors of its pairs, where the file has them."""
-    if "floor" not in stored.further or assessment.plan.limits_deformation:
-        return assessment
-    column, objective = stored.further["floor"], str(assessment.plan.objective)
-    mine = np.flatnonzero((stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)).tolist()
-    floor_of = {int(stored.episode_id[row]): float(column[row]) for row in mine}
-    floors = [
-        floor_of[group.logs[kept].episode.episode_id]
-        for group, row in zip(assessment.kamikaze, assessment.skd.per_safe_trajectory, strict=True)
-        for kept in row.kept.tolist()
-    ]
-    return replace(assessment, floors=np.array(floors, np.float64))
 
 
 def _margins(
@@ -280,7 +264,7 @@ def recompute(figures: Mapping[str, Any], stored: StoredEpisodes) -> Recomputed:
             contradict.append(Contradiction(name, is_said, has))
         elif name not in agree:
             agree.append(name)
-    contradict += [*_margins_that_cannot_be(rating, stored), *_floors_that_cannot_be(stored)]
+    contradict += _margins_that_cannot_be(rating, stored)
     return Recomputed(tuple(agree), tuple(contradict), tuple(unknown), rating, written)
 
 
@@ -315,15 +299,6 @@ def _margins_that_cannot_be(rating: Rating, stored: StoredEpisodes) -> Iterator[
         least = margins.eta_max if way is None else way.distance
         if least - (way.gap if way is not None and margins.exact else 0.0) > needed + _AGREE:
             yield Contradiction(f"margin of attempt {attempt} of safe trajectory {index}", least, needed)
-
-
-def _floors_that_cannot_be(stored: StoredEpisodes) -> Iterator[Contradiction]:
-    """Yield which floors are below 0, or above the distance that the kamikaze of the pair reached."""
-    floors = stored.further.get("floor", np.empty(0))
-    for number in np.flatnonzero(~np.isnan(floors)).tolist():
-        reached = float(stored.frechet[number])
-        if not 0.0 <= floors[number] <= reached + _AGREE:
-            yield Contradiction(f"floor of episode {stored.episode_id[number]}", float(floors[number]), reached)
 
 
 def _equivalent(figures: Mapping[str, Any], margins: Margins | None) -> dict[str, Any]:

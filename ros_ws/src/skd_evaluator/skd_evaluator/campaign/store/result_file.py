@@ -1,4 +1,4 @@
-"""The figures of an assessment that is on disk: read through the gate, translated, and each of the type that it has.
+"""The figures of an assessment that is on disk: read through the gate, and each of the type that it has.
 
 What prints them may rely on that: a text where a number belongs is refused here, in one line, and nowhere else.
 """
@@ -15,7 +15,6 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.former_names import TODAYS, OlderResultError, of_today
 from skd_evaluator.campaign.store.schema import assessment_schema
 
 ASSESSMENT = "assessment.json"
@@ -30,19 +29,17 @@ _TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
-def read_figures(folder: Path) -> tuple[dict[str, Any], bool]:
-    """Return the content of the assessment.json of a folder, under the keys of today, and whether it was of before.
+def read_figures(folder: Path) -> dict[str, Any]:
+    """Return the content of the assessment.json of a folder.
 
     Raises:
         UsageError: there is none, it is no JSON, is of another version, or has a value that cannot be there.
     """
     path = folder / ASSESSMENT
-    content = read_json(path)
-    with understood(path):
-        figures = of_today(content)
+    figures: dict[str, Any] = read_json(path)
     if fault := fault_of(figures):
         raise UsageError(f"{path}: no assessment of this version ({fault})")
-    return figures, TODAYS[0] not in content
+    return figures
 
 
 @contextmanager
@@ -50,25 +47,19 @@ def understood(path: Path) -> Iterator[None]:
     """Say in one line that a file is no assessment of ours, where that is found while it is used.
 
     Raises:
-        UsageError: it is of a version that cannot be read; or a key or an item is not there, or of a kind that nothing
-            can be done with.
+        UsageError: a key or an item is not there, or of a kind that nothing can be done with.
     """
     try:
         yield
     except UsageError:
         raise
-    except OlderResultError as error:
-        raise UsageError(f"{path}: {error}") from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
         said = " ".join(str(error).split())[:120]
         raise UsageError(f"{path}: no assessment of this version ({type(error).__name__}: {said})") from error
 
 
 def fault_of(figures: Mapping[str, Any]) -> str:
-    """Return which value is not as assessment.schema.json has it, in a few words; empty: all are.
-
-    A key that is missing is no fault: older versions did not have all of them.
-    """
+    """Return which value is not as assessment.schema.json has it, in a few words; empty: all are."""
     return _fault(figures, assessment_schema(), "")
 
 
@@ -80,7 +71,7 @@ def _fault(value: Any, node: Mapping[str, Any], where: str) -> str:
     if "anyOf" in node:
         faults = [_fault(value, branch, where) for branch in node["anyOf"]]
         if all(faults):
-            return max(faults, key=len)  # of the branch that came furthest
+            return next((one for one in faults if "must be null" not in one), faults[0])
     wanted = node.get("type", ())
     wanted = (wanted,) if isinstance(wanted, str) else tuple(wanted)
     if wanted and not any(_is(value, one) for one in wanted):
@@ -117,6 +108,8 @@ def _fault_inside(value: Any, node: Mapping[str, Any], where: str) -> str:
     parts: list[tuple[str, Any, Any]] = []
     if isinstance(value, dict):
         known, others = node.get("properties", {}), node.get("additionalProperties")
+        if lacking := next((name for name in node.get("required", ()) if name not in value), ""):
+            return f"{where or 'it'} has no {lacking}"
         parts = [(f"{where}.{short(key)[1:-1]}", one, known.get(key, others)) for key, one in value.items()]
     elif isinstance(value, list):
         parts = [(f"{where}.{place}", one, node.get("items")) for place, one in enumerate(value)]

@@ -50,7 +50,6 @@ _OPTIONAL = {
 _FURTHER = {
     "clipped": Column(np.int64, (-1,)),
     "reason": Column("U", (-1,)),
-    "floor": Column(np.float64, (-1,)),
     "own_contact": Column(np.float64, (-1,)),
     "safe_name": Column("U", (-1,)),
     "objectives": Column("U", (-1,)),
@@ -75,7 +74,7 @@ _FURTHER = {
     "risk_failure_impact_speed": Column(np.float64, (-1,)),
 }
 """What figures follow from beside the trajectories; see `rebuilt`."""
-_OF_EPISODES = ("clipped", "reason", "floor", "own_contact")
+_OF_EPISODES = ("clipped", "reason", "own_contact")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
 _ROUNDING = 1e-9  # m

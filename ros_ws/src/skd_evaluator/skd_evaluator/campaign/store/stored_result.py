@@ -36,7 +36,7 @@ class StoredResult:
 
     Attributes:
         folder: folder of the assessment.
-        figures: content of its assessment.json, under the keys of today (`former_names.of_today`).
+        figures: content of its assessment.json.
         safe: positions of each φ, m.
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
         objective: objective of these kamikazes.
@@ -100,13 +100,13 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     """
     path = folder / ASSESSMENT
     manifest = check_files(folder)
-    figures, former = read_figures(folder)
+    figures = read_figures(folder)
     with understood(path):
         eta_max, stated = float(figures["eta_max"]), figures["deformation"]
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
     stored = read_episodes(folder)
-    remarks = check_result(folder, figures, stored, manifest=manifest, former=former)
+    remarks = check_result(folder, figures, stored, manifest=manifest)
     margins = _margins(stored, eta_max)
     deformations = stored.deformations_of(objective)
     curve = vulnerability_curve(deformations, eta_max)

@@ -51,7 +51,7 @@ class Verified:
     unknown: Mapping[str, tuple[str, ...]] | None = None
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
-    read: tuple[Mapping[str, Any], bool, StoredEpisodes] | None = None
+    read: tuple[Mapping[str, Any], StoredEpisodes] | None = None
 
     @property
     def fine(self) -> bool:
@@ -122,12 +122,12 @@ def verify(folder: Path) -> Verified:
     if not named and ASSESSMENT not in there:
         return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
     try:
-        figures, former = read_figures(folder)
+        figures = read_figures(folder)
         stored = read_episodes(folder)
         remarks += in_doubt(figures.get("warnings") or ())
-        if former or not can_be_rebuilt(stored):
+        if not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
-            read = figures, former, stored
+            read = figures, stored
             return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks), read=read)
         with understood(folder / ASSESSMENT):
             found = recompute(figures, stored)
@@ -151,7 +151,7 @@ def verify(folder: Path) -> Verified:
         unknown,
         tuple(problems),
         tuple(remarks),
-        read=(figures, former, stored),
+        read=(figures, stored),
     )
 
 

@@ -30,15 +30,13 @@ from skd_evaluator.assessing.pipeline import (
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.plan.options import SYNTHETIC
-from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, safe_trajectories, split_episode_id
+from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import ResultFolder, write_assessment
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
-from skd_evaluator.floor.assessment_floor import check_ends, check_floor
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
@@ -194,10 +192,6 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
     further = further_of(arguments)
-    if arguments.floor:
-        check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
-        if plan.safe != SYNTHETIC:
-            check_ends(safe_trajectories(plan, InProcessRunner(1)), plan.scenario, objectives)
     for option in ("curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
@@ -238,7 +232,7 @@ def _write(folder: Path, rating: Rating, arguments: argparse.Namespace, *, may_f
 def further_of(arguments: argparse.Namespace) -> Further:
     """Return what else the assessment is to have, as the options say."""
     risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
-    return Further(arguments.margin_limit, arguments.floor, arguments.curve, arguments.until_width, risk)
+    return Further(arguments.margin_limit, arguments.curve, arguments.until_width, risk)
 
 
 def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:

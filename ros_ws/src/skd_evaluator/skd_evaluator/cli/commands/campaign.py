@@ -28,7 +28,6 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
-from skd_evaluator.floor.assessment_floor import warm_up_floor
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program
@@ -140,8 +139,6 @@ def _run_cells(campaign: Campaign, arguments: argparse.Namespace, above: Above |
         )
         with runner:
             with margins_compiled_beside(wanted=any(cell.margin_limit for cell in in_process)) as load_margins:
-                if any(cell.floor for cell in in_process):
-                    warm_up_floor()
                 for cell in in_process:
                     if cell.risk.behaviour is not None:
                         warm_up_risk(cell.plan)

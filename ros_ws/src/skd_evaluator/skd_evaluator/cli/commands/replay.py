@@ -17,7 +17,6 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
-from skd_evaluator.floor.assessment_floor import warm_up_floor, with_floors
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.provenance import provenance
@@ -50,16 +49,12 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     say_damage("replay", damage)
     plan = rating.plan
     known = foretold(plan.car, plan.scenario) or plan.car.is_own
-    if arguments.floor or known:
-        if arguments.floor:
-            warm_up_floor()
-        if known and arguments.margin_limit:
+    if known:
+        if arguments.margin_limit:
             warm_up_margins()
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start(())
             rating = with_margins(rating, runner, progress, arguments.margin_limit)
-            if arguments.floor:
-                rating = with_floors(rating, runner, progress)
     else:
         rating = replace(rating, margin_note=NEEDS_THE_CAR)
     origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)

@@ -27,7 +27,6 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
-from skd_evaluator.floor.assessment_floor import check_ends, check_floor, warm_up_floor
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
@@ -94,20 +93,13 @@ def run(arguments: argparse.Namespace) -> int:
     asked = plans["synthetic"]
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
-    further = Further(arguments.margin_limit, arguments.floor, risk=risk)
+    further = Further(arguments.margin_limit, risk=risk)
     ratings: list[tuple[str, Rating]] = []
     try:
         with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
-            if arguments.floor:
-                for plan in plans.values():
-                    check_floor(plan.car, plan.scenario, objectives, plan.simulator, plan.actions)
-                for kind, recorded in safe_by_kind.items():
-                    check_ends(recorded, plans[kind].scenario, objectives)
             with margins_compiled_beside(wanted=arguments.margin_limit > 0) as load_margins:
-                if arguments.floor:
-                    warm_up_floor()
                 if risk.behaviour is not None:
                     warm_up_risk(asked)
                 runner.start(planners_of(plans["synthetic"], objectives), inherited=load_margins)

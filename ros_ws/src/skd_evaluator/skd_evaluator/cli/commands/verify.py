@@ -19,7 +19,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.margin.again import Again, margins_again
+from skd_evaluator.margin.again import margins_again
 from skd_evaluator.ncap.verification import with_regulator
 from skd_evaluator.report.terminal import counted
 
@@ -48,11 +48,11 @@ def with_episodes(found: Verified) -> Verified:
     read, found = found.read, replace(found, read=None)  # which of many results would take much memory
     if found.problems or read is None:
         return found
-    damage, (figures, former, stored) = Damage(skip=True), read
+    damage, (figures, stored) = Damage(skip=True), read
     try:
         with understood(found.folder / ASSESSMENT):
             count = look_through(found.folder / EPISODES, damage)
-            margins = Again() if former else margins_again(found.folder, figures, stored)
+            margins = margins_again(found.folder, figures, stored)
             missing = _missing(stored)
             judged = judged_otherwise(scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}"))
     except UsageError as error:

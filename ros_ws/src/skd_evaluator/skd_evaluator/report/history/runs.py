@@ -10,7 +10,6 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, real_path
 
-from skd_evaluator.campaign.store.former_names import of_today
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.measure.doubt import in_doubt
@@ -111,8 +110,7 @@ def read_run(folder: Path) -> Run:
     try:
         content = read_json(path)
         with understood(path):
-            figures = of_today(content)
-            run = Run(folder, {key: value for key, value in figures.items() if key not in _LARGE})
+            run = Run(folder, {key: value for key, value in content.items() if key not in _LARGE})
             run.as_dict()  # it is found here that something is missing
     except UsageError as error:
         return Run(folder, {}, str(error).removeprefix(f"{path}: "))

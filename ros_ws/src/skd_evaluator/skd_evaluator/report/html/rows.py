@@ -178,16 +178,6 @@ def _planned_details(subject: Subject) -> list[Row]:
 def _skd_details(subject: Subject) -> list[Row]:
     figures = subject.figures
     rows = [_row(AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
-    if figures["floor"] is not None:
-        rows += [
-            Row(
-                "clairvoyant floor (m)",
-                number(figures["floor"]),
-                plain=interval(figures["floor_ci95"]),
-                basis="least Fréchet distance in the episodes of the pairs",
-            ),
-            Row("SKD / floor", number(figures["floor_ratio"], 2), plain=interval(figures["floor_ratio_ci95"], 2)),
-        ]
     rows += _further(figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
         known = figures["probability_bound_ci95"][eta]

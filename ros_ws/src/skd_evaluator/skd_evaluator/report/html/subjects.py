@@ -40,7 +40,7 @@ class Subject:
         folder: folder of the assessment.
         label: name in the report, which no other assessment in it has.
         kind: kind of φ if the assessment is part of a sweep, else empty.
-        figures: content of assessment.json, under the keys of today (`former_names.of_today`).
+        figures: content of assessment.json.
         scenario: scenario of the test.
         episodes: content of episodes.npz.
         remarks: remarks on its figures, a line each.
@@ -151,7 +151,7 @@ def _read_campaign(folder: Path) -> list[Subject]:
 def _read(folder: Path, kind: str) -> Subject:
     path = folder / ASSESSMENT
     manifest = check_files(folder)
-    figures, former = read_figures(folder)
+    figures = read_figures(folder)
     with understood(path):
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
@@ -160,7 +160,7 @@ def _read(folder: Path, kind: str) -> Subject:
         _ = subject.curve, views_of([subject], ROOM)  # it is found here that they cannot be had
     if count != len(subject.episodes.safe):
         raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
-    remarks = check_result(folder, figures, subject.episodes, manifest=manifest, former=former)
+    remarks = check_result(folder, figures, subject.episodes, manifest=manifest)
     planned = vulnerability_curve(subject.episodes.deformations_of(subject.ranking_objective), eta_max)
     _check_same(folder, "mean deformation", None if planned is None else planned.area_above, stated)
     margins = np.concatenate(subject.margins)

@@ -1,4 +1,4 @@
-"""Episodes and steps of the world that tests of both clairvoyant searches share."""
+"""Episodes and steps of the world that tests of both searches for the margin share."""
 
 from __future__ import annotations
 
