@@ -14,7 +14,7 @@ from skd_adversary.model.road import curved
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.objective import Objective
-from skd_sim.encounter.protocol.target import regulatory_trajectories
+from skd_sim.encounter.protocol import regulatory_trajectories
 from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode

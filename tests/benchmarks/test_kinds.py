@@ -10,7 +10,7 @@ from road_user_limits import BODIES, beyond, straight, tally, with_kind
 from skd_adversary.model.road_user.wheeled import BRAKE, BRAKE_LEFT, ridden, settled
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.protocol.target import regulatory_trajectories
+from skd_sim.encounter.protocol import regulatory_trajectories
 from skd_sim.encounter.scenario import load_scenario
 
 ROUNDING = 1e-6

@@ -109,20 +109,6 @@ def test_a_region_ends_the_episode() -> None:
     assert scenario_from_dict(along.as_dict()) == along
 
 
-@pytest.mark.parametrize(
-    ("sections", "said"),
-    [
-        ({"adversary": {"destination_x": None}}, "missing key adversary.destination_x"),
-        ({"ending": {"arrived": {"right_of": 2.0}}}, "both say where the adversary has arrived"),
-        ({"adversary": {"destination_x": None}, "ending": {"arrived": {}}}, "ending.arrived needs right_of"),
-        ({"ending": {"missed": {"east_of": 2.0}}}, "unknown key ending.missed.east_of"),
-    ],
-)
-def test_mistakes_are_named(sections: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        changed(**sections)
-
-
 def test_a_file_that_walks_the_other_way_is_refused(tmp_path: Any) -> None:
     file = tmp_path / "phi.csv"
     file.write_text("t,x,y\n" + "".join(f"{0.3 * k},{-3.5 + 0.75 * k},0\n" for k in range(9)))

@@ -22,8 +22,8 @@ from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.crossings import Encounter
 from skd_sim.controllers import Controller
-from skd_sim.encounter.other import Other, Waypoint
 from skd_sim.encounter.road import right_and_along
+from skd_sim.encounter.road_user import Other, Waypoint
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory

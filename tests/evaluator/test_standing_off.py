@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.measure.doubt import DISBELIEF
-from skd_sim.encounter.other import Other, Waypoint
+from skd_sim.encounter.road_user import Other, Waypoint
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory

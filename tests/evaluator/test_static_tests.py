@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.run.static_test import StaticTest, static_tests, without_noise
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.protocol.target import regulatory_trajectories
+from skd_sim.encounter.protocol import regulatory_trajectories
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.state import AdversaryState, CarState

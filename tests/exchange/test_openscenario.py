@@ -17,8 +17,8 @@ from skd_evaluator.exchange.going_out.openscenario import write_openscenario
 from skd_evaluator.exchange.going_out.recorded import stretch
 from skd_sim.encounter.kinds import ROAD_USERS, called
 from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.other import Other, Waypoint
 from skd_sim.encounter.road import ONCOMING
+from skd_sim.encounter.road_user import Other, Waypoint
 from skd_sim.encounter.scenario import load_scenario
 
 

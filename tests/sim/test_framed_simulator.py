@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_sim.dynamics.limits import CommandLimits
-from skd_sim.encounter.other import Other
+from skd_sim.encounter.road_user import Other
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError

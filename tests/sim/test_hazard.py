@@ -11,9 +11,9 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
+from skd_sim.encounter.definition import Obstacle
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.encounter.sections import Obstacle
 from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
 from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
 from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course

@@ -11,7 +11,6 @@ import pytest
 import shapely
 from skd_sim.encounter.road import ONCOMING, Lane, Part, Road
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.errors import UsageError
 
 BASE = load_scenario("crossing").as_dict()
 TURN = load_scenario("right_turn").as_dict()
@@ -37,12 +36,6 @@ def adversary(**keys: Any) -> dict[str, Any]:
     return {key: value for key, value in own.items() if key not in ("start_x", "start_y")} | keys
 
 
-def message(**changes: Any) -> str:
-    with pytest.raises(UsageError) as caught:
-        scenario_with(**changes)
-    return str(caught.value)
-
-
 def test_lanes_lie_side_by_side() -> None:
     """Middles and edges by hand: own lane 3.5 m; to the left 3.5 and 3 m, to the right 2.5 m."""
     road = Road(3.5, lanes=FOUR)
@@ -61,7 +54,6 @@ def test_who_drives_points_the_way_of_the_lane() -> None:
 def test_lanes_of_a_curve_keep_their_distance_from_it() -> None:
     """Against shapely's distance to a finely drawn centre line."""
     road = Road(3.5, parts=(Part(40.0), Part(4.0 * math.pi, 8.0, "right"), Part(40.0)), origin=45.0, lanes=FOUR[:3])
-    road.check("mine.yaml")
     middle = shapely.LineString([road.place(0, along)[:2] for along in np.linspace(-45.0, 47.5, 5000)])
     for number, away in ((-2, 6.75), (-1, 3.5), (1, 3.0)):
         for along in np.linspace(-40.0, 40.0, 33):
@@ -146,55 +138,3 @@ def test_files_without_lanes_are_read_as_before() -> None:
     for data in (BASE, TURN):
         assert "lanes" not in data["road"]
         assert scenario_from_dict(data).as_dict() == data
-
-
-@pytest.mark.parametrize(
-    ("lanes", "told"),
-    [
-        ([{"number": 0}], "road.lanes[0].number 0 is that of the car's own lane"),
-        ([{"number": 1}, {"number": 1}], "road.lanes[1].number 1 is that of another lane"),
-        ([{"number": 2}], "road.lanes[0].number 2 leaves out lane 1"),
-        ([{"number": -1}, {"number": -3}], "road.lanes[1].number -3 leaves out lane -2"),
-        ([{"number": 5, "heading": 0.0}], "road.lanes[0] has heading and no x"),
-        ([{"number": 5, "x": 0.0, "y": 1.0}], "road.lanes[0] has x and no heading"),
-        ([{"number": 5, "x": 0.0, "y": 1.0, "heading": 0.0, "direction": "oncoming"}], "leave direction out"),
-        ([{"number": 1, "direction": "left"}], "road.lanes[0].direction must be one of same, oncoming; got 'left'"),
-        ([{"number": 1, "lane": 2}], "unknown key road.lanes[0].lane"),
-    ],
-)
-def test_lanes_that_are_nowhere_are_refused(lanes: list[dict[str, Any]], told: str) -> None:
-    assert told in message(road={"lane_width": 3.5, "lanes": lanes})
-
-
-def test_a_lane_inside_of_a_curve_needs_room() -> None:
-    road = {"lane_width": 3.5, "parts": [{"length": 8.0, "radius": 5.0, "turn": "left"}]}
-    Road(3.5, parts=(Part(8.0, 5.0, "left"),), lanes=(Lane(1),)).check("mine.yaml")
-    told = message(road={**road, "lanes": [{"number": -1}]})
-    assert "road.parts[0].radius must exceed half of road.lane_width and the widths of road.lanes on that side" in told
-    assert "(5.25 m), got 5" in told
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"adversary": adversary(lane=4, along=1.0)}, "adversary.lane: the road has no lane 4; it has -1, 0, 1, 9"),
-        ({"adversary": adversary(lane=1)}, "missing key adversary.along"),
-        ({"adversary": adversary(along=1.0)}, "missing key adversary.lane"),
-        ({"adversary": adversary(lane=1.5, along=1.0)}, "adversary.lane must be a whole number"),
-        ({"adversary": adversary(lane=1, along=1.0, start_x=2.0)}, "adversary has a lane and start_x"),
-        ({"adversary": adversary(lanes=1)}, "unknown key adversary.lanes; allowed: "),
-        ({"ending": {"missed": {"lane": 1, "left_of": 2.0}}}, "ending.missed has a lane and left_of"),
-        ({"ending": {"missed": {"lane": 9}}}, "ending.missed.lane 9 is elsewhere"),
-        (
-            {"others": [{**BOX, "way": [{"time": 0.0, "lane": 3, "along": 0.0}]}]},
-            "others[0].way[0].lane: the road has no",
-        ),
-        ({"others": [{**BOX, "way": [{"lane": 1, "along": 0.0}]}]}, "missing key others[0].way[0].time"),
-        ({"obstacles": [{"lane": 1, "length": 4.0, "width": 2.0}]}, "missing key obstacles[0].along"),
-    ],
-)
-def test_places_that_are_not_on_a_lane_are_refused(changes: dict[str, Any], told: str) -> None:
-    found = message(**changes)
-    assert found.startswith("mine.yaml: ")
-    assert told in found
-    assert "\n" not in found

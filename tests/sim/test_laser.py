@@ -9,9 +9,9 @@ import shapely
 import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from skd_sim.encounter.definition import Obstacle, Sensor
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.encounter.sections import Obstacle, Sensor
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.sensors import PlanarLaser, make_laser
 from skd_sim.sensors.laser import disc_range, rectangle_range

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.encounter.checks import check_way
+from skd_sim.encounter.definition import Obstacle
 from skd_sim.encounter.road import road_pose
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.encounter.sections import Obstacle
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.obstruction import clearance, runs_into

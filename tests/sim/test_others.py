@@ -147,27 +147,6 @@ def test_who_stands_is_in_the_adversarys_way() -> None:
     assert len(moving.rectangles) == 0
 
 
-@pytest.mark.parametrize(
-    ("other", "said"),
-    [
-        (STANDING | {"length": 2.0}, r"others\[0\] has a radius and a length"),
-        ({"kind": "van", "way": STANDING["way"]}, r"missing key others\[0\]\.radius"),
-        (STANDING | {"way": []}, r"others\[0\]\.way needs at least one point"),
-        (
-            STANDING | {"way": [{"time": 1.0, "x": 0.0, "y": 9.0}, {"time": 1.0, "x": 1.0, "y": 9.0}]},
-            r"others\[0\]\.way\[1\]\.time must be greater than that of the point before it \(1 s\), got 1",
-        ),
-        (STANDING | {"way": [{"time": 0.0, "x": 0.0, "y": -14.0}]}, r"others\[0\] is where the car starts"),
-        (STANDING | {"way": [{"time": 0.0, "x": -3.4, "y": 0.1}]}, r"others\[0\] is where the adversary starts"),
-        (STANDING | {"speed": 3.0}, r"unknown key others\[0\]\.speed"),
-        ({"radius": 0.2, "way": STANDING["way"]}, r"missing key others\[0\]\.kind"),
-    ],
-)
-def test_mistakes_are_named(other: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        scenario_with(other)
-
-
 def test_another_simulator_has_to_place_them() -> None:
     from skd_sim.simulation.named_simulator import NamedSimulator
 

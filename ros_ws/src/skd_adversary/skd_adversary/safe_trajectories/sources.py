@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.encounter.checks import check_way
-from skd_sim.encounter.protocol import REGULATORY
-from skd_sim.encounter.protocol.target import regulatory_trajectories
+from skd_sim.encounter.known_scenarios import REGULATORY
+from skd_sim.encounter.protocol import regulatory_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory

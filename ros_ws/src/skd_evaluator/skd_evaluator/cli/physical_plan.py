@@ -11,9 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from rich.table import Table
-from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
-from skd_sim.inputs.keys import Range
+from skd_sim.inputs.model import YesNo, limits, read_model
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
@@ -47,11 +46,11 @@ class _Source:
 class _Fused:
     """What is read of a figure in fusion.json."""
 
-    deviation: Annotated[float, Range(0.0, 100.0, "in its unit")]
-    simulated_phi: Annotated[int, Range(LEAST_PAIRS, 1e9, "φ")]
-    trials: Annotated[int, Range(LEAST_PAIRS, 1e9, "trials")]
-    predicts: bool
-    correlation: Annotated[float, Range(-1.0, 1.0, "no unit")] = 0.0
+    deviation: Annotated[float, limits(0.0, 100.0, "in its unit")]
+    simulated_phi: Annotated[int, limits(LEAST_PAIRS, 1e9, "φ")]
+    trials: Annotated[int, limits(LEAST_PAIRS, 1e9, "trials")]
+    predicts: YesNo
+    correlation: Annotated[float, limits(-1.0, 1.0, "no unit")] = 0.0
 
 
 def run_physical(arguments: argparse.Namespace) -> int:
@@ -139,7 +138,7 @@ def _fused_source(folder: Path, key: str) -> _Source:
         raise UsageError(f"{folder}: has no {key} but {', '.join(figures)}")
     one, names = figures[key], [field.name for field in fields(_Fused)]
     known = {name: one[name] for name in names if one.get(name) is not None} if isinstance(one, Mapping) else one
-    found = build(_Fused, known, str(path), f"figures.{key}")
+    found = read_model(_Fused, known, str(path), f"figures.{key}")
     if found.predicts and not found.correlation > 0.0:
         raise UsageError(
             f"{path}: figures.{key} says that the simulator predicts it, and its correlation is {found.correlation:g}; "

@@ -11,9 +11,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, Final
 
-from skd_sim.encounter.reader import build
 from skd_sim.errors import UsageError
-from skd_sim.inputs.keys import Choice, Range
+from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
 from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.campaign.store.manifest import hold, read_manifest
@@ -27,13 +26,13 @@ AT_LEAST, AT_MOST = "at least", "at most"
 _SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
 _ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
 
-KmH = Annotated[float, Range(-400.0, 400.0, "km/h")]
-Metres = Annotated[float, Range(0.0, 1e6, "m")]
-Count = Annotated[int, Range(0, 2**53, "a number of things")]
+KmH = Annotated[float, limits(-400.0, 400.0, "km/h")]
+Metres = Annotated[float, limits(0.0, 1e6, "m")]
+Count = Annotated[int, limits(0, 2**53, "a number of things")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class Cell(Frozen):
     """One test, and what kamikazes around it can do. What is not known is None, or an empty text.
 
     Attributes:
@@ -61,22 +60,22 @@ class Cell:
 
     speed: KmH
     target: KmH | None = None
-    place: Annotated[float, Range(-100.0, 200.0, "% of the car's width")] | None = None
-    range: Annotated[str, Choice(("", *RANGES))] = ""
-    criterion: Annotated[str, Choice(("", *CRITERIA))] = ""
-    touched: bool | None = None
+    place: Annotated[float, limits(-100.0, 200.0, "% of the car's width")] | None = None
+    range: Annotated[str, OneOf(("", *RANGES))] = ""
+    criterion: Annotated[str, OneOf(("", *CRITERIA))] = ""
+    touched: YesNo | None = None
     impact_speed: KmH | None = None
     value: KmH | None = None
-    colour: Annotated[str, Choice(("", *COLOURS))] = ""
+    colour: Annotated[str, OneOf(("", *COLOURS))] = ""
     why: str = ""
     margin: Metres | None = None
     margins: tuple[Metres, ...] = ()
     beyond: Count = 0
-    converged: bool = True
-    margin_is: Annotated[str, Choice(("", AT_LEAST, AT_MOST))] = ""
+    converged: YesNo = True
+    margin_is: Annotated[str, OneOf(("", AT_LEAST, AT_MOST))] = ""
     margin_why: str = ""
     deformation: Metres | None = None
-    equivalent: Annotated[float, Range(0.0, 100.0, "times the braking distance")] | None = None
+    equivalent: Annotated[float, limits(0.0, 100.0, "times the braking distance")] | None = None
     equivalent_text: str = ""
 
     @property
@@ -92,7 +91,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Grid:
+class Grid(Frozen):
     """The tests of one encounter.
 
     Attributes:
@@ -111,7 +110,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class Points:
+class Points(Frozen):
     """Points of a matrix.
 
     Attributes:
@@ -124,15 +123,15 @@ class Points:
     """
 
     test: str
-    standard: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
-    standard_most: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
-    extended: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
-    extended_most: Annotated[float, Range(0.0, 100.0, "points")] = 0.0
+    standard: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    standard_most: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    extended: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    extended_most: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
     why: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ncap:
+class Ncap(Frozen):
     """The regulator's view of one car.
 
     Attributes:
@@ -149,7 +148,7 @@ class Ncap:
         warnings: why the car is not one that a rating is of, a line each.
     """
 
-    ncap: Annotated[int, Range(VERSION, VERSION, "version of the file")] = VERSION
+    ncap: Annotated[int, limits(VERSION, VERSION, "version of the file")] = VERSION
     skd: str
     car: str
     seed: Count
@@ -223,7 +222,7 @@ def ncap_of(data: Any, where: str) -> Ncap:
     """Return the result that plain data hold; `provenance` is not part of it."""
     if isinstance(data, Mapping):
         data = {key: value for key, value in data.items() if key != "provenance"}
-    return build(Ncap, data, where, "")
+    return read_model(Ncap, data, where)
 
 
 def _check(cell: Cell, attempts: int, where: str) -> None:

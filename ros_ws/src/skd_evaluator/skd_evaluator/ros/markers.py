@@ -8,9 +8,9 @@ from collections.abc import Iterable
 import numpy as np
 from geometry_msgs.msg import Point
 from skd_sim.choices.frames import MAP_FRAME
-from skd_sim.encounter.body import Body
 from skd_sim.encounter.kinds import height_of
 from skd_sim.encounter.road import Road, road_pose, road_position
+from skd_sim.encounter.road_user import Body
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.robot_description import CAR_HEIGHT

@@ -159,7 +159,7 @@ def made_in(process: ApartCar) -> ApartController:
         sensing, scene, batches, period = (told[name] for name in ("sensing", "scene", "batches", "control_period"))
         kind = ApartSensingController if sensing else ApartController
         period = None if period is None else float(period)
-        if period is not None and not CONTROL_PERIODS.low <= period <= CONTROL_PERIODS.high:
+        if period is not None and not CONTROL_PERIODS[0] <= period <= CONTROL_PERIODS[1]:
             raise ValueError(period)
     except (KeyError, TypeError, ValueError, OverflowError):
         raise AssessmentError(f"controller {process.name}: its process does not say what it is") from None

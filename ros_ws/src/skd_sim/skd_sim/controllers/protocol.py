@@ -126,7 +126,7 @@ def control_period_of(controller: object, name: str) -> float | None:
     if period is None:
         return None
     number = isinstance(period, (int, float)) and not isinstance(period, bool)
-    least, most = CONTROL_PERIODS.low, CONTROL_PERIODS.high
+    least, most = CONTROL_PERIODS
     if not number or not least <= period <= most:  # compared first: whole numbers may be too large for a float
         got = f"{min(max(period, -1e300), 1e300):g}" if number else f"something of {type(period).__name__}"
         raise UsageError(

@@ -1,4 +1,4 @@
-"""What a scenario must not have: somebody inside another, an obstacle in the car's path, a way through an obstacle."""
+"""What fits together in no scenario: road users inside each other, an obstacle in the car's path, and the like."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.definition import Scenario
+from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.encounter.definition import Obstacle, Scenario
 from skd_sim.encounter.ending import NOWHERE
 from skd_sim.encounter.road import HEADING_NORTH, right_and_along, road_pose
-from skd_sim.encounter.sections import Obstacle
 from skd_sim.errors import UsageError
 from skd_sim.geometry.contact import rectangle_distance, sweep, to_car_frame
 from skd_sim.geometry.obstruction import clearance, runs_into
@@ -24,7 +24,45 @@ _OBSTACLE_SPACING = 0.1  # m between the places of an obstacle that are held aga
 _START_SPACING = 0.05  # m between the places at which a car on a curved road is looked at before it starts
 
 
-def check_obstacles(scenario: Scenario, where: str) -> None:
+def check_scenario(scenario: Scenario, where: str) -> None:
+    """Refuse a scenario whose sections do not go together.
+
+    Args:
+        scenario: each section of it is valid by itself.
+        where: file or other origin, for messages.
+
+    Raises:
+        UsageError: names the keys.
+    """
+    if scenario.horizon < scenario.time_step:
+        raise UsageError(f"{where}: horizon must be at least time_step ({scenario.time_step:g} s)")
+    check_control_period(scenario, where)
+    _check_destination(scenario, where)
+    _check_dynamics(scenario, where)
+    _check_obstacles(scenario, where)
+    if not scenario.car.meet_safe_trajectory:
+        _check_others(scenario, where)
+        _check_start(scenario, where)
+
+
+def _check_dynamics(scenario: Scenario, where: str) -> None:
+    """Refuse a road that the car's dynamics know nothing of."""
+    name, road = scenario.car.dynamics, scenario.road
+    if not DYNAMICS[name].tyres and road.friction != 1.0:
+        others = " or ".join(one for one, kind in DYNAMICS.items() if kind.tyres)
+        raise UsageError(
+            f"{where}: road.friction {road.friction:g} has no effect on car.dynamics {name}; "
+            f"set car.dynamics to {others}, or leave road.friction out"
+        )
+    if not DYNAMICS[name].steers and not road.straight:
+        others = " or ".join(one for one, kind in DYNAMICS.items() if kind.steers)
+        raise UsageError(
+            f"{where}: car.dynamics {name} does not steer, so it cannot follow the curves of road.parts; "
+            f"set car.dynamics to {others}, or leave road.parts out"
+        )
+
+
+def _check_obstacles(scenario: Scenario, where: str) -> None:
     """Refuse obstacles in the car's path, which it does not steer around, and those where the adversary starts."""
     needed, adversary = scenario.car.half_width, scenario.adversary
     for index, (row, obstacle) in enumerate(zip(scenario.rectangles, scenario.obstacles, strict=False)):
@@ -59,7 +97,7 @@ def _standing(scenario: Scenario) -> list[str]:
     return [f"obstacles[{index}]" for index in range(len(scenario.obstacles))] + others
 
 
-def check_destination(scenario: Scenario, where: str) -> None:
+def _check_destination(scenario: Scenario, where: str) -> None:
     """Refuse an adversary that has no destination, or that starts at its destination."""
     adversary, endings = scenario.adversary, scenario.ending
     arrived = None if endings is None else endings.arrived
@@ -76,16 +114,16 @@ def check_destination(scenario: Scenario, where: str) -> None:
         raise UsageError(f"{where}: ending.arrived needs right_of, left_of, ahead_of or behind (m)")
 
 
-def check_others(scenario: Scenario, where: str) -> None:
+def _check_others(scenario: Scenario, where: str) -> None:
     """Refuse others that are where the car or the adversary starts."""
-    car, adversary = scenario.car, scenario.adversary
+    adversary = scenario.adversary
     for index, other in enumerate(scenario.others):
         section = f"others[{index}]"
         first = scenario.others_at(0)[index]
-        if not car.meet_safe_trajectory and _inside_car(scenario, first, other.shape):
+        if _inside_car(scenario, first, other.shape):
             raise UsageError(f"{where}: {section} is where the car starts; move it, or change car.start_gap")
         start = RoadUserState(adversary.start_x, adversary.start_y, 0.0, 0.0, adversary.first_heading)
-        if not car.meet_safe_trajectory and _overlap(first, other.shape, start, adversary.shape):
+        if _overlap(first, other.shape, start, adversary.shape):
             raise UsageError(
                 f"{where}: {section} is where the adversary starts; move it, or adversary.start_x, start_y"
             )
@@ -171,12 +209,13 @@ def start_clearance(scenario: Scenario, x: float, y: float, gap: float) -> float
     return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
 
 
-def check_start(scenario: Scenario, x: float, y: float, where: str) -> None:
-    """Refuse a start at which the car, anywhere in its start range, overlaps an adversary at (x, y) (m)."""
-    gap, reach = start_clearance(scenario, x, y, scenario.car.start_gap), scenario.adversary.reach
-    if gap <= reach:
-        what = "half of the adversary's diagonal," if scenario.adversary.is_box else "adversary.radius"
+def _check_start(scenario: Scenario, where: str) -> None:
+    """Refuse a start at which the car, anywhere in its start range, overlaps the adversary."""
+    adversary = scenario.adversary
+    gap = start_clearance(scenario, adversary.start_x, adversary.start_y, scenario.car.start_gap)
+    if gap <= adversary.reach:
+        what = "half of the adversary's diagonal," if adversary.is_box else "adversary.radius"
         raise UsageError(
             f"{where}: the car overlaps the adversary at the start (footprint to centre {gap:.2f} m, must exceed "
-            f"{what} {reach:g} m); increase car.start_gap or move adversary.start_x, start_y"
+            f"{what} {adversary.reach:g} m); increase car.start_gap or move adversary.start_x, start_y"
         )

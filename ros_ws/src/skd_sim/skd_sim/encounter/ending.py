@@ -8,31 +8,31 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
+from pydantic import ConfigDict
 
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import is_straight_north, right_and_along, road_position
-from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.inputs.keys import Range
+from skd_sim.inputs.model import Frozen, limits
 
-_Bound = Annotated[float, Range(-500.0, 500.0, "m")] | None
+_Bound = Annotated[float, limits(-500.0, 500.0, "m")] | None
 NOWHERE = (math.inf, -math.inf, math.inf, -math.inf)
 """Bounds of a region in which nobody is."""
 
 
 @dataclass(frozen=True)
-class Region(Unchanging):
+class Region(Frozen):
     """Part of the ground without its edges. A bound that is not given does not limit it; without any it is nowhere.
 
     The first two bounds are offsets to the right of the road's centre line, m; the others are distances along it from
     the crossing line, m.
     """
 
-    also: ClassVar = ("lane",)
+    __pydantic_config__ = ConfigDict(extra="forbid", json_schema_extra={"also": ["lane"]})
 
     right_of: _Bound = None
     left_of: _Bound = None
@@ -55,7 +55,7 @@ class Region(Unchanging):
 
 
 @dataclass(frozen=True)
-class Endings(Unchanging):
+class Endings(Frozen):
     """Section `ending` of a scenario: where the adversary has arrived, and where it cannot meet the car any more."""
 
     arrived: Region | None = None
@@ -68,7 +68,7 @@ def inside(bounds: tuple[float, float, float, float], across: float, along: floa
 
 
 @dataclass(frozen=True, eq=False)
-class Ending(Unchanging):
+class Ending(Frozen):
     """When an episode of one scenario is over; see the module.
 
     Attributes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from skd_sim.choices.registry import Registry
-from skd_sim.encounter.body import HEIGHT, Body
+from skd_sim.encounter.road_user import HEIGHT, Body
 
 _OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
 ROAD_USERS: Final = Registry(

@@ -25,6 +25,8 @@ SCENARIOS = Registry("scenario", "skd.scenarios", {name: f"skd_sim.scenarios:{na
 """SKD's own are files of a folder. An entry point leads to a path of a YAML file, or to a mapping with its keys."""
 
 
+REGULATORY = "regulatory"
+"""Source of safe trajectories: what a scenario's section `protocol` prescribes for a test's target, one a place."""
 _AT_PLACE = re.compile(r"(.+?)-(-?\d+)")
 _EXTENDS = "extends"
 

@@ -17,9 +17,8 @@ from typing import Annotated
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.unchanging import Unchanging
 from skd_sim.errors import UsageError
-from skd_sim.inputs.keys import Choice, Range
+from skd_sim.inputs.model import Frozen, OneOf, limits
 from skd_sim.kernels.compilation import kernel
 
 HEADING_NORTH = math.pi / 2  # where the lane leads at the crossing point (ENU)
@@ -31,12 +30,22 @@ STRAIGHT_NORTH = (0.0, 0.0, 0.0, HEADING_NORTH, 0.0, 0.0)  # without an end: it 
 
 
 @dataclass(frozen=True)
-class Part(Unchanging):
+class Part(Frozen):
     """A stretch of road: straight, or with `radius` (of the centre line) and `turn` along a circle."""
 
-    length: Annotated[float, Range(0.1, 10000.0, "m")]
-    radius: Annotated[float, Range(1.0, 100000.0, "m")] | None = None
-    turn: Annotated[str, Choice(("left", "right"))] | None = None
+    length: Annotated[float, limits(0.1, 10000.0, "m")]
+    radius: Annotated[float, limits(1.0, 100000.0, "m")] | None = None
+    turn: Annotated[str, OneOf(("left", "right"))] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse half of a curve, and one of more than half a circle."""
+        if (self.radius is None) != (self.turn is None):
+            given, missing = ("radius", "turn") if self.turn is None else ("turn", "radius")
+            raise UsageError(f"has a {given} and no {missing}; a curve needs both, a straight part neither")
+        if self.radius is not None and self.length > math.pi * self.radius:
+            raise UsageError(
+                f"turns by more than half a circle; its length may be at most {math.pi * self.radius:.4g} m"
+            )
 
     @property
     def curvature(self) -> float:
@@ -47,7 +56,7 @@ class Part(Unchanging):
 
 
 @dataclass(frozen=True)
-class Lane(Unchanging):
+class Lane(Frozen):
     """A lane that the car under test is not on. The car's own has number 0, those beside it 1, 2, … and −1, −2, ….
 
     Numbers increase to the right. Traffic on a lane beside the car's goes the car's way (`direction: same`) or comes
@@ -55,38 +64,29 @@ class Lane(Unchanging):
     that of a road which crosses; its number is any that is free. Without a `width` it is as wide as the car's own.
     """
 
-    number: Annotated[int, Range(-99, 99, "lanes to the right of the car's own")]
-    width: Annotated[float, Range(1.0, 20.0, "m")] | None = None
-    direction: Annotated[str, Choice((SAME, ONCOMING))] = SAME
-    x: Annotated[float, Range(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
-    y: Annotated[float, Range(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
-    heading: Annotated[float, Range(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
+    number: Annotated[int, limits(-99, 99, "lanes to the right of the car's own")]
+    width: Annotated[float, limits(1.0, 20.0, "m")] | None = None
+    direction: Annotated[str, OneOf((SAME, ONCOMING))] = SAME
+    x: Annotated[float, limits(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
+    y: Annotated[float, limits(-500.0, 500.0, "m, where its coordinate is 0")] | None = None
+    heading: Annotated[float, limits(-math.pi, math.pi, "rad, counter-clockwise from East")] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse half of a place, and a direction beside a heading."""
+        given = [name for name in ("x", "y", "heading") if getattr(self, name) is not None]
+        if given and len(given) < 3:
+            raise UsageError(f"has {' and '.join(given)}; a lane elsewhere needs x, y and heading")
+        if not self.beside and self.direction == ONCOMING:
+            raise UsageError("has a heading, which says which way it is driven; leave direction out")
 
     @property
     def beside(self) -> bool:
         """Whether it goes along with the car's own lane, beside it or as that lane itself."""
         return self.heading is None
 
-    def check(self, key: str) -> None:
-        """Refuse half of a place, and a direction beside a heading.
-
-        Args:
-            key: file and key of the lane, for messages.
-
-        Raises:
-            UsageError: names the key.
-        """
-        place = {"x": self.x, "y": self.y, "heading": self.heading}
-        given = [name for name, value in place.items() if value is not None]
-        if given and len(given) < len(place):
-            missing = next(name for name in place if name not in given)
-            raise UsageError(f"{key} has {given[0]} and no {missing}; a lane elsewhere needs x, y and heading")
-        if not self.beside and self.direction == ONCOMING:
-            raise UsageError(f"{key} has a heading, which says which way it is driven; leave direction out")
-
 
 @dataclass(frozen=True)
-class Road(Unchanging):
+class Road(Frozen):
     """The car's lane, straight along +y through (0, 0) or of `parts` in the order in which the car drives them; others.
 
     `origin` is how far along the parts the crossing point lies, their middle by default; there the lane leads North.
@@ -94,11 +94,45 @@ class Road(Unchanging):
     with them only 1 is accepted. `lanes` are those that the car is not on.
     """
 
-    lane_width: Annotated[float, Range(1.0, 20.0, "m")]
-    friction: Annotated[float, Range(0.05, 1.5, "relative to a dry road")] = 1.0
+    lane_width: Annotated[float, limits(1.0, 20.0, "m")]
+    friction: Annotated[float, limits(0.05, 1.5, "relative to a dry road")] = 1.0
     parts: tuple[Part, ...] = ()
-    origin: Annotated[float, Range(0.0, 100000.0, "m from the beginning of the parts")] | None = None
+    origin: Annotated[float, limits(0.0, 100000.0, "m from the beginning of the parts")] | None = None
     lanes: tuple[Lane, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse parts that cannot be driven, and lanes that are nowhere."""
+        self._check_lanes()
+        inner = {turn: 0.5 * self.lane_width + self._beside(side) for turn, side in (("left", -1), ("right", 1))}
+        for index, part in enumerate(self.parts):
+            if part.radius is not None and part.turn is not None and part.radius <= inner[part.turn]:
+                lanes = " and the widths of lanes on that side" if inner[part.turn] > 0.5 * self.lane_width else ""
+                raise UsageError(
+                    f"parts[{index}].radius must exceed half of lane_width{lanes} ({inner[part.turn]:g} m), "
+                    f"got {part.radius:g}"
+                )
+        if self.origin is not None and not self.parts:
+            raise UsageError("origin says where along parts the crossing point is; there are no parts")
+        if self.origin is not None and self.origin > self.length:
+            raise UsageError(f"origin must be at most the length of all parts ({self.length:g} m), got {self.origin:g}")
+
+    def _check_lanes(self) -> None:
+        numbers = [lane.number for lane in self.lanes]
+        beside = {0, *(lane.number for lane in self.lanes if lane.beside)}
+        for index, lane in enumerate(self.lanes):
+            if lane.number == 0 or lane.number in numbers[:index]:
+                whose = "the car's own lane" if lane.number == 0 else "another lane"
+                raise UsageError(f"lanes[{index}].number {lane.number} is that of {whose}; give each lane its own")
+            inner = lane.number - int(math.copysign(1, lane.number))
+            if lane.beside and inner not in beside:
+                raise UsageError(
+                    f"lanes[{index}].number {lane.number} leaves out lane {inner}, between it and the car's own, which "
+                    "is 0; number lanes one by one, or give x, y and heading of one that is elsewhere"
+                )
+
+    def _beside(self, side: int) -> float:
+        """Return the width of all lanes beside the car's to the left (−1) or to the right (1), m."""
+        return sum(lane.width or self.lane_width for lane in self.lanes if lane.beside and side * lane.number > 0)
 
     @property
     def length(self) -> float:
@@ -179,58 +213,6 @@ class Road(Unchanging):
                 ahead, right = (math.cos(heading), math.sin(heading)), (math.sin(heading), -math.cos(heading))
                 found.append(np.array([x, y]) + _ARROW @ np.array([right, ahead]))
         return found
-
-    def check(self, where: str) -> None:
-        """Refuse parts that cannot be driven, and lanes that are nowhere.
-
-        Raises:
-            UsageError: names the key under `where`.
-        """
-        self._check_lanes(where)
-        inner = {turn: 0.5 * self.lane_width + self._beside(side) for turn, side in (("left", -1), ("right", 1))}
-        for index, part in enumerate(self.parts):
-            key = f"{where}: road.parts[{index}]"
-            if (part.radius is None) != (part.turn is None):
-                given, missing = ("radius", "turn") if part.turn is None else ("turn", "radius")
-                raise UsageError(f"{key} has a {given} and no {missing}; a curve needs both, a straight part neither")
-            if part.radius is not None and part.turn is not None and part.radius <= inner[part.turn]:
-                lanes = " and the widths of road.lanes on that side" if inner[part.turn] > 0.5 * self.lane_width else ""
-                raise UsageError(
-                    f"{key}.radius must exceed half of road.lane_width{lanes} ({inner[part.turn]:g} m), "
-                    f"got {part.radius:g}"
-                )
-            if part.radius is not None and part.length > math.pi * part.radius:
-                raise UsageError(
-                    f"{key} turns by more than half a circle; its length may be at most {math.pi * part.radius:.4g} m"
-                )
-        if self.origin is not None and not self.parts:
-            raise UsageError(
-                f"{where}: road.origin says where along road.parts the crossing point is; there are no parts"
-            )
-        if self.origin is not None and self.origin > self.length:
-            raise UsageError(
-                f"{where}: road.origin must be at most the length of all parts ({self.length:g} m), got {self.origin:g}"
-            )
-
-    def _beside(self, side: int) -> float:
-        """Return the width of all lanes beside the car's to the left (−1) or to the right (1), m."""
-        return sum(lane.width or self.lane_width for lane in self.lanes if lane.beside and side * lane.number > 0)
-
-    def _check_lanes(self, where: str) -> None:
-        numbers = [lane.number for lane in self.lanes]
-        beside = {0, *(lane.number for lane in self.lanes if lane.beside)}
-        for index, lane in enumerate(self.lanes):
-            key = f"{where}: road.lanes[{index}]"
-            if lane.number == 0 or lane.number in numbers[:index]:
-                whose = "the car's own lane" if lane.number == 0 else "another lane"
-                raise UsageError(f"{key}.number {lane.number} is that of {whose}; give each lane a number of its own")
-            lane.check(key)
-            inner = lane.number - int(math.copysign(1, lane.number))
-            if lane.beside and inner not in beside:
-                raise UsageError(
-                    f"{key}.number {lane.number} leaves out lane {inner}, between it and the car's own, which is 0; "
-                    "number lanes one by one, or give x, y and heading of one that is elsewhere"
-                )
 
 
 def centre_line(parts: list[tuple[float, float]], origin: float) -> FloatArray:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skd_sim.encounter.definition import Obstacle
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.encounter.sections import Obstacle
 from skd_sim.geometry.contact import to_car_frame
 from skd_sim.hazard.perception import FEATURES, Perception
 from skd_sim.hazard.region import MARGIN, MARGIN_TIME, on_collision_course

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from skd_sim.encounter.body import Body
 from skd_sim.encounter.kinds import height_of
+from skd_sim.encounter.road_user import Body
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.messages.to_messages import COVARIANCE_6, to_orientation, to_stamp
 from skd_sim.state import RoadUserState, Scene

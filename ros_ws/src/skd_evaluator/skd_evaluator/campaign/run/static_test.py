@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import Controller
-from skd_sim.encounter.protocol.target import impact_offset, regulatory_trajectories
+from skd_sim.encounter.protocol import impact_offset, regulatory_trajectories
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 

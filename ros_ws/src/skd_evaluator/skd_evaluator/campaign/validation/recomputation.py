@@ -21,7 +21,6 @@ from skd_sim.choices.car_dynamics import DYNAMICS
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
-from skd_sim.encounter.body import Body
 from skd_sim.encounter.road import (
     HEADING_NORTH,
     beside_road,
@@ -30,6 +29,7 @@ from skd_sim.encounter.road import (
     road_pose,
     road_position,
 )
+from skd_sim.encounter.road_user import Body
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator

@@ -9,8 +9,7 @@ from typing import Final
 
 from skd_sim.choices.car_under_test import CONTROLLERS
 from skd_sim.choices.registry import Registry
-from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.protocol import REGULATORY
+from skd_sim.encounter.known_scenarios import REGULATORY, SCENARIOS
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC

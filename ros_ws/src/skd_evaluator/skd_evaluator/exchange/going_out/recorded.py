@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.encounter.body import Body
 from skd_sim.encounter.kinds import CAR, called, height_of
 from skd_sim.encounter.road import right_and_along, road_pose
+from skd_sim.encounter.road_user import Body
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.geometry.trajectory import Trajectory

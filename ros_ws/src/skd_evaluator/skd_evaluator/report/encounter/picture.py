@@ -14,7 +14,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from skd_sim.encounter.protocol.target import time_of_meeting
+from skd_sim.encounter.protocol import time_of_meeting
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.geometry.trajectory import Trajectory
 

@@ -14,8 +14,8 @@ from metadrive.type import MetaDriveType
 from panda3d.bullet import BulletBoxShape, BulletCylinderShape
 from panda3d.core import Vec3
 
-from skd_sim.encounter.body import Body
 from skd_sim.encounter.kinds import called, height_of
+from skd_sim.encounter.road_user import Body
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.simulation.metadrive.installed import METADRIVE
 
@@ -49,7 +49,7 @@ class Placed(BaseTrafficParticipant):
         """Make it.
 
         Args:
-            shape: radius, half length, half width (m), as `skd_sim.encounter.body.Body.shape`.
+            shape: radius, half length, half width (m), as `skd_sim.encounter.road_user.Body.shape`.
             height: how high it is, m.
             type_name: what MetaDrive calls it.
             position: place of its centre in MetaDrive's frame, m.

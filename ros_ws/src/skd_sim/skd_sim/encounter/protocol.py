@@ -1,8 +1,12 @@
-"""The way of a regulator's target: from the section `protocol` of a scenario to a safe trajectory per impact place.
+"""The trajectory of a regulator's target: from the section `protocol` of a scenario, one per impact place.
 
 The car comes unbraked at its start speed, from the middle of the range of places in which it starts. The target's
 centre moves along a straight line, or changes over to one. When the car's front reaches the target's nearest surface,
 the target is at its impact place.
+
+A target changes lanes on an arc, straight on, and on an arc back, at one speed. Euro NCAP's CCFhol has arcs with radii
+of 125 m (50 km/h, 44 m) and 250 m (70 km/h, 60 m) with 10 m between them (Vector's OSC-NCAP-scenarios, catalogue of
+trajectories, GVT_CCFhol_50 and GVT_CCFhol_70). Here a fifth of the way is straight, whatever the speed.
 """
 
 from __future__ import annotations
@@ -13,15 +17,14 @@ from collections.abc import Callable
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.definition import Scenario
-from skd_sim.encounter.protocol.lane_change import changed_over
-from skd_sim.encounter.protocol.section import Protocol
+from skd_sim.encounter.definition import Protocol, Scenario
 from skd_sim.encounter.road import road_pose
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 _ALONG = math.sin(math.radians(45.0))  # of who moves so or more along the lane, the place is across, not in time
 _LOOK, _HALVINGS = 0.02, 60  # s between two looks at where the car's front is, and how often that is halved
+_STRAIGHT = 0.2  # share of a lane change that is straight
 Covered = Callable[[FloatArray], FloatArray]
 """Times since the start (s) → how far the target has got along its way by then, m."""
 
@@ -227,3 +230,39 @@ def _crossing(
     moved = np.clip(times - begins, 0.0, speeding)
     steady = np.maximum(0.0, times - begins - speeding)
     return np.asarray(protocol.acceleration_distance * (moved / speeding) ** 2 + protocol.speed * steady)
+
+
+def changed_over(way: FloatArray, length: float, aside: float) -> tuple[FloatArray, FloatArray]:
+    """Return how far one who changes lanes has got along the lane and across it, both of them m.
+
+    Before the change and after it the way leads straight along the lane.
+
+    Args:
+        way: that has been covered since the change began, m; negative before it.
+        length: of the change, m of the way.
+        aside: by how much it leads across, m, at least 0 and at most half of the length.
+    """
+    angle = _angle(length, aside)
+    arc, straight = 0.5 * (1.0 - _STRAIGHT) * length, _STRAIGHT * length
+    radius = arc / angle
+    within = np.clip(way, 0.0, length)
+    first = np.minimum(within, arc) / radius
+    between = np.clip(within - arc, 0.0, straight)
+    second = angle - np.maximum(within - arc - straight, 0.0) / radius
+    along = radius * (np.sin(first) + math.sin(angle) - np.sin(second)) + between * math.cos(angle)
+    across = radius * (1.0 - np.cos(first) + np.cos(second) - math.cos(angle)) + between * math.sin(angle)
+    return along + (way - within), across
+
+
+def _angle(length: float, aside: float) -> float:
+    """Return by how much the way is turned between the two arcs, rad."""
+
+    def across(angle: float) -> float:
+        arc = (1.0 - _STRAIGHT) * length * (1.0 - math.cos(angle)) / angle
+        return arc + _STRAIGHT * length * math.sin(angle)
+
+    low, high = 1e-9, 0.5 * math.pi
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if across(middle) < aside else (low, middle)
+    return 0.5 * (low + high)

@@ -1,0 +1,147 @@
+"""Outside data checked against models: pydantic validates them, and a mistake is one line.
+
+A model is a frozen dataclass with annotations. Its JSON schema (`schema_of`) has ranges, units and names, and says in
+a message what would be right.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any, Self, TypeVar, cast
+
+from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails, core_schema
+
+from skd_sim.choices.suggestion import did_you_mean
+from skd_sim.errors import UsageError
+from skd_sim.inputs.yaml_file import name_of_key, short
+
+Model = TypeVar("Model")
+YesNo = StrictBool
+"""True or false, and neither 1 nor `yes`."""
+
+
+ON_LANE = ("lane", "along", "aside")
+"""Keys that say where something is by a lane of the road, in place of its coordinates."""
+
+
+class Frozen:
+    """Base of a model whose objects nobody changes: unknown keys are refused, and a deep copy is the object itself.
+
+    Controllers keep their scenario, and the search for the margin copies controllers by the thousand.
+    """
+
+    __slots__ = ()
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
+
+
+class OnLane(Frozen):
+    """Base of a section whose place a file may give by a lane, in place of coordinates; see `encounter/shorthand.py`."""
+
+    __slots__ = ()
+    __pydantic_config__ = ConfigDict(extra="forbid", json_schema_extra={"also": [*ON_LANE]})
+
+
+def limits(low: float, high: float, unit: str) -> Any:
+    """Return the annotation of a number: its range, ends included, and its unit."""
+    return Field(ge=low, le=high, strict=True, json_schema_extra={"unit": unit})
+
+
+class OneOf:
+    """The annotation of a text that is one of some names."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Allow these names."""
+        self._names = list(names)
+
+    def __get_pydantic_core_schema__(self, *_: Any) -> core_schema.CoreSchema:
+        return core_schema.literal_schema(self._names)
+
+
+@functools.cache
+def _adapter(kind: Hashable) -> TypeAdapter[Any]:
+    return TypeAdapter(cast(type[Any], kind))
+
+
+@functools.cache
+def schema_of(kind: Hashable) -> dict[str, Any]:
+    """Return the JSON schema of a model."""
+    return _adapter(kind).json_schema()
+
+
+def read_model(kind: type[Model], data: Any, where: str, path: str = "") -> Model:
+    """Return an object of a model from plain data.
+
+    Args:
+        kind: the model.
+        data: nested mappings and lists.
+        where: file or other origin, for messages.
+        path: name of the section that the data are, for messages.
+
+    Raises:
+        UsageError: a key is missing or unknown, or a value is wrong; names file and key, and says what would be right.
+    """
+    try:
+        model: Model = _adapter(cast(Hashable, kind)).validate_python(data)
+    except ValidationError as error:
+        # Of a typo there are two errors, and the unknown key says more than the missing one.
+        errors = sorted(error.errors(include_url=False), key=lambda one: _FIRST.get(one["type"], 2))
+        raise UsageError(f"{where}: {_worded(errors[0], schema_of(cast(Hashable, kind)), path)}") from None
+    return model
+
+
+_UNKNOWN = ("unexpected_keyword_argument", "invalid_key")
+_FIRST = dict.fromkeys(_UNKNOWN, 0) | {"missing": 1}
+
+
+def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:
+    """Return what is wrong, where, and what would be right."""
+    kind, given = error["type"], error["input"]
+    key = _joined(path, error["loc"])
+    if kind == "missing":
+        return f"missing key {key}"
+    if kind in _UNKNOWN:
+        section = _node(schema, error["loc"][:-1])
+        known = [*section["properties"], *section.get("also", ())]
+        return f"unknown key {key}; allowed: {', '.join(known)}{did_you_mean(str(error['loc'][-1]), known)}"
+    if kind == "value_error":  # of a check of the model's own, which says by its own keys what is wrong
+        return ": ".join(filter(None, (key, str(error["ctx"]["error"]))))
+    right = _right(_node(schema, error["loc"]))
+    shown = type(given).__name__ if right in (_LIST, _MAPPING) else short(given)
+    return f"{key or 'the file'} must be {right}, got {shown}"
+
+
+_LIST, _MAPPING = "a list", "a mapping"
+
+
+def _right(node: dict[str, Any]) -> str:
+    """Return what a value has to be by its JSON schema."""
+    if "enum" in node or "const" in node:
+        return f"one of {', '.join(map(str, node.get('enum', [node.get('const')])))}"
+    if node.get("type") in ("number", "integer"):
+        number = "a whole number" if node["type"] == "integer" else "a number"
+        return f"{number} from {node['minimum']:g} to {node['maximum']:g} ({node['unit']})"
+    return {"string": "text", "boolean": "true or false", "array": _LIST}.get(str(node.get("type")), _MAPPING)
+
+
+def _node(schema: dict[str, Any], place: Sequence[int | str]) -> dict[str, Any]:
+    """Return the part of a JSON schema that describes a place in the data."""
+    node = schema
+    for step in (None, *place):
+        if step is not None:
+            node = node["items"] if isinstance(step, int) else node["properties"][step]
+        node = node.get("anyOf", [node])[0]  # an optional value is this, or null
+        if "$ref" in node:
+            node = schema["$defs"][node["$ref"].rpartition("/")[2]]
+    return node
+
+
+def _joined(path: str, place: Sequence[int | str]) -> str:
+    for step in place:
+        dot = "." if path and isinstance(step, str) else ""
+        path += f"[{step}]" if isinstance(step, int) else f"{dot}{name_of_key(step)}"
+    return path
