@@ -276,7 +276,7 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
      "protocol: acceleration_distance is for a target that starts from standing"),
     ({"protocol": {"source": "", "speed": 1.0, "impact_places": [5], "aside": 1.0}},
      "protocol: aside, change_time and change_ends say"),
-    ({"protocol": {"source": "", "speed": 2.0, "impact_places": [5], "aside": 9.0, "change_time": 0.1, "change_ends": 1.0}},
+    ({"protocol": {"source": "", "speed": 2, "impact_places": [5], "aside": 9, "change_time": 0.1, "change_ends": 1}},
      "protocol: change_time is too short: at 2 m/s"),
 ]  # fmt: skip
 

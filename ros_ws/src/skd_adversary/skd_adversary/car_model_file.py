@@ -13,11 +13,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import parse_json, read_bytes
-from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
+from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short, to_yaml
 
 from skd_adversary.car_forest import CarForest
 from skd_adversary.fitted_car import (
@@ -95,7 +94,7 @@ def write_car_model(path: Path, car: FittedCar) -> None:
         beside = path.with_suffix(FOREST_SUFFIX)
         beside.write_bytes(car.forest.packed)
         data["forest"] = {"file": beside.name, "sha256": hashlib.sha256(car.forest.packed).hexdigest()}
-    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=120)
+    text = to_yaml(data)
     path.write_text(_HEAD + text, encoding="utf-8")
 
 

@@ -1,10 +1,10 @@
-"""YAML of a user's, read with care: what it says is data of a page or two, whatever the file is."""
+"""YAML files, read as YAML 1.2 has it, and with each key once."""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
+import re
 import reprlib
 import sys
 from pathlib import Path
@@ -17,31 +17,37 @@ from skd_sim.inputs.outside import LARGEST_WHOLE, open_regular
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
-_DEEPEST = 50
-
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 60
 _short.maxlevel = 2
 
+_SCALARS = {  # YAML 1.2.2, 10.3.2 (core schema); in YAML 1.1, PyYAML's, 013 is 11, 1:30 is 90, on is true, 1e3 a text
+    "null": (r"~|null|Null|NULL|", "~nN\0"),
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+}
+
 
 class _Loader(yaml.SafeLoader):
-    """Plain data without aliases, by which a short text can mean gigabytes, without deep nesting, each key once."""
+    """Plain data without aliases, by which a short text can mean gigabytes, and each key once."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - none of YAML 1.1
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
-            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed: write it out", self._mark())
-        self._depth = getattr(self, "_depth", 0) + 1
-        if self._depth > _DEEPEST:
-            raise yaml.composer.ComposerError(None, None, f"more than {_DEEPEST} levels", self._mark())
-        try:
-            node: yaml.Node | None = super().compose_node(parent, index)
-        finally:
-            self._depth -= 1
+            parser: Any = self  # PyYAML's parser has no types
+            mark = parser.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed: write it out", mark)
+        node: yaml.Node | None = super().compose_node(parent, index)
         return node
 
     def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
         """Return a whole number of at most 64 bits: no such file needs more, and not all code can compare more."""
-        value: int = super().construct_yaml_int(node)
+        value = int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
         if abs(value) > LARGEST_WHOLE:
             raise yaml.constructor.ConstructorError(
                 None, None, f"{node.value[:40]} has more than 64 bits", node.start_mark
@@ -61,13 +67,17 @@ class _Loader(yaml.SafeLoader):
                 seen.add(key)
         return found
 
-    def _mark(self) -> yaml.Mark:
-        parser: Any = self  # PyYAML's parser has no types
-        mark: yaml.Mark = parser.peek_event().start_mark
-        return mark
+
+class _Dumper(yaml.SafeDumper):
+    """Plain data that read the same by YAML 1.1 and 1.2: what either takes for no text is in quotation marks."""
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+for _name, (_pattern, _first) in _SCALARS.items():
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(  # type: ignore[no-untyped-call]
+            f"tag:yaml.org,2002:{_name}", re.compile(f"^(?:{_pattern})$"), [*_first.replace("\0", ""), ""]
+        )
 
 
 def read_text(path: Path) -> str:
@@ -109,19 +119,16 @@ def parse_yaml(text: str, where: str) -> Any:
         raise UsageError(f"{where}: not valid YAML: {' '.join(str(error).split())[:300]}") from error
 
 
-def as_yaml(text: str) -> str:
-    """Return a text as YAML has it that `parse_yaml` reads: in one line, in quotation marks where it needs them.
+def to_yaml(data: Any) -> str:
+    """Return plain data as YAML that `parse_yaml` reads."""
+    return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120))
 
-    Raises:
-        UsageError: no YAML can say it.
-    """
-    for style in (None, '"'):
-        found = yaml.safe_dump(text, default_style=style, allow_unicode=True, width=sys.maxsize)
-        found = found.removesuffix("\n").removesuffix("\n...")
-        with contextlib.suppress(UsageError):
-            if len(found.splitlines()) == 1 and parse_yaml(f"- key: {found}\n", "") == [{"key": text}]:
-                return found
-    raise UsageError(f"{short(text)}: cannot be written as YAML; give the file another name")
+
+def as_yaml(text: str) -> str:
+    """Return a text as YAML has it within a line: in quotation marks unless it is a word."""
+    if re.fullmatch(r"[A-Za-z./][\w./-]*", text, re.ASCII) and to_yaml([text]) == f"- {text}\n":
+        return text
+    return str(yaml.dump(text, default_style='"', allow_unicode=True, width=sys.maxsize)).strip()
 
 
 def short(value: object) -> str:

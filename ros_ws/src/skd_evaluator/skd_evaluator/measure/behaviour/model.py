@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import yaml
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
-from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
+from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
 
 from skd_evaluator.measure.behaviour import NO_BEHAVIOUR, WALKERS
 
@@ -209,6 +208,4 @@ def _number(value: Any) -> float:
 
 def write_behaviour(path: Path, behaviour: Behaviour) -> None:
     """Write a behaviour model as `load_behaviour` reads it."""
-    path.write_text(
-        yaml.safe_dump(behaviour.as_dict(), sort_keys=False, allow_unicode=True, width=120), encoding="utf-8"
-    )
+    path.write_text(to_yaml(behaviour.as_dict()), encoding="utf-8")

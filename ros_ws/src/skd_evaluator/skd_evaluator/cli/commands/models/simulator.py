@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rich.table import Table
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.inputs.yaml_file import to_yaml
 
 from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_doubts, propagated
 from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
 
     def write(where: Path) -> None:
-        text = yaml.safe_dump(best.as_dict(), sort_keys=False, allow_unicode=True, width=120)
+        text = to_yaml(best.as_dict())
         (where / SCENARIO).write_text(text, encoding="utf-8")
         write_json(where / RESULT, content)
 
