@@ -386,7 +386,7 @@ def test_a_command_may_name_a_home_that_nobody_has():
     assert controller_files(car, "drive ~nobody-of-that-name/x") == []
 
 
-@pytest.mark.parametrize("value", [".nan", ".inf", "2020-01-01", "[1]", "{a: 1}"])
+@pytest.mark.parametrize("value", [".nan", ".inf", "[1]", "{a: 1}"])
 @pytest.mark.parametrize("key", ["statistic", "p_value"])
 def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
     """Episodes carry it as JSON, which has no such values."""

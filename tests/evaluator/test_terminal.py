@@ -20,8 +20,8 @@ from skd_evaluator.report.progress import ProgressLines, progress_line
 from skd_evaluator.report.side_by_side import equal_remarks
 from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
 from skd_sim.choices.registry import Registry
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.kernels import anew
 from terminals import Terminal
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import Option, options_of
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.findings import aborted_lines, why_failed, with_failures

@@ -26,10 +26,10 @@ from typing import Any
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.options import Option, options_of
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import is_there
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions

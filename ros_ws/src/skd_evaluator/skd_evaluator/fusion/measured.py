@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.road import right_and_along, road_pose
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 
 from skd_evaluator.fusion.pairs import GAP_TOLERANCE
 from skd_evaluator.fusion.recording import read_tracks

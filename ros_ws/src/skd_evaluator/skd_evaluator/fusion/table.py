@@ -8,10 +8,10 @@ from io import StringIO
 from pathlib import Path
 
 import numpy as np
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text, real_path
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.fusion.figures import FIGURES, checked_value

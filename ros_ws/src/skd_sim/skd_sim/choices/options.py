@@ -22,9 +22,9 @@ from skd_sim.choices.knowledge import Knowledge, implied_knowledge
 from skd_sim.choices.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
 from skd_sim.choices.registry import Registry
 from skd_sim.choices.simulators import SIMULATORS, WORLD
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import parse_json
+from skd_sim.inputs.suggestion import did_you_mean
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""

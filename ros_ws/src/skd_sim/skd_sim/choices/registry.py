@@ -15,8 +15,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.program.interruption import Interrupted
 
 if TYPE_CHECKING:

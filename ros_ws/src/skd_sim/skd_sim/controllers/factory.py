@@ -7,9 +7,9 @@ from typing import Any, cast
 
 from skd_sim.choices.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.choices.registry import load, reason_of
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.controllers.protocol import Controller
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.program.interruption import Interrupted
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.registry import Registry
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 
 _FOLDER = resources.files("skd_sim") / "scenarios"

@@ -13,8 +13,8 @@ from typing import Any, Self, TypeVar, cast
 from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, core_schema
 
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import name_of_key, short
 
 Model = TypeVar("Model")

@@ -16,8 +16,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.options import options_of
-from skd_sim.choices.suggestion import nearest
 from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.inputs.suggestion import nearest
 from skd_sim.messages.stream_cdr import CdrError
 from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.program.bounded_end import END_LIMIT, end_within

@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, OF_OBJECTIVES, Of, keys_of
 from skd_evaluator.campaign.store.schema import assessment_schema

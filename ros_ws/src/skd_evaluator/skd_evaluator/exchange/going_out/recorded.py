@@ -18,6 +18,8 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.exchange.names import ADVERSARY, ADVERSARY_ID, EGO, EGO_ID, FIRST_OTHER_ID, OBSTACLE, OTHER
 from skd_evaluator.measure.surrogate.scenes import Course, scene_of, velocities
 
+_CAR = Body(kind=CAR, length=4.5, width=1.8)  # formats ask for its kind alone
+
 
 @dataclass(frozen=True, eq=False)
 class Actor:
@@ -61,14 +63,7 @@ class Actor:
 
     def word(self, where: str) -> str:
         """Return what a format calls a road user of its kind."""
-        return called(_CarBody() if self.body is None else self.body, where)
-
-
-class _CarBody(Body):
-    """The car under test, as far as its kind is asked for."""
-
-    __slots__ = ()
-    radius, length, width, kind, start_heading = None, None, None, CAR, None
+        return called(_CAR if self.body is None else self.body, where)
 
 
 @dataclass(frozen=True, eq=False)

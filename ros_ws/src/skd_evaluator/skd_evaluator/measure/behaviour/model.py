@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.suggestion import did_you_mean
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
+from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
 
 from skd_evaluator.measure.behaviour import NO_BEHAVIOUR, WALKERS
