@@ -18,10 +18,10 @@ from skd_evaluator.campaign.validation.verdict import examine
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.apart.guard import guard
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController, SensingController, make_controller
+from skd_sim.controllers.user_controller import user_controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.episode.randomness import Role, generator
@@ -243,7 +243,7 @@ def test_what_is_no_control_period_is_refused(name: str, said: str) -> None:
 
 def test_it_is_not_run_at_other_times_than_it_declares() -> None:
     controller = TenTimesASecond()
-    for one in (controller, guard(controller, "mine:Own")):
+    for one in (controller, user_controller(controller, "mine:Own")):
         with pytest.raises(UsageError, match=r"every 0\.1 s, but in scenario crossing a car does so every 0\.3 s"):
             run_episode(replace(episode_of("basic", mode=Mode.REPLAY), scenario=CROSSING), one)
         assert run_episode(episode_of("basic", mode=Mode.REPLAY), one).outcome != Outcome.ABORTED

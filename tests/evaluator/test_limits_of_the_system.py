@@ -14,12 +14,8 @@ import numpy as np
 import pytest
 from cli_support import CROSSING, SMALL
 from common import PATIENCE
-from skd_evaluator.campaign.run.worker_pool import WorkerPool
 from skd_evaluator.cli.commands.overview import list as list_command
 from skd_evaluator.cli.main import main
-from skd_evaluator.errors import AssessmentError
-from skd_sim.apart.apart import apart
-from skd_sim.choices.car_under_test import CarUnderTest
 
 NOISY = """
 class Car:
@@ -88,51 +84,6 @@ def test_too_little_memory_is_said_in_a_line(
     monkeypatch.setattr(list_command, "run", fails)
     assert main(["list", "."]) == 1
     assert capsys.readouterr().err.splitlines() == ["skd list: error: out of memory (limit: ulimit -v)"]
-
-
-def _many_files() -> int:
-    """Take many files: in a worker whose controller has taken most of what it may have."""
-    apart(CarUnderTest("noisy:Car"))
-    resource.setrlimit(resource.RLIMIT_NOFILE, (24, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-    files = [os.dup(0) for _ in range(100)]
-    return len(files)
-
-
-def test_who_took_what_a_worker_may_have_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "noisy.py").write_text(NOISY)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    pool = WorkerPool(1)
-    try:
-        with pytest.raises(AssessmentError) as caught:
-            pool.submit(_many_files).result(PATIENCE)
-    finally:
-        pool.shutdown(wait=False)
-    said = (
-        "controller noisy:Car: took the open files of a process of SKD's by prlimit(2): [Errno 24] Too many open files"
-    )
-    assert str(caught.value) == said
-
-
-def test_a_controllers_process_takes_no_limits_of_another_one() -> None:
-    program = """
-import os, resource
-from skd_sim.apart.seclusion import seclude
-assert seclude()
-resource.setrlimit(resource.RLIMIT_NOFILE, (100, 100))
-for whose in (os.getppid(), os.getpgrp()):
-    try:
-        print(resource.prlimit(whose, resource.RLIMIT_NOFILE))
-    except OSError as error:
-        print(error.strerror)
-print(resource.prlimit(0, resource.RLIMIT_NOFILE), resource.prlimit(os.getpid(), resource.RLIMIT_NOFILE))
-print(os.system("true"))
-"""
-    words = [sys.executable, "-c", program]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    if "AssertionError" in done.stderr:
-        pytest.skip("takes Landlock")
-    assert done.stdout.splitlines() == ["Operation not permitted"] * 2 + ["(100, 100) (100, 100)", "0"]
 
 
 @pytest.fixture(scope="module")

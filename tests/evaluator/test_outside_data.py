@@ -24,13 +24,10 @@ from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.provenance import controller_files
 from skd_evaluator.report.history.runs import find_runs
 from skd_evaluator.risk.asked import risk_asked
-from skd_sim.apart.guard import guard
-from skd_sim.apart.wire import ANSWER, Kind, read_answer
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -294,32 +291,6 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
 # --- controllers
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        True,
-        False,
-        np.True_,
-        np.array(True),
-        np.array("-5"),
-        b"5",
-        np.complex128(-5.0),
-        np.ma.masked,
-        np.array(-5, object),
-    ],
-)
-def test_what_is_no_number_is_no_acceleration(answer):
-    class Car:
-        def reset(self, scenario, rng):
-            pass
-
-        def command(self, car, pedestrian):
-            return answer
-
-    with pytest.raises(AssessmentError, match="must return a finite number"):
-        guard(Car(), "Car").command(None, None)  # type: ignore[arg-type]
-
-
 # --- text on the terminal
 
 STEERING = "a\x1b]0;title\x07\x1b[2J\u202edaer\u2066\x9b31m\r\x7f"
@@ -395,23 +366,3 @@ def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
     path.write_text(re.sub(rf"(calibration:(?:\n  .*)*\n  {key}: ).*", rf"\g<1>{value}", model))
     with pytest.raises(UsageError, match=f"calibration.{key} must be a finite number"):
         car_model_for_scenario(path, load_scenario("crossing"))
-
-
-@pytest.mark.parametrize(
-    "answer",
-    [
-        ANSWER.pack(Kind.TEXT, 1e17),  # for which the reader would wait for ever
-        ANSWER.pack(Kind.TEXT, 20_000.0) + b"[" * 20_000,
-        ANSWER.pack(Kind.FAILED, float("nan")),
-    ],
-    ids=["endless", "nested", "nan"],
-)
-def test_a_controller_that_writes_into_the_pipe_is_named(answer):
-    reading, writing = os.pipe()
-    try:
-        os.write(writing, answer)
-        with pytest.raises(AssessmentError, match="something else than an acceleration"):
-            read_answer(reading)
-    finally:
-        os.close(reading)
-        os.close(writing)

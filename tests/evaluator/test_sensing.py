@@ -11,8 +11,8 @@ import yaml
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.cli.main import main
 from skd_evaluator.errors import AssessmentError
-from skd_sim.apart.guard import guard
 from skd_sim.controllers import SensingController
+from skd_sim.controllers.user_controller import user_controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
@@ -56,7 +56,7 @@ class Stumbling(Blind):
 
 def test_each_command_comes_after_the_scan_of_its_tick():
     controller = Seeing()
-    log = run_episode(EPISODE, guard(controller, "seeing"))
+    log = run_episode(EPISODE, user_controller(controller, "seeing"))
     scans, states = controller.calls[::2], controller.calls[1::2]
     assert len(scans) == len(states) == len(log.car) - 1
     laser = PlanarLaser(CROSSING, EPISODE.seed, EPISODE.episode_id)
@@ -70,14 +70,14 @@ def test_whether_anybody_looks_changes_nothing_else():
 
 
 def test_a_controller_of_two_methods_needs_no_sensor():
-    assert not isinstance(guard(Blind(), "blind"), SensingController)
-    bare = run_episode(replace(EPISODE, scenario=replace(CROSSING, sensor=None)), guard(Blind(), "blind"))
+    assert not isinstance(user_controller(Blind(), "blind"), SensingController)
+    bare = run_episode(replace(EPISODE, scenario=replace(CROSSING, sensor=None)), user_controller(Blind(), "blind"))
     assert bare.car.tobytes() == run_episode(EPISODE, Blind()).car.tobytes()
 
 
 def test_failures_of_sense_name_the_controller():
     with pytest.raises(AssessmentError, match="controller stumbling: sense failed with RuntimeError: no eyes"):
-        run_episode(EPISODE, guard(Stumbling(), "stumbling"))
+        run_episode(EPISODE, user_controller(Stumbling(), "stumbling"))
 
 
 def test_a_sensing_controller_needs_a_sensor():

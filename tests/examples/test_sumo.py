@@ -13,8 +13,8 @@ import sumo_drivers
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.apart.copying import Copier
 from skd_sim.controllers import Controller, with_control_period
+from skd_sim.controllers.copying import Copier
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome

@@ -27,7 +27,7 @@ _INSTRUMENTED = [
     "csv", "json", "mcap", "rosbags.typesys", "skd_adversary.car_model_file", "skd_adversary.safe_trajectories",
     "skd_evaluator.arrays", "skd_evaluator.bags", "skd_evaluator.campaign.store", "skd_evaluator.campaigns",
     "skd_evaluator.fusion", "skd_evaluator.measure.behaviour", "skd_evaluator.ncap", "skd_evaluator.risk.behaviour",
-    "skd_sim.apart.wire", "skd_sim.choices.options", "skd_sim.encounter", "skd_sim.episode", "skd_sim.inputs",
+    "skd_sim.choices.options", "skd_sim.encounter", "skd_sim.episode", "skd_sim.inputs",
     "skd_sim.messages", "yaml", "zipfile",
 ]  # fmt: skip
 """Packages of readers."""

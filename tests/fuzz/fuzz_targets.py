@@ -7,7 +7,6 @@ of a target where it has several. Seeds stand in `corpus/TARGET`; `fuzz_corpus.p
 from __future__ import annotations
 
 import io
-import os
 import struct
 import warnings
 import zipfile
@@ -42,7 +41,6 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.exchange.coming_in.sources import Asked, read_sources
 from skd_evaluator.exchange.coming_in.ways import way_of
 from skd_evaluator.fusion.track import Frame
-from skd_sim.apart.wire import ClosedError, read_answer
 from skd_sim.choices.options import options_from_text
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode
@@ -51,8 +49,8 @@ from skd_sim.inputs.outside import parse_json
 
 HERE = Path(__file__).resolve().parent
 CORPUS = HERE / "corpus"
-SAID = (UsageError, AssessmentError, ClosedError)
-"""What a reader of outside data may raise; the last is that a process has ended."""
+SAID = (UsageError, AssessmentError)
+"""What a reader of outside data may raise."""
 _CELL = _SPECIFICATION = bytes(16)
 
 
@@ -212,17 +210,6 @@ def _model_text(data: bytes, _folder: Path) -> None:
     fitted_car.__wrapped__(text)
 
 
-def _answer(data: bytes, _folder: Path) -> None:
-    """Read what the process of a controller said; a pipe holds 64 KiB."""
-    reading, writing = os.pipe()
-    try:
-        os.write(writing, data[: 1 << 15])
-        os.close(writing)
-        read_answer(reading)
-    finally:
-        os.close(reading)
-
-
 def _table(data: bytes, folder: Path) -> None:
     (folder / "x.csv").write_bytes(data)
     load_safe_trajectories(folder / "x.csv", crossing(), 1)
@@ -356,9 +343,7 @@ TARGETS = {
         Target("mcap", (_mcap,)),
         Target("cdr", (_cdr,)),
         Target("yaml", (_scenario_file, _campaign_file, _metadata, _manifest)),
-        Target(
-            "json", (_result_file, _beside, _cells, _rows, _scenario_text, _options, _model_text, _model_json, _answer)
-        ),
+        Target("json", (_result_file, _beside, _cells, _rows, _scenario_text, _options, _model_text, _model_json)),
         Target(
             "npz",
             (

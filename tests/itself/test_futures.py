@@ -30,9 +30,9 @@ from skd_adversary.itself.future import Course, Draws, Node
 from skd_adversary.itself.moves import Moves
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.frechet import discrete_frechet
-from skd_sim.apart.copying import Copier, drawing
 from skd_sim.choices.objective import Objective
 from skd_sim.controllers import BasicController
+from skd_sim.controllers.copying import Copier, drawing
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.simulation.world import World

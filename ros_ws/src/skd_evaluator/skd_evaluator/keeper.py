@@ -14,30 +14,20 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import resource
 import signal
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
-
-from skd_evaluator.errors import AssessmentError
 
 END_ALL = signal.SIGHUP
 """Tells a keeper to kill all that is below it at once."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LIBC = ctypes.CDLL(None)  # loaded here: a forked child of a process with threads must not load anything
-_LIMITS = {
-    resource.RLIMIT_NOFILE: "open files",
-    resource.RLIMIT_AS: "memory",
-    resource.RLIMIT_FSIZE: "length of files",
-}
 _HEARD = (signal.SIGHUP, signal.SIGCHLD)
 _DEAF = (signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT)
 
 _KEEPER = """
 import os, resource, signal, sys, time
-child, owner, patience, grace = int(sys.argv[1]), int(sys.argv[2]), 2.0, 0.5
+child, owner, patience = int(sys.argv[1]), int(sys.argv[2]), 2.0
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # the child's is enough, should both end by the same signal
 heard = {signal.SIGHUP, signal.SIGCHLD, signal.SIGINT, signal.SIGTERM, signal.SIGTSTP, signal.SIGQUIT}
 ended = []  # how the child has ended, once it has
@@ -67,20 +57,11 @@ def below():
         found |= more
     return found - {os.getpid()}
 
-def is_pump(pid):
-    try:
-        with open("/proc/" + str(pid) + "/cmdline", "rb") as file:
-            return b"skd_sim.apart.pump" in file.read()
-    except OSError:
-        return False
-
 def end_all():
     begin = time.monotonic()
     while bury() and time.monotonic() - begin < patience:
-        # What passes on the last words of the others ends by itself when they have.
-        spared = set(filter(is_pump, below())) if time.monotonic() - begin < grace else set()
         for number in (signal.SIGSTOP, signal.SIGKILL):  # what stands still starts nothing
-            for pid in below() - spared:
+            for pid in below():
                 try:
                     os.kill(pid, number)
                 except OSError:
@@ -152,22 +133,6 @@ def end_now(keeper: int) -> None:
             os.kill(keeper, number)
 
 
-def end_alike(code: int) -> NoReturn:
-    """End this process as another one has ended, so that whoever waits for it sees how.
-
-    Args:
-        code: exit code; negative: the number of the signal.
-    """
-    if code < 0:
-        with contextlib.suppress(OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # that process has left a core, if one is wanted
-            signal.signal(-code, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {-code})
-        os.kill(os.getpid(), -code)
-        os._exit(1)
-    os._exit(code)
-
-
 def is_stopped(pid: int) -> bool:
     """Whether a process is stopped by a signal, as by SIGSTOP; one under a debugger is not."""
     return _state(pid) == b"T"
@@ -183,24 +148,3 @@ def _state(pid: int) -> bytes:
         return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
     except OSError:
         return b""
-
-
-def limits() -> dict[int, tuple[int, int]]:
-    """Return the limits of this process."""
-    return {number: resource.getrlimit(number) for number in _LIMITS}
-
-
-def of_whom(error: BaseException, before: Mapping[int, tuple[int, int]], controllers: Sequence[str]) -> BaseException:
-    """Return an error that says who may have caused it, where the limits of this process are not as they were.
-
-    Args:
-        error: what went wrong.
-        before: its limits at the beginning.
-        controllers: names of those that this process has asked.
-    """
-    changed = [_LIMITS[number] for number, limit in limits().items() if limit != before[number]]
-    if not changed or not isinstance(error, (OSError, MemoryError)):
-        return error
-    whose = f"controller {', '.join(controllers)}" if controllers else "some process"
-    why = str(error) or type(error).__name__
-    return AssessmentError(f"{whose}: took the {' and '.join(changed)} of a process of SKD's by prlimit(2): {why}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from skd_sim.apart.copying import Copier
 from skd_sim.controllers import Controller, SensingController
+from skd_sim.controllers.copying import Copier
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import Role, generator

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.copying import Copier
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller
+from skd_sim.controllers.copying import Copier
 from skd_sim.dynamics.interface import make_dynamics
 from skd_sim.encounter.road import road_position
 from skd_sim.episode.episode import Episode

@@ -12,10 +12,9 @@ import random
 from typing import Any, Final, cast
 
 import numpy as np
-from skd_sim.apart.apart import ApartController
-from skd_sim.apart.copying import Copier
 from skd_sim.choices.registry import reason_of
 from skd_sim.controllers import Controller, SensingController, takes_scene
+from skd_sim.controllers.copying import Copier
 from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
@@ -148,7 +147,5 @@ def _answers(root: Node, course: Course, draws: Draws, controller: Controller, *
 
 def _global_draws(controller: Controller) -> object:
     """Return the state of the generators that everybody has, in the process in which a controller runs."""
-    if isinstance(controller, ApartController):
-        return controller.drawn()
     state = np.random.get_state(legacy=False)  # noqa: NPY002 - a user's controller may use it, we look whether it does
     return random.getstate(), str(state)

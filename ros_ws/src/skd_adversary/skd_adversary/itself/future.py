@@ -11,9 +11,9 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.apart.copying import Copier
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import Controller, sight_of
+from skd_sim.controllers.copying import Copier
 from skd_sim.dynamics.basic import BasicCar
 from skd_sim.dynamics.interface import CarDynamics, Noise, make_dynamics
 from skd_sim.dynamics.limits import command_limits

@@ -14,10 +14,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.apart.apart import apart
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.simulators import is_own_world
+from skd_sim.controllers import make_controller
+from skd_sim.controllers.isolated import isolated
 from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
 
@@ -92,8 +93,12 @@ class DoubtsOfLearning:
 
 def _heard(log: EpisodeLog) -> Heard:
     """Run an episode again and listen to its controller: in a worker."""
+    return isolated(log.episode.car.user_code, _heard_here, log)
+
+
+def _heard_here(log: EpisodeLog) -> Heard:
     episode = log.episode
-    controller = overhear(apart(episode.car), episode.controller)
+    controller = overhear(make_controller(episode.controller), episode.controller)
     # One that plans with copies of the controller would be heard, too, and would be seen by it.
     with_copies = episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF
     again = run_episode(episode, controller, _led(log) if with_copies else None)
@@ -102,8 +107,12 @@ def _heard(log: EpisodeLog) -> Heard:
 
 def _led_again(log: EpisodeLog) -> EpisodeLog:
     """Run an episode again with somebody who is led where whoever planned had gone: in a worker."""
+    return isolated(log.episode.car.user_code, _led_again_here, log)
+
+
+def _led_again_here(log: EpisodeLog) -> EpisodeLog:
     planned = log.episode.mode == Mode.KAMIKAZE
-    return run_episode(log.episode, apart(log.episode.car), _led(log) if planned else None)
+    return run_episode(log.episode, None, _led(log) if planned else None)
 
 
 def _led(log: EpisodeLog) -> LedAdversary:

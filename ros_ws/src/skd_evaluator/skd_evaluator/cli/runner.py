@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 
+from skd_sim.controllers.isolated import CALL_LIMIT
+
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.executors import make_runner
-from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT
 from skd_evaluator.campaign.run.workers import available_workers
 
 
 def runner_of(
-    arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT
+    arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
 ) -> ExecutorRunner:
     """Return what the options of `add_runner_arguments` ask for; see `make_runner`."""
     workers = arguments.workers or available_workers()

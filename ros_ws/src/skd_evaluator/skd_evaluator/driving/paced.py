@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from skd_adversary.adversary import Adversary
-from skd_sim.apart.apart import close_all, controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers import make_controller
 from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Frame
@@ -79,7 +79,7 @@ class PacedSimulator(NamedSimulator):
 def driving_in_process(
     car: CarUnderTest, rate: float, hand_for: HandFor, show: Show, look: Callable[[], Wish]
 ) -> Iterator[Drive]:
-    """Yield what runs an episode at the pace of the wall clock; a user's controller is in a process of its own.
+    """Yield what runs an episode at the pace of the wall clock.
 
     Args:
         car: the car under test.
@@ -88,12 +88,9 @@ def driving_in_process(
         show: called with each situation.
         look: says what is wanted.
     """
-    controller = controller_of(car)
+    controller = make_controller(car.controller, car.multiplier)
 
     def drive(episode: Episode) -> EpisodeLog:
         return run_episode(episode, controller, hand_for(episode), PacedSimulator(rate, show, look))
 
-    try:
-        yield drive
-    finally:
-        close_all()
+    yield drive

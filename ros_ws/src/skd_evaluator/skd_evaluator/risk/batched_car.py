@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import apart, takes_batches
+from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.encounter.road import road_pose
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.side_by_side import replayed, why_not_side_by_side
+from skd_evaluator.campaign.run.side_by_side import answers_batches, replayed, why_not_side_by_side
 from skd_evaluator.measure.contact_place import goes_straight, pose_at_contact
 from skd_evaluator.risk.any_car import NOWHERE, AnyCar, ended, footprint_of
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
@@ -40,7 +40,7 @@ def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | No
     one = Crossings(np.array([0]), np.zeros((1, encounter.walker_normals)), np.empty((1, 0)), np.array([0]))
     if why_not_side_by_side(AnyCar(encounter, runner).episodes(one, 1.0)[0]):
         return None
-    (takes,) = runner.map(takes_batches, [car])
+    (takes,) = runner.map(answers_batches, [car])
     return BatchedCar(encounter, runner) if takes else None
 
 
@@ -78,12 +78,18 @@ def _not_crossed(_job: _Job, _reason: str) -> tuple[Ends, list[EpisodeLog]] | No
 
 
 def _crossed(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
+    try:
+        return isolated(job.encounter.plan.car.user_code, _crossed_here, job)
+    except LostProcessError as error:
+        return _not_crossed(job, error.reason)
+
+
+def _crossed_here(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
     """Run crossings side by side, and judge each; return some of them besides."""
     encounter = job.encounter
     episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
 
-    car = encounter.plan.car
-    found = replayed(episodes, lambda: apart(car), lambda: apart(car, confirming=True))
+    found = replayed(episodes)
     scenario = episodes[0].scenario
     heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
     touch, missed = np.empty(len(episodes), np.int64), np.empty(len(episodes))

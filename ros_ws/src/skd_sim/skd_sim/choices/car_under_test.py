@@ -80,8 +80,13 @@ class CarUnderTest:
 
     @property
     def is_own(self) -> bool:
-        """Whether its controller comes with SKD; the code of any other may do what it likes, and is kept apart."""
+        """Whether its controller comes with SKD; the code of any other may do what it likes."""
         return self.kind.own
+
+    @property
+    def user_code(self) -> str:
+        """The user's code that drives it, as messages name it, which is run in a child process; empty: it is SKD's."""
+        return "" if self.is_own or self.is_external else f"controller {self.controller}"
 
     @property
     def has_multiplier(self) -> bool:

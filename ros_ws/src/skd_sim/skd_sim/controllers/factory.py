@@ -7,7 +7,9 @@ from typing import Any, cast
 
 from skd_sim.choices.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.choices.registry import load, reason_of
+from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.controllers.protocol import Controller
+from skd_sim.controllers.user_controller import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.program.interruption import Interrupted
@@ -32,16 +34,19 @@ def make_controller(name: str, multiplier: float = 1.0) -> Controller:
             f"{did_you_mean(name, (*known, EXTERNAL))}"
         )
     what = f"controller {name!r}"
-    factory: Callable[..., object] = load(CONTROLLERS.target(name) if name in CONTROLLERS else name, what)
+    target = CONTROLLERS.target(name) if name in CONTROLLERS else name
     if car.is_own:
+        factory: Callable[..., object] = load(target, what)
         return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
+    begin_call(LOADING)
     try:
-        controller: Any = factory()
-        fits = isinstance(controller, Controller)
-    except Interrupted:  # this process is to end
+        made: Any = load(target, what)()
+        if isinstance(made, Controller):
+            return user_controller(made, name)
+    except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
         raise
     except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
         raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
-    if not fits:
-        raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, adversary)")
-    return cast(Controller, controller)
+    finally:
+        end_call()
+    raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, adversary)")

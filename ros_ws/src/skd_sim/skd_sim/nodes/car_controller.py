@@ -12,11 +12,11 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
-from skd_sim.apart.apart import close_all, controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import (
     Controller,
     SensingController,
+    make_controller,
     require_control_period,
     require_sensor,
     sight_of,
@@ -51,7 +51,7 @@ class CarController(Node):
         super().__init__("car_controller")
         self._settings = declare(self, _SETTINGS)
         if self._settings["controller"]:
-            controller_of(CarUnderTest(self._settings["controller"], max(0.0, self._settings["multiplier"])))
+            make_controller(self._settings["controller"], max(0.0, self._settings["multiplier"]))
         self._controller: Controller | None = None
         self._car: dict[int, Any] = {}
         self._adversary: dict[int, Any] = {}
@@ -69,19 +69,13 @@ class CarController(Node):
         car = CarUnderTest(name, chosen if chosen >= 0.0 else episode.multiplier)
         if car.is_external:
             raise UsageError("controller is external: this node is not the car under test")
-        self._controller = controller_of(car)
+        self._controller = make_controller(car.controller, car.multiplier)
         require_sensor(self._controller, name, episode.scenario)
         require_control_period(self._controller, name, episode.scenario)
         self._sight = sight_of(self._controller, episode.scenario)
         self._listen_to_scans(wanted=isinstance(self._controller, SensingController))
         self._controller.reset(episode.scenario, episode.rng)
         self._answered.clear()
-
-    def destroy_node(self) -> None:
-        """End the process of a user's controller, too."""
-        self._controller = None
-        close_all()
-        super().destroy_node()
 
     def _listen_to_scans(self, *, wanted: bool) -> None:
         """Subscribe only for a controller that senses: a scan is not made unless somebody listens."""

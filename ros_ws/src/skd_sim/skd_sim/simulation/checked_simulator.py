@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
-from skd_sim.apart.guard import failed, shown
+from skd_sim.controllers.user_controller import failed, shown
 from skd_sim.episode.aborts import AbortKind
 from skd_sim.episode.episode import Outcome
 from skd_sim.errors import AssessmentError, UsageError

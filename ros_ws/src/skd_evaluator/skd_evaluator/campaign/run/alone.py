@@ -18,10 +18,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.apart.apart import made_in
-from skd_sim.apart.car_process import ApartCar
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.controllers import Controller, SensingController
+from skd_sim.controllers import Controller, SensingController, make_controller
 from skd_sim.controllers.wrapped import WrappedController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, UsageError
@@ -133,28 +131,20 @@ class Alone:
             return str(error.reason if isinstance(error, LostWorkerError) else error)[:300]
 
 
-class _Here:
-    """What a worker keeps between two tasks: the controller's process."""
-
-    process: ApartCar | None = None
-
-
 def _begin(car: CarUnderTest) -> None:
     """Load a controller: in a worker."""
-    _Here.process = ApartCar(car)
-    made_in(_Here.process)
+    make_controller(car.controller, car.multiplier)
 
 
 def _answers(car: CarUnderTest, conversations: Sequence[Questions]) -> list[list[float]]:
     """Return the answers of the controller: in a worker, which has loaded it, or took the place of one that had."""
-    if _Here.process is None:
-        _begin(car)
     found = []
     for one in conversations:
         assert one.scenario is not None
         assert one.rng is not None
-        assert _Here.process is not None
-        controller = made_in(_Here.process)  # anew, as for an episode: what one keeps of the last is no cheat
+        controller = make_controller(
+            car.controller, car.multiplier
+        )  # anew, as for an episode: what one keeps of the last is no cheat
         controller.reset(one.scenario, one.rng)
         answers = []
         for scan, state, adversary in one.asked:

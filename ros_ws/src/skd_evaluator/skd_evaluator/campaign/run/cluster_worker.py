@@ -4,30 +4,68 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import multiprocessing
+import importlib.util
 import pickle
 import platform
+import sys
 import threading
-from collections.abc import Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.abc import ExecutionLoader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from importlib.metadata import version as version_of
 from pathlib import Path
+from typing import Final, NamedTuple
 
-from skd_sim.apart.apart import have_sent
-from skd_sim.apart.beginning import SentModule
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
+from skd_sim.controllers.isolated import end_children, set_call_limit
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.car_files import car_files, controller_files, digest_of
-from skd_evaluator.campaign.run.executor_runner import Answer, answers
-from skd_evaluator.campaign.run.worker_pool import WorkerPool
+from skd_evaluator.campaign.run.executor_runner import answers
 from skd_evaluator.campaign.run.workers import warm_up_with
 from skd_evaluator.likeness import likeness
 
 _PROTOCOL = 4
 """Of pickled answers. From 5 on a small array comes back as a view of a view of bytes, which takes twice the memory."""
 _alone = threading.Lock()  # a process runs one chunk at a time, however many threads its worker has
+
+
+class SentModule(NamedTuple):
+    """A module that is not on this machine: the path it has elsewhere, and what stands there."""
+
+    path: str
+    source: bytes
+
+
+class _SentModules(ExecutionLoader, MetaPathFinder):
+    """Imports modules from memory: for the children in which users' controllers run."""
+
+    def __init__(self) -> None:
+        self.known: dict[str, SentModule] = {}
+
+    def add(self, name: str, module: SentModule) -> None:
+        """Have children find a module before any other of its name; those that had another one begin anew."""
+        if self not in sys.meta_path:
+            sys.meta_path.insert(0, self)
+        if self.known.get(name) != module:
+            self.known[name] = module
+            end_children()
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """Find a module that was sent."""
+        return importlib.util.spec_from_loader(fullname, self) if fullname in self.known else None
+
+    def get_source(self, fullname: str) -> str:
+        """Return its text."""
+        return importlib.util.decode_source(self.known[fullname].source)
+
+    def get_filename(self, fullname: str) -> str:
+        """Return its path where it came from."""
+        return self.known[fullname].path
+
+
+_sent_modules: Final = _SentModules()
 
 
 @functools.cache
@@ -88,7 +126,7 @@ def _have(controller: SentController) -> None:
     """
     if controller.source is not None:
         _compare(controller, {path: digest_of(Path(path)) for path, _, _ in controller.files})
-        have_sent(controller.module, SentModule(controller.path, controller.source))
+        _sent_modules.add(controller.module, SentModule(controller.path, controller.source))
         return
     here = sent(CarUnderTest(controller.name))
     if here.sha256 != controller.sha256:
@@ -117,19 +155,13 @@ def _compare(controller: SentController, here: Mapping[str, str | None]) -> None
             )
 
 
-def _with_controllers(controllers: Sequence[SentController], task: bytes) -> list[Answer]:
-    for controller in controllers:
-        _have(controller)
-    return answers(*pickle.loads(task))
-
-
 @dataclass(frozen=True)
 class Setting:
     """What a worker has to know of a campaign.
 
     Attributes:
         description: description of the campaign's own process; see `description`.
-        controllers: users' own controllers, which run in a process apart because their code may do anything.
+        controllers: users' own controllers.
         answer_limit: time that a call of a controller may take, s.
     """
 
@@ -142,47 +174,15 @@ def work_on(setting: Setting, task: bytes) -> bytes:
     """Return the pickled answers to a pickled task, `(work, items)`: in a worker.
 
     Raises:
-        UsageError: this worker is unlike the campaign's own process.
-        LostWorkerError: a user's controller has ended the process that it was run in.
+        UsageError: this worker is unlike the campaign's own process, or a controller here is another.
     """
     if different := difference(description(), setting.description):
         raise UsageError(f"worker on {platform.node()} has {different}: all need the same")
     with _alone:
-        if setting.controllers:
-            return pickle.dumps(_pool().work_on(setting, task), protocol=_PROTOCOL)
+        set_call_limit(setting.answer_limit)
+        for controller in setting.controllers:
+            _have(controller)
         return pickle.dumps(answers(*pickle.loads(task)), protocol=_PROTOCOL)
-
-
-@functools.cache
-def _pool() -> _Pool:
-    """Return the pool of this process."""
-    return _Pool()
-
-
-class _Pool:
-    """One process forked from this one, for tasks with users' controllers."""
-
-    def __init__(self) -> None:
-        """Have none yet."""
-        self._process: WorkerPool | None = None
-
-    def work_on(self, setting: Setting, task: bytes) -> list[Answer]:
-        """Have it work on a task; one that has ended is replaced, and asked once more."""
-        process = self._process
-        if process is None or process.answer_limit != setting.answer_limit:
-            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
-        try:
-            return process.submit(_with_controllers, setting.controllers, task).result()
-        except BrokenExecutor:
-            return self._begin(setting).submit(_with_controllers, setting.controllers, task).result()
-
-    def _begin(self, setting: Setting) -> WorkerPool:
-        if self._process is not None:
-            self._process.shutdown(wait=False)
-        # A nanny's worker may have no children of its own, lest they outlive it; ours end when it does.
-        multiprocessing.current_process().daemon = False
-        self._process = WorkerPool(1, answer_limit=setting.answer_limit)
-        return self._process
 
 
 def compile_for(episodes: bytes) -> None:

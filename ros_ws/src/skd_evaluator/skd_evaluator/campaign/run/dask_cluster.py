@@ -14,6 +14,7 @@ from concurrent.futures import Future, wait
 from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
@@ -28,7 +29,7 @@ from skd_evaluator.campaign.run.cluster_worker import (
     work_on,
 )
 from skd_evaluator.campaign.run.executor_runner import Answer, ExecutorRunner, Pace
-from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT, LostWorkerError
+from skd_evaluator.campaign.run.worker_pool import LostWorkerError
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 CONNECT_LIMIT = 10.0
@@ -50,7 +51,7 @@ class DaskRunner(ExecutorRunner):
 
     pace = Pace(target=1.0, least=0.2)
 
-    def __init__(self, address: str, *, answer_limit: float = ANSWER_LIMIT) -> None:
+    def __init__(self, address: str, *, answer_limit: float = CALL_LIMIT) -> None:
         """Prepare to run.
 
         Args:

@@ -13,14 +13,13 @@ from dataclasses import dataclass, fields
 from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, Self, TypeVar
 
-from skd_sim.apart.apart import apart
-from skd_sim.apart.printing import lead_prints
 from skd_sim.choices.simulators import is_own_world
+from skd_sim.controllers.isolated import LostProcessError, isolated, portable
 from skd_sim.episode.episode import Episode, EpisodeLog
 
 from skd_evaluator.campaign.run.assembly import aborted
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.worker_pool import LostWorkerError, in_worker, portable, say_finished
+from skd_evaluator.campaign.run.worker_pool import LostWorkerError, say_finished
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 _Item = TypeVar("_Item")
@@ -90,14 +89,6 @@ class Pace:
         return max(1, min(int(self.target / seconds), max(fair, int(self.least / seconds)), remaining))
 
 
-def _run(episode: Episode) -> EpisodeLog:
-    if not is_own_world(episode.simulator) and in_worker():
-        lead_prints(episode.simulator)
-    if episode.car.is_own:
-        return run_episode(episode)
-    return run_episode(episode, apart(episode.car))
-
-
 _SENT = [field.name for field in fields(EpisodeLog) if field.name != "episode"]
 
 
@@ -107,14 +98,21 @@ def _sent(log: EpisodeLog) -> tuple[Any, ...]:
 
 
 def _run_and_send(episode: Episode) -> tuple[Any, ...]:
-    return _sent(_run(episode))
+    """Run an episode, where code of others is in it in a child: should that be lost, the episode is aborted."""
+    simulator = "" if is_own_world(episode.simulator) else f"simulator {episode.simulator}"
+    whose = ", ".join(filter(None, (episode.car.user_code, simulator)))
+    try:
+        return isolated(whose, _run_here, episode)
+    except LostProcessError as error:
+        return _lost_episode(episode, error.reason)
+
+
+def _run_here(episode: Episode) -> tuple[Any, ...]:
+    return _sent(run_episode(episode))
 
 
 def _lost_episode(episode: Episode, reason: str) -> tuple[Any, ...]:
-    whose = f"controller {episode.controller}"
-    if not is_own_world(episode.simulator):
-        whose += f", simulator {episode.simulator}"
-    return _sent(aborted(episode, f"{reason} ({whose})"))
+    return _sent(aborted(episode, reason))
 
 
 def _lost(_item: object, reason: str) -> NoReturn:

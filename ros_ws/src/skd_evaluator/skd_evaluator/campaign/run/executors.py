@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from skd_sim.controllers.isolated import CALL_LIMIT
+
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT
 from skd_evaluator.campaign.run.workers import InProcessRunner
 
 
 def make_runner(
-    scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT
+    scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
 ) -> ExecutorRunner:
     """Return what runs episodes, a context manager; the results are the same wherever they run.
 

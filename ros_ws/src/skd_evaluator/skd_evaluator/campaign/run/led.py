@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final, NamedTuple, Self
 
 import numpy as np
-from skd_sim.apart.apart import apart
 from skd_sim.arrays import FloatArray
+from skd_sim.controllers import make_controller, takes_batches
+from skd_sim.controllers.isolated import isolated
 from skd_sim.episode.episode import Episode
 from skd_sim.simulation.branching import Branch
 from skd_sim.state import CarState
@@ -68,12 +69,16 @@ class LedAgain(NamedTuple):
 
 
 def led_again(way: LedWay) -> LedAgain:
-    """Lead the car on a way anew, in the process that this one keeps for its controller.
+    """Lead the car on a way anew, in the child that this process keeps for its controller.
 
     A car that was asked by `commands` may go by a little otherwise, as `command` may answer so.
     """
-    controller = apart(way.episode.car)
-    most = NEARLY if controller.takes_batches else ALIKE
+    return isolated(way.episode.car.user_code, _led_again, way)
+
+
+def _led_again(way: LedWay) -> LedAgain:
+    controller = make_controller(way.episode.controller)
+    most = NEARLY if takes_batches(controller) else ALIKE
     branch = Branch(way.episode, lambda: controller)
     user, otherwise = branch.world.adversary, False
     for (vx, vy), car in zip(way.velocities.tolist(), way.cars, strict=True):

@@ -1,24 +1,25 @@
 """Many episodes side by side, in all of which somebody walks a given way: a policy is asked for all of them at once.
 
 The worlds are compiled, and the same to the bit as those of whole episodes. When all is over, the single form of the
-policy is asked as well, in a process that has not seen what `commands` was asked or has answered: in every control
-period of some episodes, by a controller of each one's own, and in one control period of each of the others. A policy
-that is another car in few episodes is so in those that decide, where the car would have hit: so none is left out. Where
-`command` answers otherwise than `commands` did, they are not the same car, and nothing is made of either.
+policy is asked as well: in every control period of some episodes, by a controller of each one's own, and in one control
+period of each of the others. Where `command` answers otherwise than `commands` did, they are not the same car, and
+nothing is made of either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from skd_adversary.model.safe_path import path_velocities
-from skd_sim.apart.apart import ApartController
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.simulators import is_own_world
-from skd_sim.controllers import control_period_of
+from skd_sim.controllers import control_period_of, make_controller, takes_batches
+from skd_sim.controllers.isolated import isolated
+from skd_sim.controllers.user_controller import UserController
 from skd_sim.dynamics.basic import drive_straight
 from skd_sim.dynamics.limits import command_limits
 from skd_sim.encounter.road import is_straight_north
@@ -61,7 +62,7 @@ class _Asked(NamedTuple):
     Attributes:
         tick: number of the tick.
         rows: which episodes go on, m.
-        states: of their cars and adversaries, 9 × m, as `ApartController.commands` has them.
+        states: of their cars and adversaries, 9 × m, as `UserController.commands` has them.
         commands: accelerations, m, m/s².
     """
 
@@ -153,16 +154,25 @@ def _advance(
                 cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
 
 
-def replayed(
-    episodes: Sequence[Episode], make: Callable[[], ApartController], confirming: Callable[[], ApartController]
-) -> Replayed:
+def answers_batches(car: CarUnderTest) -> bool:
+    """Tell whether a user's controller answers many episodes at once.
+
+    Raises:
+        UsageError: it cannot be loaded.
+    """
+    return isolated(car.user_code, _answers_batches, car)
+
+
+def _answers_batches(car: CarUnderTest) -> bool:
+    return takes_batches(make_controller(car.controller))
+
+
+def replayed(episodes: Sequence[Episode]) -> Replayed:
     """Run episodes in which the adversary follows a way, all of one car, side by side.
 
     Args:
-        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`.
-        make: makes the controller, which takes batches. One answers all episodes: it is reset once, as the first of
-            them has it.
-        confirming: makes one in another process, whose single form is asked.
+        episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`. One
+            controller, which takes batches, answers all of them: it is reset once, as the first of them has it.
 
     Raises:
         AssessmentError: the controller fails, or its two forms differ.
@@ -170,7 +180,7 @@ def replayed(
     first = episodes[0]
     assert first.mode == Mode.REPLAY, first.mode
     assert not why_not_side_by_side(first), why_not_side_by_side(first)
-    policy = _made(make, first)
+    policy = _made(first)
     asked_of_all: list[_Asked] = []
     numbers, scenario, count = _numbers(first), first.scenario, len(episodes)
     limit = scenario.ticks
@@ -209,7 +219,7 @@ def replayed(
             )  # fmt: skip
         found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[rows][:, [0, 1, 3]]
         found.ticks[rows[over[rows]]] = tick + 1
-    _confirm(episodes, asked_of_all, confirming)
+    _confirm(episodes, asked_of_all)
     return found
 
 
@@ -229,17 +239,16 @@ def _numbers(episode: Episode) -> _Numbers:
     )
 
 
-def _made(make: Callable[[], ApartController], episode: Episode) -> ApartController:
-    controller = make()
+def _made(episode: Episode) -> UserController:
+    controller = make_controller(episode.controller)
+    assert isinstance(controller, UserController)
     period = control_period_of(controller, episode.controller)
     assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
     controller.reset(episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     return controller
 
 
-def _confirm(
-    episodes: Sequence[Episode], asked_of_all: Sequence[_Asked], confirming: Callable[[], ApartController]
-) -> None:
+def _confirm(episodes: Sequence[Episode], asked_of_all: Sequence[_Asked]) -> None:
     """Ask the single form what `commands` was asked: some episodes as a whole, and then each once.
 
     Raises:
@@ -247,11 +256,11 @@ def _confirm(
     """
     rng = generator(episodes[0].seed, episodes[0].episode_id, Role.ORDER, len(episodes))
     for row in sorted(rng.permutation(len(episodes))[: -(-len(episodes) // ONE_IN)].tolist()):
-        single = _made(confirming, episodes[row])
+        single = _made(episodes[row])
         for asked in asked_of_all:
             for at in np.flatnonzero(asked.rows == row).tolist():
                 _compare(single, episodes[row], asked, at)
-    single = _made(confirming, episodes[0])
+    single = _made(episodes[0])
     moments = _moments(asked_of_all, len(episodes), rng)
     for row in rng.permutation(len(episodes)).tolist():
         number, at = moments[row].tolist()
@@ -275,7 +284,7 @@ def _moments(asked_of_all: Sequence[_Asked], count: int, rng: np.random.Generato
     return chosen
 
 
-def _compare(single: ApartController, episode: Episode, asked: _Asked, at: int) -> None:
+def _compare(single: UserController, episode: Episode, asked: _Asked, at: int) -> None:
     """Ask the single form in one state.
 
     Raises:

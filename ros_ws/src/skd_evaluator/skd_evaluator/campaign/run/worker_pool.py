@@ -11,11 +11,9 @@ import contextlib
 import mmap
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -23,21 +21,18 @@ from concurrent.futures import wait as wait_for
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from skd_sim.apart import apart, car_process
+from skd_sim.controllers.isolated import CALL_LIMIT, end_children, portable, set_call_limit
 from skd_sim.episode.aborts import AbortKind, abort_reason
-from skd_sim.errors import UsageError
 from skd_sim.program.interruption import SIGNALS
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.keeper import end_alike, end_now, is_stopped, keep, limits, of_whom
+from skd_evaluator.keeper import end_now, is_stopped, keep
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 FAILED_STARTS = 3
 """So many workers in a row that end before they have finished anything end the work."""
-ANSWER_LIMIT = 60.0
-"""s that a call of a controller may take."""
 HEARTBEAT_LIMIT = 20.0
 """s without a heartbeat, which beats twice a second, after which a worker is stopped or stuck."""
 _BEAT = 0.5  # s
@@ -51,10 +46,9 @@ _FAULTS = {
 }  # fmt: skip
 """What the system sends to who has done something wrong; who ends by any other signal was ended by somebody else."""
 
-_BEATS, _CALLED, _DONE, _EVER, _PID, _HALTED = 0, 1, 2, 3, 4, 5
-# What a worker writes: heartbeats, whether it is in a call of the controller, items finished of its task, and of all,
-# which process it is, and whether that of the controller is stopped.
-_SIGNS = 6
+_BEATS, _DONE, _EVER, _PID = 0, 1, 2, 3
+# What a worker writes: heartbeats, items finished of its task, and of all, and which process it is.
+_SIGNS = 4
 
 
 class _Here:
@@ -65,11 +59,6 @@ class _Here:
     """
 
     signs: Any = [0] * _SIGNS
-
-
-def in_worker() -> bool:
-    """Return whether this process is a worker of a pool."""
-    return bool(_Here.signs[_PID])
 
 
 def say_finished() -> None:
@@ -93,17 +82,6 @@ class LostWorkerError(Exception):
         self.reason, self.finished, self.foreign = reason, finished, foreign
 
 
-def portable(error: BaseException) -> BaseException:
-    """Return an error that can be sent to another process: with its traceback as text, unless it is one of ours."""
-    if not isinstance(error, (AssessmentError, UsageError, LostWorkerError)):
-        error.add_note("".join(traceback.format_exception(error)))
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return AssessmentError(f"{type(error).__name__} in a worker process")
-    return error
-
-
 def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     """Work on tasks until there are no more; this runs in the worker, below its keeper."""
     with contextlib.suppress(OSError):
@@ -111,37 +89,32 @@ def _serve(connection: Connection, signs: Any, answer_limit: float) -> None:
     keep()
     _Here.signs = signs
     signs[_PID] = os.getpid()
-    before = limits()
-    car_process.when_lost = lambda code, _name: end_alike(code)
+    set_call_limit(answer_limit)
     # Ctrl-C reaches the whole process group; the parent alone decides how to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-    threading.Thread(target=_beat, args=(os.getppid(), signs, answer_limit), daemon=True).start()
+    threading.Thread(target=_beat, args=(os.getppid(), signs), daemon=True).start()
     while (task := connection.recv()) is not None:
         signs[_DONE] = 0
         work, arguments, named = task
         try:
             answer = (True, work(*arguments, **named))
         except BaseException as error:  # whatever a user's code raises
-            answer = (False, portable(of_whom(error, before, apart.names())))
+            answer = (False, portable(error))
         try:
             connection.send(answer)
         except (OSError, BrokenPipeError):
             os._exit(1)
         except Exception:  # cannot be pickled
             connection.send((False, AssessmentError(f"{type(answer[1]).__name__} in a worker process")))
-    apart.close_all()
+    end_children()
 
 
-def _beat(parent: int, signs: Any, answer_limit: float) -> None:
-    """Show that this worker lives, unless a controller does not answer; end it when its parent has been killed."""
+def _beat(parent: int, signs: Any) -> None:
+    """Show that this worker lives; end it when its parent has been killed."""
     while os.getppid() == parent:
-        since = car_process.Call.since
-        signs[_CALLED] = since is not None
-        signs[_HALTED] = since is not None and any(is_stopped(pid) for pid in apart.pids())
-        if not signs[_HALTED] and (since is None or time.monotonic() - since < answer_limit):
-            signs[_BEATS] += 1
+        signs[_BEATS] += 1
         time.sleep(_BEAT)
     os._exit(1)
 
@@ -227,7 +200,7 @@ class WorkerPool(Executor):
         answer_limit: time that a call of a controller may take, s.
     """
 
-    def __init__(self, count: int, *, answer_limit: float = ANSWER_LIMIT) -> None:
+    def __init__(self, count: int, *, answer_limit: float = CALL_LIMIT) -> None:
         """Start `count` workers.
 
         Args:
@@ -345,13 +318,11 @@ class WorkerPool(Executor):
         silent = worker.silent_for(passed)
         if not worker.task:
             return None
-        if silent > _STOPPED_LIMIT and (worker.signs[_HALTED] or is_stopped(worker.signs[_PID])):
+        if silent > _STOPPED_LIMIT and is_stopped(worker.signs[_PID]):
             return _Trouble(abort_reason(AbortKind.STOPPED, "a worker process was stopped by a signal"), True)
-        if silent > HEARTBEAT_LIMIT and not worker.signs[_CALLED]:
+        if silent > HEARTBEAT_LIMIT:
             how = f"a worker process gave no sign of life for {HEARTBEAT_LIMIT:g} s"
             return _Trouble(abort_reason(AbortKind.STOPPED, how), True)
-        if worker.signs[_CALLED] and silent > min(HEARTBEAT_LIMIT, self.answer_limit):
-            return _Trouble(abort_reason(AbortKind.NO_ANSWER, f"no answer within {self.answer_limit:g} s"), False)
         return None
 
     def _replace(self, worker: _Worker, trouble: _Trouble) -> None:

@@ -8,22 +8,23 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
-from skd_sim.apart.apart import controller_of
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import (
     BasicController,
     control_period_of,
+    make_controller,
     require_sensor,
     with_control_period,
 )
+from skd_sim.controllers.isolated import CALL_LIMIT, IsolatedProcess, LostProcessError
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner, answers
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.worker_pool import ANSWER_LIMIT, LostWorkerError, WorkerPool
+from skd_evaluator.campaign.run.worker_pool import WorkerPool
 from skd_evaluator.errors import AssessmentError
 
 
@@ -38,8 +39,9 @@ def warm_up_with(episodes: Sequence[Episode]) -> None:
         run_episode(episode, BasicController())  # compiles all the same, and leaves a user's controller alone
 
 
-def _control_period(car: CarUnderTest, scenario: Scenario) -> float | None:
-    controller = controller_of(car)
+def _control_period(question: tuple[CarUnderTest, Scenario]) -> float | None:
+    car, scenario = question
+    controller = make_controller(car.controller, car.multiplier)
     require_sensor(controller, car.controller, scenario)
     return control_period_of(controller, car.controller)
 
@@ -54,14 +56,14 @@ def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
         UsageError: it is so.
     """
     if car.is_own or not car.exists:  # which will be said
-        return with_control_period(scenario, _control_period(car, scenario), car.controller)
-    pool = WorkerPool(1)
+        return with_control_period(scenario, _control_period((car, scenario)), car.controller)
+    child = IsolatedProcess()
     try:
-        period = pool.submit(_control_period, car, scenario).result()
-    except LostWorkerError as error:
+        period = child.run(_control_period, (car, scenario))
+    except LostProcessError as error:
         raise UsageError(f"controller {car.controller!r} cannot be loaded: {error.reason}") from None
     finally:
-        pool.shutdown(wait=False)
+        child.close()
     return with_control_period(scenario, period, car.controller)
 
 
@@ -71,7 +73,7 @@ class InProcessRunner(ExecutorRunner):
     A controller or a simulator of a user's own always runs in workers, for its code may end the process it runs in.
     """
 
-    def __init__(self, workers: int = 1, *, isolated: bool = False, answer_limit: float = ANSWER_LIMIT) -> None:
+    def __init__(self, workers: int = 1, *, isolated: bool = False, answer_limit: float = CALL_LIMIT) -> None:
         """Prepare to run.
 
         Args:

@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
-from skd_sim.apart.apart import controller_of, takes_batches
 from skd_sim.arrays import FloatArray
+from skd_sim.controllers import make_controller
+from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.episode.episode import Episode
 
 from skd_evaluator.campaign.plan.plan import Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.side_by_side import answers_batches
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, SearchResult, search_margin
 from skd_evaluator.margin.search.together import GROUP, can_be_together, search_side_by_side
@@ -68,8 +71,13 @@ class SearchedMargins:
 
 def search_attempt(job: SearchJob) -> SearchResult:
     """Do a job, in whatever process."""
+    return isolated(job.episode.car.user_code, _search_attempt, job)
+
+
+def _search_attempt(job: SearchJob) -> SearchResult:
     car = job.episode.car
-    return search_margin(job.episode, job.budget, job.ways, lambda: controller_of(car), job.samples)
+    make = partial(make_controller, car.controller, car.multiplier)
+    return search_margin(job.episode, job.budget, job.ways, make, job.samples)
 
 
 def searched_margins(
@@ -171,12 +179,12 @@ class _Margins:
         """Yield the results of jobs, in their order; those of a policy that takes batches are done side by side."""
         if self._together is None:
             car = self._episodes[0].car
-            self._together = can_be_together(self._episodes[0]) and next(iter(self._runner.map(takes_batches, [car])))
+            self._together = can_be_together(self._episodes[0]) and next(iter(self._runner.map(answers_batches, [car])))
         if not self._together:
             yield from self._runner.map(search_attempt, jobs)
             return
         groups = [jobs[at : at + GROUP] for at in range(0, len(jobs), GROUP)]
-        for group, found in zip(groups, self._runner.map(search_side_by_side, groups, _not_searched), strict=True):
+        for group, found in zip(groups, self._runner.map(_searched_group, groups, _not_searched), strict=True):
             yield from found or self._runner.map(search_attempt, group)
 
     def _begins(self, index: int) -> tuple[FloatArray, ...]:
@@ -193,6 +201,13 @@ class _Margins:
         ]
         found.sort(key=lambda way: way.distance)
         return [way.trajectory.positions for way in found[:_NEIGHBOURS]]
+
+
+def _searched_group(group: Sequence[SearchJob]) -> list[SearchResult]:
+    try:
+        return search_side_by_side(group)
+    except LostProcessError as error:
+        return _not_searched(group, error.reason)
 
 
 def _not_searched(_group: Sequence[SearchJob], _reason: str) -> list[SearchResult]:

@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from skd_sim.apart.apart import ApartController, apart
+from skd_sim.controllers import make_controller
+from skd_sim.controllers.isolated import isolated
+from skd_sim.controllers.user_controller import UserController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import controller_generator, controller_seed
@@ -31,7 +33,7 @@ def can_be_together(episode: Episode) -> bool:
 class _Table:
     """Where the searches wait for one another."""
 
-    def __init__(self, policy: ApartController, seats: int) -> None:
+    def __init__(self, policy: UserController, seats: int) -> None:
         self.turn = threading.Condition()
         self._policy, self._left = policy, seats
         self._asked: dict[int, tuple[float, ...]] = {}
@@ -88,9 +90,9 @@ class _Seated:
 
 
 class _Alone:
-    """A controller of its own, asked one by one while no other thread asks: its process has one pipe."""
+    """A controller of its own, asked one by one while no other thread asks."""
 
-    def __init__(self, table: _Table, controller: ApartController) -> None:
+    def __init__(self, table: _Table, controller: UserController) -> None:
         self._table, self._controller = table, controller
         self.control_period, self.takes_scene = controller.control_period, controller.takes_scene
 
@@ -111,10 +113,20 @@ def search_side_by_side(jobs: Sequence[Any]) -> list[SearchResult]:
     Raises:
         AssessmentError: the controller fails, or `command` answers otherwise than `commands` on a way that was found.
     """
+    return isolated(jobs[0].episode.car.user_code, _search_side_by_side, jobs)
+
+
+def _made(episode: Episode) -> UserController:
+    made = make_controller(episode.controller)
+    assert isinstance(made, UserController)
+    return made
+
+
+def _search_side_by_side(jobs: Sequence[Any]) -> list[SearchResult]:
     first = jobs[0].episode
-    policy = apart(first.car)
+    policy = _made(first)
     policy.reset(first.shown_scenario, controller_generator(controller_seed(first.seed, first.episode_id)))
-    singles = [apart(first.car, confirming=True) for _ in jobs]
+    singles = [_made(first) for _ in jobs]
     table = _Table(policy, len(jobs))
     results: list[SearchResult | None] = [None] * len(jobs)
     errors: dict[int, BaseException] = {}

@@ -1,18 +1,29 @@
-"""A guard around a user's controller, which may raise anything or answer anything."""
+"""A user's controller, which may raise anything or answer anything: what it says is checked, and copies are made of it.
+
+Whatever goes wrong in it is an AssessmentError whose one line names the controller and the line of its code.
+"""
 
 from __future__ import annotations
 
 import math
+import pickle
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers import Controller, SensingController
-from skd_sim.controllers.wrapped import WrappedController
+from skd_sim.controllers.copying import Copier
+from skd_sim.controllers.isolated import begin_call, end_call
+from skd_sim.controllers.protocol import (
+    Controller,
+    SensingController,
+    control_period_of,
+    takes_batches,
+    takes_scene,
+)
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.program.interruption import Interrupted
@@ -20,6 +31,7 @@ from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState, Scene
 
 _Result = TypeVar("_Result")
+_COPIER: Final = Copier()
 
 
 def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
@@ -49,17 +61,28 @@ def _is_number(answer: Any) -> bool:
     return not no_number and not str(getattr(answer, "dtype", "")).endswith("bool")  # as of PyTorch
 
 
-class GuardedController(WrappedController):
-    """A user's controller, whose failures name it instead of ending in a traceback of ours."""
+class UserController:
+    """A user's controller, whose failures name it instead of ending in a traceback of ours.
+
+    `copy.deepcopy` makes another one by the controller's own method `copy`, or else by a `Copier`.
+
+    Attributes:
+        control_period: that it declares, s; none by default.
+        takes_scene: whether it wants to see everybody.
+        takes_batches: whether it answers many episodes at once.
+    """
 
     def __init__(self, controller: Controller, name: str) -> None:
-        """Guard `controller`, called `name` in messages."""
-        super().__init__(controller, name)
-        self._controller = controller
+        """Stand around `controller`, called `name` in messages."""
+        self._controller, self._name = controller, name
+        self.control_period = control_period_of(controller, name)
+        self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        """Pass the call on; see `Controller.reset`."""
-        self._call("reset", lambda: self._controller.reset(scenario, rng))
+        """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
+        own: Scenario = pickle.loads(pickle.dumps(scenario))
+        own.road.line.setflags(write=False)
+        self._call("reset", lambda: self._controller.reset(own, rng))
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""
@@ -73,12 +96,24 @@ class GuardedController(WrappedController):
             raise NoNumberError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
         return acceleration
 
-    def commands(self, cars: CarState, adversaries: AdversaryState) -> FloatArray:
-        """Pass the call on and check the answer; see `BatchController.commands`."""
+    def commands(self, states: FloatArray) -> FloatArray:
+        """Return the accelerations in many episodes at once; see `BatchController.commands`.
+
+        Args:
+            states: 9 × n: x, y, heading and speed of each car, x, y, vx, vy and heading of each adversary.
+
+        Returns:
+            n accelerations, m/s².
+
+        Raises:
+            AssessmentError: the controller fails, or answers anything but n finite numbers.
+        """
         inner: Any = self._controller
+        copied = states.copy()
+        cars, adversaries = CarState(*copied[:4]), AdversaryState(*copied[4:])
         scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
         answer = self._call("commands", lambda: inner.commands(cars, scenes))
-        count = np.size(cars.x)
+        count = states.shape[1]
         try:
             found = np.asarray(answer)
             numbers = found.dtype.kind in "fiu" and found.shape == (count,)  # a yes or no is no acceleration
@@ -93,47 +128,45 @@ class GuardedController(WrappedController):
             )
         return accelerations
 
-    def own_copy(self) -> GuardedController | None:
-        """Return a guard around a copy that the controller's own method `copy` makes; None if it has none.
-
-        Raises:
-            AssessmentError: it fails, or gives no controller of the same class, or itself.
-        """
+    def __deepcopy__(self, memo: dict[int, Any]) -> UserController:
         inner: Any = self._controller
         if not callable(getattr(inner, "copy", None)):
-            return None
-        made = self._call("copy", lambda: inner.copy())
-        if made is inner or type(made) is not type(inner):
-            raise AssessmentError(
-                f"controller {self._name}: copy must return another {type(inner).__name__}, got "
-                f"{'itself' if made is inner else shown(made, repr, 80)}"
-            )
-        return guard(made, self._name)
+            made = self._call("a copy", lambda: _COPIER.copy(inner))
+        else:
+            made = self._call("copy", lambda: inner.copy())
+            if made is inner or type(made) is not type(inner):
+                raise AssessmentError(
+                    f"controller {self._name}: copy must return another {type(inner).__name__}, got "
+                    f"{'itself' if made is inner else shown(made, repr, 80)}"
+                )
+        copied = object.__new__(type(self))
+        vars(copied).update(vars(self), _controller=made)
+        memo[id(self)] = copied
+        return copied
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+        begin_call()
         try:
             return call()
         except Interrupted:  # this process is to end
             raise
         except BaseException as error:  # a user's code may raise anything
             raise failed(f"controller {self._name}", method, error) from None
+        finally:
+            end_call()
 
 
-class GuardedSensingController(GuardedController):
+class UserSensingController(UserController):
     """The same for a controller that takes scans."""
-
-    def __init__(self, controller: SensingController, name: str) -> None:
-        """Guard `controller`, called `name` in messages."""
-        super().__init__(controller, name)
-        self._sensing = controller
 
     def sense(self, scan: Scan) -> None:
         """Pass the call on; see `SensingController.sense`."""
-        self._call("sense", lambda: self._sensing.sense(scan))
+        inner: Any = self._controller
+        self._call("sense", lambda: inner.sense(scan))
 
 
-def guard(controller: Controller, name: str) -> GuardedController:
-    """Return a guard around `controller`, called `name` in messages; it senses where the controller does."""
+def user_controller(controller: Controller, name: str) -> UserController:
+    """Return what stands around `controller`, called `name` in messages; it senses where the controller does."""
     if isinstance(controller, SensingController):
-        return GuardedSensingController(controller, name)
-    return GuardedController(controller, name)
+        return UserSensingController(controller, name)
+    return UserController(controller, name)

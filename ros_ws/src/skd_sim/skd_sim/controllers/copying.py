@@ -18,7 +18,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from skd_sim.apart.apart import ApartController
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
@@ -49,7 +48,7 @@ _SHARED: Final = frozenset(
 `skd_adversary.itself.fidelity`."""
 
 _OWN_WAY = ("__deepcopy__", "__setstate__", "__getnewargs__", "__getnewargs_ex__")
-_DRAWING = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random, ApartController)
+_DRAWING = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random)
 _LARGEST = 2**63 - 1
 
 Memo = dict[int, Any]
@@ -79,10 +78,7 @@ class Copier:
         """
         made = self.copy(original)
         for one in drawing(made):
-            if isinstance(one, ApartController):  # which keeps them elsewhere
-                one.seed_anew(rng)
-            else:
-                seed_anew(one, int(rng.integers(_LARGEST)))
+            seed_anew(one, int(rng.integers(_LARGEST)))
         return made
 
     def _copy(self, one: Any, memo: Memo) -> Any:

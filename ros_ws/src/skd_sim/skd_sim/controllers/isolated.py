@@ -1,0 +1,298 @@
+"""A child process for code of others: a user's controller, or a simulator that is not SKD's.
+
+Whole pieces of work run in the child: an episode, a crossing, the search of a trial. No call of a controller crosses a
+process, so a user's controller is as quick as one of SKD's own. The child may crash, hang, or leave processes behind:
+the caller gets a `LostProcessError`, all of the child's process group is killed, and the next piece of work begins
+another child.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import pickle
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection, Pipe
+from typing import Any, Final, NoReturn, TypeVar
+
+import numpy as np
+
+from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.errors import AssessmentError, UsageError
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+CALL_LIMIT: Final = 60.0
+"""s that a call of a controller may take unless `set_call_limit` says otherwise."""
+LOADING: Final = 10.0
+"""Times as long the loading of a controller may take: it may read a large network."""
+FAILED_STARTS: Final = 3
+"""So many children in a row that are lost in their first piece of work end the assessment."""
+_MOST: Final = 4  # children that a process keeps, one for each controller
+_POLL: Final = 0.25  # s between two looks at whether the child lives and its call is in time
+_PATIENCE: Final = 1.0  # s for a child whose pipe is closed to end by itself, so that its exit code is seen
+
+
+class LostProcessError(AssessmentError):
+    """The child ended, or a call in it took too long.
+
+    Attributes:
+        reason: why, as the reason of an aborted episode.
+    """
+
+    def __init__(self, reason: str) -> None:
+        """Keep the reason."""
+        super().__init__(reason)
+        self.reason = reason
+
+
+class _Here:
+    """What this process knows.
+
+    Attributes:
+        limit: time that a call of a controller may take, s.
+        call: in a child, memory that its parent reads: until when the call that it is in may take (`time.monotonic`, 0
+            outside of calls), and how long it may take, s.
+        is_child: whether this process is a child.
+        children: children by the name of whose code they run; the last one used is the last.
+        owner: id of the process whose children these are.
+        failed: how many children in a row were lost in their first piece of work.
+    """
+
+    limit = CALL_LIMIT
+    call: Any = np.zeros(2)
+    is_child = False
+    children: Final[dict[str, IsolatedProcess]] = {}
+    owner = 0
+    failed = 0
+
+
+def set_call_limit(seconds: float) -> None:
+    """Set how long a call of a controller may take; for children that begin later, too."""
+    if seconds != _Here.limit:
+        end_children()
+        _Here.limit = seconds
+
+
+def begin_call(factor: float = 1.0) -> None:
+    """Note that a call of a user's code begins: a child is killed if it does not end in time.
+
+    Args:
+        factor: times as long as a call of a controller it may take.
+    """
+    call = _Here.call
+    call[1] = allowed = factor * _Here.limit
+    call[0] = time.monotonic() + allowed
+
+
+def end_call() -> None:
+    """Note that the call has ended."""
+    _Here.call[0] = 0.0
+
+
+def isolated(whose: str, work: Callable[[_Item], _Result], item: _Item) -> _Result:
+    """Return `work(item)`, done in the child that this process keeps for somebody's code.
+
+    Args:
+        whose: name of the controller or simulator; empty where all code is SKD's own: the work is then done here, as it
+            is in a child.
+        work: a function of a module.
+        item: what it is called with.
+
+    Raises:
+        LostProcessError: the child ended or hung; the next piece of work gets another one.
+        AssessmentError: several children in a row were lost in their first piece of work.
+    """
+    if not whose or _Here.is_child:
+        return work(item)
+    children = _Here.children
+    if _Here.owner != os.getpid():  # this process was forked, and they are its parent's
+        children.clear()
+        _Here.owner, _Here.failed = os.getpid(), 0
+    child = children.pop(whose, None)
+    if child is None:
+        while len(children) >= _MOST:
+            children.pop(next(iter(children))).close()
+        child = IsolatedProcess(whose)
+    try:
+        result = child.run(work, item)
+    except LostProcessError as error:
+        _Here.failed = 0 if child.done else _Here.failed + 1
+        if _Here.failed >= FAILED_STARTS:
+            _Here.failed = 0
+            raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {error.reason}") from None
+        raise
+    finally:
+        if child.is_open:
+            children[whose] = child
+    _Here.failed = 0
+    return result
+
+
+def end_children() -> None:
+    """End the children that this process keeps."""
+    if _Here.owner == os.getpid():
+        for child in _Here.children.values():
+            child.close()
+    _Here.children.clear()
+
+
+class IsolatedProcess:
+    """A child process, forked from this one, that does one piece of work after the other.
+
+    Fork it before this process has other threads that hold locks. It ends when this object is closed, or this process
+    ends, by whatever death; its process group is killed then.
+
+    Attributes:
+        pid: its id, and that of its process group.
+        done: how many pieces of work it has finished.
+        is_open: whether it can be given more.
+    """
+
+    def __init__(self, whose: str = "") -> None:
+        """Fork it.
+
+        Args:
+            whose: whose code it runs, for messages.
+        """
+        self._whose, self.done, self.is_open = whose, 0, True
+        self._code = 0
+        self._connection, theirs = Pipe()
+        self._call = memoryview(mmap.mmap(-1, 16)).cast("d")
+        parent = os.getpid()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):  # what is buffered must not be written twice
+                stream.flush()
+        self.pid = os.fork()
+        if self.pid == 0:
+            self._connection.close()
+            _serve(theirs, self._call, parent)
+        theirs.close()
+
+    def run(self, work: Callable[[_Item], _Result], item: _Item) -> _Result:
+        """Have it do a piece of work; what that raises is raised here.
+
+        Raises:
+            LostProcessError: it ended, or a call of a controller took too long.
+        """
+        question = pickle.dumps((work, item), protocol=pickle.HIGHEST_PROTOCOL)
+        try:
+            self._connection.send_bytes(question)
+            while not self._connection.poll(_POLL):
+                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                    raise EOFError  # a process that it has left may hold its end of the pipe
+                if 0.0 < self._call[0] < time.monotonic():
+                    self._lose(AbortKind.NO_ANSWER, f"no answer within {self._call[1]:g} s")
+            fine, value = self._connection.recv()
+        except (EOFError, ConnectionError):
+            code = self.close(_PATIENCE)
+            how = f"was killed by {_name_of_signal(-code)}" if code < 0 else f"ended with exit code {code}"
+            self._lose(AbortKind.ENDED, f"its process {how}")
+        except BaseException:
+            self.close()
+            raise
+        self.done += 1
+        if not fine:
+            raise value
+        answer: _Result = value
+        return answer
+
+    def _lose(self, kind: AbortKind, what: str) -> NoReturn:
+        self.close()
+        raise LostProcessError(abort_reason(kind, f"{what} ({self._whose})" if self._whose else what))
+
+    def close(self, patience: float = 0.0) -> int:
+        """End it, and kill its process group; return its exit code, as subprocess has it.
+
+        Args:
+            patience: time that it may take to end by itself, s.
+        """
+        if not self.is_open:
+            return self._code
+        self.is_open = False
+        self._connection.close()
+        latest = time.monotonic() + patience
+        while not (found := os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)):
+            if time.monotonic() > latest:
+                break
+            time.sleep(0.001)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.pid, signal.SIGKILL)
+        if not found:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)  # it may have no group of its own yet
+        self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        return self._code
+
+
+def portable(error: BaseException) -> BaseException:
+    """Return an error that can be sent to another process: with its traceback as text, unless it is one of ours."""
+    if not isinstance(error, (AssessmentError, UsageError)):
+        error.add_note("".join(traceback.format_exception(error)))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return AssessmentError(f"{type(error).__name__} in another process: {error}")
+    return error
+
+
+def _serve(connection: Connection, call: Any, parent: int) -> NoReturn:
+    """Work until the connection is closed; then kill this process and all others of its group: in the child."""
+    try:
+        os.setsid()  # Ctrl-C reaches the parent alone; what is started here can be killed as a group
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, ())
+        _redirect()
+        np.random.seed()  # noqa: NPY002 - Python's own generator is seeded anew by a fork, numpy's is not
+        _Here.is_child, _Here.call = True, call
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+        while True:
+            work, item = connection.recv()
+            answer: tuple[bool, Any]
+            try:
+                answer = True, work(item)
+            except BaseException as error:  # a user's code may raise anything
+                answer = False, portable(error)
+            try:
+                connection.send(answer)
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                connection.send((False, AssessmentError(f"a result cannot be sent: {error}")))
+    except (EOFError, OSError):
+        pass
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        with contextlib.suppress(BaseException):
+            os.killpg(0, signal.SIGKILL)
+        os._exit(1)
+
+
+def _redirect() -> None:
+    """Have what is printed here go to standard error, and nothing be read from the terminal."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.dup2(2, 1)
+    sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stdout = sys.stderr = open(2, "w", 1, encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+
+
+def _end_with(parent: int) -> None:
+    """Kill this process and its group when its parent is gone, whatever it is at."""
+    while os.getppid() == parent:
+        time.sleep(_POLL)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _name_of_signal(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,198 @@
+"""Assessments of a user's controller that fails: one line says what and where, and no process is left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from cli_support import SMALL, one_line, skd, started
+from common import PATIENCE, wait_until
+
+CARS = """
+import ctypes, faulthandler, math, os, signal, subprocess, sys, time
+
+class _Car:
+    def reset(self, scenario, rng): self.calls = 0
+    def command(self, car, adversary):
+        self.calls += 1
+        return 0.0 if self.calls < 3 else self.late()
+
+class Raises(_Car):
+    def late(self): return 1 / 0
+class Leaves(_Car):
+    def late(self): sys.exit(0)
+class Exits(_Car):
+    def late(self): os._exit(0)
+class Crashes(_Car):
+    def late(self):
+        faulthandler.disable()
+        ctypes.string_at(0)
+class Hangs(_Car):
+    def late(self):
+        while True: pass
+class Nan(_Car):
+    def late(self): return math.nan
+class Text(_Car):
+    def late(self): return "1.0"
+class LeavesInInit(_Car):
+    def __init__(self): sys.exit(0)
+class ExitsInInit(_Car):
+    def __init__(self): os._exit(0)
+class Prints(_Car):
+    def __init__(self): print("loaded")
+    def late(self): print("driving"); os.system("echo another"); return 0.0
+class SometimesExits(_Car):
+    "Every fourth process that is made for it ends in its second episode."
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        with open("episodes", "a") as file: file.write("x")
+        if os.path.getsize("episodes") % 8 == 5: os._exit(7)
+    def late(self): return 0.0
+class Strong(_Car):
+    def late(self): return -200.0
+
+class Mother(_Car):
+    "Starts a process, and another one that holds all its files."
+    born = False
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        if not Mother.born:
+            Mother.born = True
+            sleeps = "import os, time; open('1', 'w').write(str(os.getpid())); time.sleep(1000)"
+            subprocess.Popen([sys.executable, "-I", "-S", "-c", sleeps])
+            if os.fork() == 0:
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+                with open("2", "w") as file: file.write(str(os.getpid()))
+                time.sleep(1000)
+    def late(self):
+        while not (os.path.exists("1") and os.path.exists("2")): time.sleep(0.01)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if os.environ.get("END") == "wait": time.sleep(1000)
+        return 0.0
+"""
+
+
+@pytest.fixture
+def cars(here: Path) -> Path:
+    (here / "cars.py").write_text(CARS)
+    (here / "exits_at_import.py").write_text("import os; os._exit(0)\nclass Car: pass\n")
+    return here
+
+
+def words(name: str, *more: str) -> list[str]:
+    controller = name if ":" in name else f"cars:{name}"
+    return [
+        "assess", *SMALL, "--safe", "good.csv", "--knowledge", "nothing", "--margin-limit", "0",
+        "--controller", controller, "--out", "out", *more,
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("Raises", ["command failed with ZeroDivisionError: division by zero", "cars.py, line 11"]),
+        ("Leaves", ["command failed with SystemExit: 0", "cars.py, line 13"]),
+        ("Exits", ["3 starts in a row failed", "process ended", "exit code 0"]),
+        ("Crashes", ["3 starts in a row failed", "process ended", "SIGSEGV"]),
+        ("Nan", ["command must return a finite number (m/s²), got nan"]),
+        ("Text", ["command must return a finite number (m/s²), got '1.0'"]),
+    ],
+)
+def test_a_controller_that_fails_ends_the_assessment_in_one_line(cars: Path, name: str, parts: list[str]) -> None:
+    one_line(skd(*words(name), cwd=cars), 1, f"controller cars:{name}", *parts)
+    assert not (cars / "out").exists()
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_controller_that_hangs_ends_the_assessment_in_one_line(cars: Path, workers: str) -> None:
+    done = skd(*words("Hangs", "--workers", workers, "--startup-timeout", "1"), cwd=cars)
+    one_line(done, 1, "3 starts in a row failed", "no answer within 1 s", "cars:Hangs")
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("LeavesInInit", ["cannot be loaded", "SystemExit: 0"]),
+        ("ExitsInInit", ["cannot be loaded", "exit code 0"]),
+        ("exits_at_import:Car", ["cannot be loaded", "exit code 0"]),
+    ],
+)
+def test_a_controller_that_ends_its_process_when_it_is_made(cars: Path, name: str, parts: list[str]) -> None:
+    one_line(skd(*words(name), cwd=cars), 2, *parts)
+
+
+def test_aborted_episodes_are_counted_and_too_many_fail(cars: Path) -> None:
+    counts = ("--kamikaze-count", "6", "--collision-runs", "30")
+    done = skd(*words("SometimesExits", *counts, "--json"), cwd=cars)
+    kind = json.loads(done.stdout)["aborted_reasons"]["process ended"]
+    assert kind["count"] >= 3
+    assert "exit code 7 (controller cars:SometimesExits)" in kind["first"]
+    assert done.returncode == 1
+    assert "episodes were aborted, more than --max-aborted 5 %" in done.stderr
+    assert (cars / "out" / "assessment.json").exists()
+    done = skd(*words("SometimesExits", *counts, "--max-aborted", "40", "--overwrite", "--details"), cwd=cars)
+    assert done.returncode == 0, done.stderr
+    assert "aborted episodes: process ended" in done.stdout
+
+
+def test_what_a_controller_prints_is_no_part_of_the_result(cars: Path) -> None:
+    done = skd(*words("Prints", "--json"), cwd=cars)
+    assert json.loads(done.stdout)["controller"] == "cars:Prints"
+    assert {"loaded", "driving", "another"} <= set(done.stderr.splitlines())
+
+
+def test_commands_are_clipped_to_what_the_car_can_do_and_counted(cars: Path) -> None:
+    done = skd(*words("Strong", "--max-aborted", "100", "--details"), cwd=cars)
+    assert "commands beyond what the car can do" in done.stdout
+    assert "asked more than this car can do" in done.stderr
+    clipped = json.loads((cars / "out" / "assessment.json").read_text())["commands_clipped"]
+    assert clipped["commands"] >= clipped["episodes"] >= 1
+
+
+# --- processes that it starts
+
+
+def born(folder: Path) -> list[int]:
+    """Return the ids of the processes that a controller has started."""
+    return [int((folder / name).read_text() or 0) for name in ("1", "2") if (folder / name).exists()]
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
+    except OSError:
+        return False
+
+
+@contextlib.contextmanager
+def nobody_is_left(folder: Path, end: Callable[[], object] = lambda: None):
+    try:
+        yield
+        assert len(born(folder)) == 2
+        wait_until(lambda: not any(map(alive, born(folder))), "their end", 10.0)
+    finally:
+        for pid in filter(alive, born(folder)):
+            os.kill(pid, signal.SIGKILL)
+
+
+def test_what_a_controller_has_started_ends_with_the_assessment(cars: Path) -> None:
+    with nobody_is_left(cars):
+        done = skd(*words("Mother"), cwd=cars)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_a_controller_has_started_ends_with_a_command_that_is_ended(cars: Path, number: int) -> None:
+    with nobody_is_left(cars):
+        running = started(*words("Mother"), cwd=cars, END="wait")
+        wait_until(lambda: len(born(cars)) == 2, "the children")
+        begin = time.monotonic()
+        os.kill(running.pid, number)
+        assert running.finish(PATIENCE).returncode == (-signal.SIGKILL if number == signal.SIGKILL else 130)
+        assert time.monotonic() - begin < 20.0

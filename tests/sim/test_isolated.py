@@ -1,0 +1,253 @@
+"""Code of others runs in a child process: it may crash, hang, print or leave processes, and costs one piece of work."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from common import PATIENCE, wait_until
+from skd_sim.controllers import isolated as module
+from skd_sim.controllers.isolated import (
+    CALL_LIMIT,
+    FAILED_STARTS,
+    IsolatedProcess,
+    LostProcessError,
+    begin_call,
+    end_call,
+    end_children,
+    isolated,
+    set_call_limit,
+)
+from skd_sim.episode.aborts import AbortKind, kind_of
+from skd_sim.errors import AssessmentError, UsageError
+
+SLEEPS = "import os, sys, time; open(sys.argv[1] + '/' + str(os.getpid()), 'w').close(); time.sleep(1000)"
+
+
+@pytest.fixture(autouse=True)
+def no_children() -> Iterator[None]:
+    yield
+    end_children()
+    set_call_limit(CALL_LIMIT)
+    module._Here.failed = 0
+
+
+def double(number: int) -> int:
+    return 2 * number
+
+
+def pid(_item: object) -> int:
+    return os.getpid()
+
+
+def leave(code: int) -> None:
+    os._exit(code)
+
+
+def leave_where_told(item: tuple[int, int]) -> int:
+    number, bad = item
+    return 2 * number if number != bad else os._exit(7)
+
+
+def crash(_item: object) -> None:
+    faulthandler.disable()
+    ctypes.string_at(0)
+
+
+def fail(error: BaseException) -> None:
+    raise error
+
+
+def hang(how: str) -> None:
+    begin_call()
+    if how == "sleeps":
+        time.sleep(1000.0)
+    elif how == "loops":
+        while True:
+            pass
+    elif how == "holds Python's lock":
+        ctypes.PyDLL(None).sleep(1000)
+    else:
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def in_time(seconds: float) -> str:
+    begin_call(10.0)
+    time.sleep(seconds)
+    end_call()
+    time.sleep(seconds)  # what is no call of others' code may take as long as it likes
+    return "done"
+
+
+def draws(_item: object) -> tuple[float, float]:
+    return random.random(), float(np.random.random())  # noqa: NPY002 - what a user's controller may do
+
+
+def bear(item: tuple[Path, str]) -> None:
+    """Start processes: one that holds no file of this one, and one that holds all of them; then end, or not."""
+    folder, end = item
+    subprocess.Popen([sys.executable, "-I", "-S", "-c", SLEEPS, str(folder)])
+    if os.fork() == 0:
+        (folder / str(os.getpid())).touch()
+        time.sleep(1000.0)
+    wait_until(lambda: len(list(folder.iterdir())) == 2, "the children")
+    if end == "exit":
+        os._exit(0)
+    if end == "hang":
+        hang("sleeps")
+    if end == "close":
+        os.closerange(3, 1000)
+
+
+def alive(folder: Path) -> list[int]:
+    """Return which processes that have left their id in a folder are still there."""
+    found = []
+    for entry in folder.iterdir():
+        with contextlib.suppress(OSError):
+            if Path(f"/proc/{entry.name}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (b"Z", b"X"):
+                found.append(int(entry.name))
+    return found
+
+
+@pytest.fixture
+def family(tmp_path: Path) -> Iterator[Path]:
+    """A folder of the ids of processes, which are gone at the end."""
+    yield tmp_path
+    try:
+        assert len(list(tmp_path.iterdir())) == 2
+        wait_until(lambda: not alive(tmp_path), "their end", 5.0)
+    finally:
+        for one in alive(tmp_path):
+            os.kill(one, signal.SIGKILL)
+
+
+def test_work_is_done_in_a_child_that_is_kept() -> None:
+    assert [isolated("mine", double, number) for number in range(3)] == [0, 2, 4]
+    child = isolated("mine", pid, None)
+    assert child == isolated("mine", pid, None) != os.getpid()
+    assert isolated("another", pid, None) not in (child, os.getpid())
+    assert isolated("", pid, None) == os.getpid()
+
+
+@pytest.mark.parametrize("error", [UsageError("wrong"), AssessmentError("failed"), ValueError("ours")])
+def test_what_work_raises_is_raised(error: Exception) -> None:
+    with pytest.raises(type(error), match=str(error)):
+        isolated("mine", fail, error)
+    assert isolated("mine", double, 1) == 2
+
+
+def test_a_result_that_cannot_be_sent_is_an_error() -> None:
+    with pytest.raises(AssessmentError, match="a result cannot be sent"):
+        isolated("mine", make_lambda, None)
+    assert isolated("mine", double, 1) == 2
+
+
+def make_lambda(_item: object) -> Callable[[], None]:
+    return lambda: None
+
+
+@pytest.mark.parametrize(
+    ("work", "item", "said"),
+    [(leave, 0, "exit code 0"), (leave, 3, "exit code 3"), (crash, None, "was killed by SIGSEGV")],
+)
+def test_a_child_that_ends_costs_its_work_and_is_replaced(work: Any, item: object, said: str) -> None:
+    before = isolated("controller a:Car", pid, None)
+    with pytest.raises(LostProcessError, match=said) as caught:
+        isolated("controller a:Car", work, item)
+    assert kind_of(caught.value.reason) == AbortKind.ENDED
+    assert "(controller a:Car)" in caught.value.reason
+    assert isolated("controller a:Car", pid, None) != before
+
+
+@pytest.mark.parametrize("how", ["sleeps", "loops", "holds Python's lock", "is stopped"])
+def test_a_call_that_does_not_end_is_broken_off(how: str) -> None:
+    set_call_limit(0.4)
+    begin = time.monotonic()
+    with pytest.raises(LostProcessError, match=r"no answer within 0\.4 s \(mine\)") as caught:
+        isolated("mine", hang, how)
+    assert kind_of(caught.value.reason) == AbortKind.NO_ANSWER
+    assert time.monotonic() - begin < 5.0
+
+
+def test_other_work_may_take_longer_than_a_call() -> None:
+    set_call_limit(0.2)
+    assert isolated("mine", in_time, 0.6) == "done"
+
+
+def test_children_that_end_at_once_end_the_assessment() -> None:
+    for _ in range(FAILED_STARTS - 1):
+        with pytest.raises(LostProcessError):
+            isolated("mine", leave, 3)
+    with pytest.raises(AssessmentError, match=r"3 starts in a row failed.*exit code 3"):
+        isolated("mine", leave, 3)
+
+
+def test_children_that_end_now_and_then_do_not() -> None:
+    lost = 0
+    for number in range(20):
+        try:
+            assert isolated("mine", leave_where_told, (number, number // 2 * 2)) == 2 * number
+        except LostProcessError:
+            lost += 1
+    assert lost == 10
+
+
+def test_each_child_draws_otherwise() -> None:
+    """A car that draws from the generators that all share must not seem to repeat itself."""
+    children = [IsolatedProcess() for _ in range(2)]
+    first, second = (child.run(draws, None) for child in children)
+    for child in children:
+        child.close()
+    assert first[0] != second[0]
+    assert first[1] != second[1]
+
+
+@pytest.mark.parametrize("end", ["", "exit", "hang", "close"])
+def test_what_a_child_has_started_ends_with_it(family: Path, end: str) -> None:
+    set_call_limit(0.5)
+    child = IsolatedProcess()
+    with pytest.raises(LostProcessError) if end in ("exit", "hang") else contextlib.nullcontext():
+        child.run(bear, (family, end)) if end != "close" else _run_lost(child, family)
+    child.close()
+
+
+def _run_lost(child: IsolatedProcess, family: Path) -> None:
+    with pytest.raises(LostProcessError):  # it has closed the pipe: what a class that becomes a daemon does
+        child.run(bear, (family, "close"))
+
+
+@pytest.mark.parametrize("end", ["", "hang"])
+def test_what_a_child_has_started_ends_with_a_parent_that_is_killed(family: Path, end: str) -> None:
+    parent = os.fork()
+    if parent == 0:
+        isolated("mine", bear, (family, end))
+        time.sleep(1000.0)
+    wait_until(lambda: len(list(family.iterdir())) == 2, "the children")
+    os.kill(parent, signal.SIGKILL)
+    os.waitpid(parent, 0)
+
+
+def test_what_is_printed_goes_to_standard_error_and_nothing_is_read() -> None:
+    program = (
+        "import os, sys\nfrom skd_sim.controllers.isolated import isolated\n"
+        "def work(_):\n    print('by print')\n    os.system('echo by a program')\n    os.write(1, b'by number\\n')\n"
+        "    return sys.stdin.read()\n"
+        "print('first, without a new line', end='')\nprint(repr(isolated('mine', work, None)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], input="keys", capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert done.stdout == "first, without a new line''\n"
+    assert done.stderr.splitlines() == ["by print", "by a program", "by number"]

@@ -1,0 +1,259 @@
+"""What a user's controller raises or answers is said in one line; copies of it go on by themselves."""
+
+from __future__ import annotations
+
+import copy
+import enum
+import fractions
+import os
+import random
+import sys
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from skd_sim.controllers import BasicController, make_controller
+from skd_sim.controllers.copying import Copier
+from skd_sim.controllers.user_controller import user_controller
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.errors import AssessmentError, NoNumberError, UsageError
+from skd_sim.sensors import Scan
+from skd_sim.state import AdversaryState, CarState, Scene
+
+CROSSING = load_scenario("crossing")
+CAR, ADVERSARY = CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)
+STATES = np.arange(27.0).reshape(9, 3)
+
+
+class Answers:
+    """Answers what it is made with, or raises it."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+
+    def reset(self, scenario: Any, rng: Any) -> None:
+        pass
+
+    def command(self, car: Any, adversary: Any) -> Any:
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+    def commands(self, cars: Any, scenes: Any) -> Any:
+        cars.speed[:] = 0.0  # of arrays that are its own
+        return self.command(cars, scenes)
+
+
+class Unspeakable(BaseException):
+    def __str__(self) -> str:
+        raise ValueError
+
+
+class NoFloat:
+    def __float__(self) -> float:
+        raise SystemExit(0)
+
+    def __repr__(self) -> str:
+        raise RuntimeError
+
+
+@pytest.mark.parametrize("answer", [-2.5, np.float32(-2.5), np.array(-2.5), fractions.Fraction(-5, 2)])
+def test_a_number_of_any_kind_is_a_plain_one(answer: Any) -> None:
+    found = user_controller(Answers(answer), "mine").command(CAR, ADVERSARY)
+    assert (type(found), found) == (float, -2.5)
+
+
+@pytest.mark.parametrize(
+    ("answer", "shown"),
+    [
+        (None, "None"), (float("nan"), "nan"), (float("inf"), "inf"), (10**400, "1000"), ("1.0", "'1.0'"), (1j, "1j"),
+        (True, "True"), (np.True_, "True"), (np.zeros(1), "array"), (np.ma.masked_all(1), "masked"),
+        (np.array("-5"), "-5"), (b"5", "b'5'"), (np.complex128(-5.0), "-5"), (np.array(-5, object), "-5"),
+        (NoFloat(), "cannot be shown"),
+    ],
+)  # fmt: skip
+def test_what_is_no_finite_number_is_said(answer: Any, shown: str) -> None:
+    with pytest.raises(
+        NoNumberError, match=r"controller mine: command must return a finite number \(m/s²\), got"
+    ) as caught:
+        user_controller(Answers(answer), "mine").command(CAR, ADVERSARY)
+    assert shown in str(caught.value)
+    assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "answer", [0.0, np.zeros(2), np.zeros((3, 1)), np.ones(3, bool), np.array([0.0, np.nan, 0.0]), ["a"] * 3, None]
+)
+def test_what_are_no_accelerations_of_all_episodes_is_said(answer: Any) -> None:
+    with pytest.raises(NoNumberError, match="commands must return an array of 3 finite numbers"):
+        user_controller(Answers(answer), "mine").commands(STATES)
+
+
+def test_accelerations_of_many_episodes_change_no_state() -> None:
+    before = STATES.copy()
+    found = user_controller(Answers([1, 2, 3]), "mine").commands(STATES)
+    assert (found.dtype, found.tolist()) == (np.float64, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(STATES, before)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ZeroDivisionError("by\nzero"), "ZeroDivisionError: by zero"),
+        (SystemExit(0), "SystemExit: 0"),
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (Unspeakable(), "Unspeakable: something of Unspeakable that cannot be shown"),
+    ],
+)
+def test_what_it_raises_is_said_with_the_line_of_its_code(error: BaseException, said: str) -> None:
+    controller = user_controller(Answers(error), "mine")
+    with pytest.raises(AssessmentError) as caught:
+        controller.command(CAR, ADVERSARY)
+    line = Answers.command.__code__.co_firstlineno + 2
+    assert f"controller mine: command failed with {said}" in str(caught.value)
+    assert f"(test_user_controller.py, line {line})" in str(caught.value)
+
+
+def test_it_cannot_change_the_scenario_of_the_world() -> None:
+    class Meddles(Answers):
+        def reset(self, scenario: Any, rng: Any) -> None:
+            object.__setattr__(scenario.car, "front", 0.1)
+            scenario.road.line[...] += 5.0
+
+    before = CROSSING.road.line.copy()
+    with pytest.raises(AssessmentError, match=r"reset failed with ValueError: .*read-only"):
+        user_controller(Meddles(0.0), "mine").reset(CROSSING, np.random.default_rng(0))
+    np.testing.assert_array_equal(CROSSING.road.line, before)
+    assert CROSSING.car.front != 0.1
+
+
+def test_it_senses_and_sees_the_scene_where_its_class_does() -> None:
+    class Sees(Answers):
+        def sense(self, scan: Scan) -> None:
+            self.answer = float(scan.ranges[0])
+
+        def command(self, car: CarState, scene: Scene) -> float:  # type: ignore[override]
+            return float(self.answer)
+
+    seeing, blind = user_controller(Sees(0.0), "mine"), user_controller(Answers(0.0), "mine")
+    assert (seeing.takes_scene, seeing.takes_batches) == (True, False)
+    assert (blind.takes_scene, blind.takes_batches, hasattr(blind, "sense")) == (False, True, False)
+    seeing.sense(Scan(np.float32([3.0]), 0.0, 0.1, 10.0))  # type: ignore[attr-defined]
+    assert seeing.command(CAR, ADVERSARY) == 3.0
+
+
+def test_a_class_whose_attributes_fail_cannot_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "shy_car.py").write_text(
+        "class Car:\n    @property\n    def takes_scene(self): raise RuntimeError('no laser')\n"
+        "    def reset(self, scenario, rng): pass\n    def command(self, car, adversary): return 0.0\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UsageError, match="'shy_car:Car' cannot be loaded: RuntimeError: no laser"):
+        make_controller("shy_car:Car")
+    sys.modules.pop("shy_car", None)
+
+
+# --- copies
+
+
+class Drawing(Answers):
+    def reset(self, scenario: Any, rng: Any) -> None:
+        self.rng = rng
+
+    def command(self, car: Any, adversary: Any) -> float:
+        self.answer -= self.rng.random()
+        return float(self.answer)
+
+
+def test_a_copy_goes_on_by_itself_as_the_original_would() -> None:
+    controller = user_controller(Drawing(0.0), "mine")
+    controller.reset(CROSSING, np.random.default_rng(0))
+    again = copy.deepcopy(controller)
+    answers = [controller.command(CAR, ADVERSARY) for _ in range(3)]
+    assert [again.command(CAR, ADVERSARY) for _ in range(3)] == answers
+    assert len(set(answers)) == 3
+
+
+class Copies(Answers):
+    """Holds a file, which cannot be copied."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0)
+        self.handle = Path(os.devnull).open()  # noqa: SIM115
+
+    def copy(self) -> Copies:
+        again = type(self)()
+        again.answer = self.answer
+        return again
+
+
+class CopiesItself(Copies):
+    def copy(self) -> Copies:
+        return self
+
+
+def test_a_class_copies_itself_by_its_own_method() -> None:
+    inner = Copies()
+    first = user_controller(inner, "mine")
+    second = copy.deepcopy(first)
+    inner.answer = -1.0
+    assert (first.command(CAR, ADVERSARY), second.command(CAR, ADVERSARY)) == (-1.0, 0.0)
+    with pytest.raises(AssessmentError, match="mine: copy must return another CopiesItself, got itself"):
+        copy.deepcopy(user_controller(CopiesItself(), "mine"))
+
+
+def test_what_cannot_be_copied_is_named() -> None:
+    class Holds(Answers):
+        handle = property(lambda self: None)
+
+    holds = Holds(0.0)
+    holds.answer = Path(os.devnull).open()  # noqa: SIM115
+    with pytest.raises(AssessmentError, match="controller mine: a copy failed with TypeError"):
+        copy.deepcopy(user_controller(holds, "mine"))
+
+
+class Point(NamedTuple):
+    x: float
+    trail: list[float]
+
+
+class Slotted:
+    __slots__ = ("value",)
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+
+class Colour(enum.Enum):
+    RED = 1
+
+
+def test_a_copier_copies_as_deepcopy_does() -> None:
+    class Plain:
+        pass
+
+    plain: Any = Plain()
+    plain.itself, plain.shared = plain, [1.0]
+    plain.all = {
+        "list": [1, plain.shared, (plain.shared, 2.0)], "deque": deque([1, 2], 5), "array": np.ones((2, 3)),
+        "point": Point(1.0, [2.0]), "slots": Slotted([1]), "set": {1, 2}, "colour": Colour.RED, "text": "x",
+        "draws": np.random.default_rng(3), "python draws": random.Random(3), "method": plain.shared.append,
+        "scenario": CROSSING, "inner": BasicController(1.0),
+    }  # fmt: skip
+    made, expected = Copier().copy(plain), copy.deepcopy(plain)
+    assert made.itself is made
+    assert made.all["list"][1] is made.shared is made.all["list"][2][0] is not plain.shared
+    for name in ("list", "deque", "point", "set", "colour", "text"):
+        assert made.all[name] == expected.all[name], name
+    assert made.all["deque"].maxlen == 5
+    assert made.all["point"].trail is not plain.all["point"].trail
+    assert made.all["slots"].value == [1]
+    assert made.all["slots"].value is not plain.all["slots"].value
+    np.testing.assert_array_equal(made.all["array"], plain.all["array"])
+    assert not np.shares_memory(made.all["array"], plain.all["array"])
+    assert made.all["draws"].random() == expected.all["draws"].random() == plain.all["draws"].random()
+    assert made.all["python draws"].random() == plain.all["python draws"].random()
+    assert made.all["scenario"] is CROSSING  # which nobody can change
+    assert made.all["inner"] is not plain.all["inner"]
