@@ -312,7 +312,7 @@ def installed(folder: Path) -> Path:
     return folder
 
 
-def test_the_command_ends_in_one_line_and_prints_are_led_by_the_name(tmp_path: Path):
+def test_the_command_ends_in_one_line_and_prints_are_no_part_of_the_result(tmp_path: Path):
     site = str(installed(tmp_path))
     done = skd_from_nothing("assess", *SMALL, "--simulator", "raises", cwd=tmp_path, PYTHONPATH=site)
     assert done.returncode == 1
@@ -320,4 +320,4 @@ def test_the_command_ends_in_one_line_and_prints_are_led_by_the_name(tmp_path: P
     assert "skd assess: error: simulator raises: step failed with ValueError: boom (liars.py, line " in done.stderr
     done = skd_from_nothing("assess", *SMALL, "--simulator", "prints", "--json", cwd=tmp_path, PYTHONPATH=site)
     assert json.loads(done.stdout)["options"]["simulator"] == "prints"
-    assert 'prints | {"margin": 9}\n' in done.stderr
+    assert '{"margin": 9}\n' in done.stderr
