@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import dataclasses
 import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any
 
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
 from skd_sim.inputs.outside import parse_json, read_bytes
-from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short, to_yaml
+from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
 
 from skd_adversary.car_forest import CarForest
 from skd_adversary.fitted_car import (
@@ -36,13 +37,7 @@ FILE_NAME = "car_model.yaml"
 FOREST_SUFFIX = ".forest"
 LARGEST_FOREST = 16 * 2**20
 """Bytes; one has about a hundred thousand."""
-_CHOICES = {
-    "measure": ("distance", "time"),
-    "gate": ("none", "position", "predicted"),
-    "spread": ("sharp", "encounter", "tick"),
-}
 _NAMES = {"point": ("value",), "uniform": ("low", "high"), "normal": ("mean", "standard_deviation")}
-_Row = TypeVar("_Row")
 _HEAD = "# Predictive model of a car, fitted from logs by skd fit. SI units; half-widths of noise are relative.\n"
 
 
@@ -138,6 +133,134 @@ def read_car_model(source: Path) -> FittedCar:
     return car_model_from(_with_forest(parse_yaml(text, str(path)), path), str(path))
 
 
+@dataclass(frozen=True)
+class _Prior(Frozen):
+    distribution: Annotated[str, OneOf(_NAMES)]
+    value: Finite | None = None
+    low: Finite | None = None
+    high: Finite | None = None
+    mean: Finite | None = None
+    standard_deviation: Finite | None = None
+
+    def __post_init__(self) -> None:
+        needed = _NAMES[self.distribution]
+        if any(getattr(self, name) is None for name in needed):
+            raise UsageError(f"a {self.distribution} prior needs {' and '.join(needed)}")
+        Prior(self.distribution, *self.numbers.values())
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        return {name: getattr(self, name) for name in _NAMES[self.distribution]}
+
+
+@dataclass(frozen=True)
+class _Parameter(Frozen):
+    prior: _Prior
+    unit: str | None = None
+    identifiable: YesNo = True
+    estimate: Finite | None = None
+    standard_error: Annotated[float, limits(0.0)] | None = None
+    interval_95: tuple[Finite, Finite] | None = None
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if self.reason:
+            return
+        if self.estimate is None or self.standard_error is None or self.interval_95 is None:
+            raise UsageError("needs estimate, standard_error and interval_95, or the reason for none")
+        low, high = self.interval_95
+        if not low - self.slack <= self.estimate <= high + self.slack:
+            raise UsageError(f"interval_95 must hold the estimate {self.estimate:g}, got [{low:g}, {high:g}]")
+
+    @property
+    def slack(self) -> float:
+        """By how much numbers may differ that were rounded."""
+        return 1e-9 * max(1.0, abs(self.estimate or 0.0))
+
+    @property
+    def parameter(self) -> Parameter:
+        prior = Prior(self.prior.distribution, *self.prior.numbers.values())
+        if self.reason or self.interval_95 is None:
+            return Parameter(prior, reason=self.reason)
+        return Parameter(prior, self.estimate, self.standard_error, self.interval_95)
+
+
+@dataclass(frozen=True)
+class _Family(Frozen):
+    measure: Annotated[str, OneOf(("distance", "time"))]
+    gate: Annotated[str, OneOf(("none", "position", "predicted"))]
+    spread: Annotated[str, OneOf(("sharp", "encounter", "tick"))]
+    lapse: Annotated[float, limits(0.0, 1.0, "share of ticks")]
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class _Footprint(Frozen):
+    front: Finite
+    rear: Finite
+
+
+@dataclass(frozen=True)
+class _File(Frozen):
+    """The content of a car model's file; its forest is in base64."""
+
+    time_step: Annotated[float, limits(0.001, 10.0, "s")]
+    family: _Family
+    parameters: dict[Annotated[str, OneOf(PARAMETERS)], _Parameter]
+    footprint: _Footprint | None = None
+    families: tuple[FamilyRow, ...] = ()
+    calibration: Calibration | None = None
+    predictions: tuple[Prediction, ...] = ()
+    logs: Count = 0
+    ticks: Count = 0
+    braking_ticks: Count = 0
+    version: str = "unknown"
+    waiting_reward: Annotated[float, limits(-1000.0, 0.0, "m a step")] | None = None
+    forest: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a law that lacks a parameter, or one that is beyond what it can be or contradicts its prior."""
+        units = dict(PARAMETERS)
+        if self.family.measure == "time":
+            units |= dict.fromkeys(("trigger", "trigger_spread"), "s")
+        for name, unit in units.items():
+            needed = name not in OPTIONAL or (name == "path_half_width" and self.family.gate != "none")
+            if name in self.parameters:
+                self._check(name, unit, self.parameters[name])
+            elif needed:
+                raise UsageError(f"missing key parameters.{name}")
+        delay = self.parameters["reaction_delay"].estimate or 0.0
+        if delay > (LONGEST_DELAY + 1e-9) * self.time_step:
+            raise UsageError(
+                f"parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {self.time_step:g} s, "
+                f"with which the adversary can plan, got {delay:g} s"
+            )
+
+    def _check(self, name: str, unit: str, one: _Parameter) -> None:
+        key, numbers = f"parameters.{name}", one.prior.numbers
+        if one.unit not in (None, unit):
+            raise UsageError(
+                f"{key}.unit must be {unit} where family.measure is {self.family.measure}, got {short(one.unit)}"
+            )
+        most = math.inf if one.reason else LARGEST.get(name, math.inf)
+        within = {f"prior.{which}": number for which, number in numbers.items()}
+        if not one.reason and one.estimate is not None:
+            within["estimate"] = one.estimate
+        for which, number in within.items():
+            if not 0.0 <= number <= most:
+                right = "≥ 0" if math.isinf(most) else f"from 0 to {most:g}"
+                raise UsageError(f"{key}.{which} must be {right} ({unit}), got {number:g}")
+        first, last = min(numbers.values()), max(numbers.values())
+        if one.prior.distribution == "normal":
+            first = last = numbers["mean"]
+        planned = not one.reason and name != "trigger_spread"  # that of a sharp law is not planned with
+        if planned and not first - one.slack <= (one.estimate or 0.0) <= last + one.slack:
+            raise UsageError(
+                f"{key}.prior, which the adversary plans with, contradicts its estimate {one.estimate:g}: whoever "
+                "changes the one changes the other"
+            )
+
+
 def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     """Build and check a fitted car from plain data.
 
@@ -148,49 +271,28 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     Raises:
         UsageError: a key is missing or has no valid value.
     """
-    top = _mapping(data, where, "the file")
-    family = _mapping(top.get("family"), where, "family")
-    chosen = {}
-    for key, allowed in _CHOICES.items():
-        if family.get(key) not in allowed:
-            raise UsageError(f"{where}: family.{key} must be one of {', '.join(allowed)}, got {short(family.get(key))}")
-        chosen[key] = str(family[key])
-    time_step = _number(top.get("time_step"), where, "time_step")
-    parameters = _parameters(top.get("parameters"), where, chosen, time_step)
-    footprint = top.get("footprint")
-    size: dict[str, float] = {}
-    if footprint is not None:  # files of earlier versions have none
-        footprint = _mapping(footprint, where, "footprint")
-        size = {key: _number(footprint.get(key), where, f"footprint.{key}") for key in ("front", "rear")}
-    lapse = _number(family.get("lapse"), where, "family.lapse")
-    if not 0.0 <= lapse <= 1.0:
-        raise UsageError(f"{where}: family.lapse must be from 0 to 1, got {lapse:g}")
-    try:
-        calibration = top.get("calibration")
-        return FittedCar(
-            measure=chosen["measure"],
-            gate=chosen["gate"],
-            spread=chosen["spread"],
-            lapse=lapse,
-            parameters=parameters,
-            families=tuple(_row(FamilyRow, row, where, "families") for row in top.get("families") or ()),
-            chosen=str(family.get("name", "")),
-            calibration=_row(Calibration, calibration, where, "calibration") if calibration else None,
-            logs=int(top.get("logs", 0)),
-            ticks=int(top.get("ticks", 0)),
-            braking_ticks=int(top.get("braking_ticks", 0)),
-            time_step=time_step,
-            version=str(top.get("version", "unknown")),
-            front=size.get("front"),
-            rear=size.get("rear"),
-            forest=_forest(top.get("forest"), where),
-            predictions=tuple(_row(Prediction, row, where, "predictions") for row in top.get("predictions") or ()),
-            waiting_reward=_waiting_reward(top.get("waiting_reward"), where),
-        )
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, UsageError):
-            raise
-        raise UsageError(f"{where}: is no car model as skd fit writes it ({' '.join(str(error).split())})") from error
+    file = read_model(_File, data, where)
+    family, size = file.family, file.footprint
+    return FittedCar(
+        measure=family.measure,
+        gate=family.gate,
+        spread=family.spread,
+        lapse=family.lapse,
+        parameters={name: one.parameter for name, one in file.parameters.items()},
+        families=file.families,
+        chosen=family.name,
+        calibration=file.calibration,
+        logs=file.logs,
+        ticks=file.ticks,
+        braking_ticks=file.braking_ticks,
+        time_step=file.time_step,
+        version=file.version,
+        front=None if size is None else size.front,
+        rear=None if size is None else size.rear,
+        forest=None if file.forest is None else _forest(file.forest, where),
+        predictions=file.predictions,
+        waiting_reward=file.waiting_reward,
+    )
 
 
 def car_model_text(car: FittedCar) -> str:
@@ -246,14 +348,10 @@ def fitted_car(text: str) -> FittedCar:
     return car_model_from(parse_json(text, where), where)
 
 
-def _forest(value: Any, where: str) -> CarForest | None:
-    """Return the forest in base64, looked through; None where there is none."""
-    if value is None:
-        return None
-    if not isinstance(value, str):
-        raise UsageError(f"{where}: forest must be text (base64), got {type(value).__name__}")
+def _forest(text: str, where: str) -> CarForest:
+    """Return the forest in base64, looked through."""
     try:
-        forest = CarForest(base64.b64decode(value, validate=True))
+        forest = CarForest(base64.b64decode(text, validate=True))
     except ValueError as error:
         raise UsageError(f"{where}: forest is not base64") from error
     try:
@@ -261,131 +359,3 @@ def _forest(value: Any, where: str) -> CarForest | None:
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from error
     return forest
-
-
-def _waiting_reward(value: Any, where: str) -> float | None:
-    if value is None:  # as in files of earlier versions
-        return None
-    reward = _number(value, where, "waiting_reward")
-    if reward > 0.0:
-        raise UsageError(f"{where}: waiting_reward must be at most 0 (m a step), got {reward:g}")
-    return reward
-
-
-def _mapping(value: Any, where: str, key: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise UsageError(f"{where}: {key} must be a mapping, got {type(value).__name__}")
-    return value
-
-
-def _number(value: Any, where: str, key: str) -> float:
-    number = math.nan
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        with contextlib.suppress(OverflowError):  # whole numbers have no end
-            number = float(value)
-    if not math.isfinite(number):
-        raise UsageError(f"{where}: {key} must be a finite number, got {short(value)}")
-    return number
-
-
-def _row(kind: Callable[..., _Row], value: Any, where: str, key: str) -> _Row:
-    """Return what stands beside the law: texts, finite numbers, and nothing where nothing was found out."""
-    row = _mapping(value, where, key)
-    for name, one in row.items():
-        if one is not None and not isinstance(one, str):
-            _number(one, where, f"{key}.{name_of_key(name)}")
-    return kind(**row)
-
-
-def _parameters(value: Any, where: str, family: Mapping[str, str], time_step: float) -> dict[str, Parameter]:
-    """Return the parameters of a law, with what the family needs, each in its unit."""
-    given = _mapping(value, where, "parameters")
-    for name in given:
-        if name not in PARAMETERS:
-            raise UsageError(f"{where}: unknown key parameters.{name_of_key(name)}; allowed: {', '.join(PARAMETERS)}")
-    units = {**PARAMETERS, **(dict.fromkeys(("trigger", "trigger_spread"), "s") if family["measure"] == "time" else {})}
-    found: dict[str, Parameter] = {}
-    for name in PARAMETERS:
-        needed = name not in OPTIONAL or (name == "path_half_width" and family["gate"] != "none")
-        if needed and name not in given:
-            raise UsageError(f"{where}: missing key parameters.{name}")
-    for name, one in given.items():
-        found[name] = _parameter(one, where, name)
-        if (unit := one.get("unit", units[name])) != units[name]:
-            raise UsageError(
-                f"{where}: parameters.{name}.unit must be {units[name]} where family.measure is {family['measure']}, "
-                f"got {short(unit)}"
-            )
-    if (found["reaction_delay"].estimate or 0.0) > (LONGEST_DELAY + 1e-9) * time_step:
-        raise UsageError(
-            f"{where}: parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {time_step:g} s, "
-            f"with which the adversary can plan, got {found['reaction_delay'].estimate:g} s"
-        )
-    return found
-
-
-def _parameter(value: Any, where: str, name: str) -> Parameter:
-    key = f"parameters.{name}"
-    data = _mapping(value, where, key)
-    prior = _mapping(data.get("prior"), where, f"{key}.prior")
-    distribution = prior.get("distribution")
-    if not isinstance(distribution, str) or distribution not in _NAMES:
-        raise UsageError(
-            f"{where}: {key}.prior.distribution must be one of {', '.join(_NAMES)}, got {short(distribution)}"
-        )
-    numbers = {one: _number(prior.get(one), where, f"{key}.prior.{one}") for one in _NAMES[distribution]}
-    most = math.inf if data.get("reason") else LARGEST.get(name, math.inf)
-    for one, number in numbers.items():
-        _check_within(number, most, where, f"{key}.prior.{one}", PARAMETERS[name])
-    try:
-        thought = Prior(distribution, *numbers.values())
-    except UsageError as error:
-        raise UsageError(f"{where}: {key}.prior: {error}") from error
-    if data.get("reason"):
-        return Parameter(thought, reason=str(data["reason"]))
-    interval = data.get("interval_95")
-    if not isinstance(interval, list) or len(interval) != 2:
-        raise UsageError(f"{where}: {key}.interval_95 must be a list of two numbers, got {short(interval)}")
-    low, high = (_number(end, where, f"{key}.interval_95") for end in interval)
-    estimate = _number(data.get("estimate"), where, f"{key}.estimate")
-    error_of_it = _number(data.get("standard_error"), where, f"{key}.standard_error")
-    _check_within(estimate, most, where, f"{key}.estimate", PARAMETERS[name])
-    if error_of_it < 0.0:
-        raise UsageError(f"{where}: {key}.standard_error must be ≥ 0, got {error_of_it:g}")
-    _check_agree(estimate, (low, high), thought, where, key, planned=name != "trigger_spread")
-    return Parameter(thought, estimate, error_of_it, (low, high))
-
-
-def _check_within(number: float, most: float, where: str, key: str, unit: str) -> None:
-    """See that a number of a parameter can be one, a value, an end, a mean or a deviation; no parameter is negative."""
-    if not 0.0 <= number <= most:
-        wanted = "≥ 0" if math.isinf(most) else f"from 0 to {most:g}"
-        raise UsageError(f"{where}: {key} must be {wanted} ({unit}), got {number:g}")
-
-
-def _check_agree(
-    estimate: float, interval: tuple[float, float], prior: Prior, where: str, key: str, *, planned: bool
-) -> None:
-    """See that what is said of a parameter is what the adversary plans with.
-
-    Args:
-        estimate: its value.
-        interval: of 95 %.
-        prior: what is planned with.
-        where: file or other origin.
-        key: of the parameter.
-        planned: whether it is; that of the spread of a sharp law is not.
-
-    Raises:
-        UsageError: they contradict each other.
-    """
-    low, high = interval
-    slack = 1e-9 * max(1.0, abs(estimate))
-    if not low - slack <= estimate <= high + slack:
-        raise UsageError(f"{where}: {key}.interval_95 must hold the estimate {estimate:g}, got [{low:g}, {high:g}]")
-    first, last = (prior.first, prior.second) if prior.distribution == "uniform" else (prior.first, prior.first)
-    if planned and not first - slack <= estimate <= last + slack:
-        raise UsageError(
-            f"{where}: {key}.prior, which the adversary plans with, contradicts its estimate {estimate:g}: whoever "
-            "changes the one changes the other"
-        )

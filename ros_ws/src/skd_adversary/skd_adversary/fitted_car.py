@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Count, Finite, Frozen
 
 from skd_adversary.car_forest import CarForest
 
@@ -90,32 +91,32 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class FamilyRow:
+class FamilyRow(Frozen):
     """One line of the comparison of families; log-likelihoods in nats.
 
     `held_out` is over all folds; none for a family that is far behind in AIC.
     """
 
     name: str
-    parameters: int
-    log_likelihood: float
-    aic: float
-    bic: float
-    held_out: float | None
-    trigger: float
+    parameters: Count
+    log_likelihood: Finite
+    aic: Finite
+    bic: Finite
+    held_out: Finite | None
+    trigger: Finite
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Frozen):
     """Probability integral transform of held-out ticks against the uniform distribution (Kolmogorov-Smirnov)."""
 
-    ticks: int
-    statistic: float
-    p_value: float
+    ticks: Count
+    statistic: Finite
+    p_value: Finite
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(Frozen):
     """How well held-out ticks are predicted, by one way to predict them.
 
     Attributes:
@@ -128,11 +129,11 @@ class Prediction:
     """
 
     model: str
-    ticks: int
-    statistic: float
-    near_ticks: int
-    near_statistic: float
-    score: float
+    ticks: Count
+    statistic: Finite
+    near_ticks: Count
+    near_statistic: Finite
+    score: Finite
 
 
 @dataclass(frozen=True)

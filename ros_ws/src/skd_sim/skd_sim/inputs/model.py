@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Hashable, Iterable, Sequence
-from typing import Any, Self, TypeVar, cast
+from typing import Annotated, Any, Self, TypeVar, cast
 
 from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, core_schema
@@ -20,6 +20,8 @@ from skd_sim.inputs.yaml_file import name_of_key, short
 Model = TypeVar("Model")
 YesNo = StrictBool
 """True or false, and neither 1 nor `yes`."""
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Count = Annotated[int, Field(strict=True, ge=0, le=2**63 - 1)]
 
 
 ON_LANE = ("lane", "along", "aside")
@@ -46,9 +48,10 @@ class OnLane(Frozen):
     __pydantic_config__ = ConfigDict(extra="forbid", json_schema_extra={"also": [*ON_LANE]})
 
 
-def limits(low: float, high: float, unit: str) -> Any:
-    """Return the annotation of a number: its range, ends included, and its unit."""
-    return Field(ge=low, le=high, strict=True, json_schema_extra={"unit": unit})
+def limits(low: float | None = None, high: float | None = None, unit: str = "") -> Any:
+    """Return the annotation of a finite number: its range, ends included, and its unit."""
+    extra: dict[str, Any] = {"unit": unit} if unit else {}
+    return Field(ge=low, le=high, strict=True, allow_inf_nan=False, json_schema_extra=extra)
 
 
 class OneOf:
@@ -89,30 +92,39 @@ def read_model(kind: type[Model], data: Any, where: str, path: str = "") -> Mode
         model: Model = _adapter(cast(Hashable, kind)).validate_python(data)
     except ValidationError as error:
         # Of a typo there are two errors, and the unknown key says more than the missing one.
-        errors = sorted(error.errors(include_url=False), key=lambda one: _FIRST.get(one["type"], 2))
+        errors = sorted(
+            error.errors(include_url=False), key=lambda one: (not _is_unknown(one), one["type"] != "missing")
+        )
         raise UsageError(f"{where}: {_worded(errors[0], schema_of(cast(Hashable, kind)), path)}") from None
     return model
 
 
-_UNKNOWN = ("unexpected_keyword_argument", "invalid_key")
-_FIRST = dict.fromkeys(_UNKNOWN, 0) | {"missing": 1}
+def _is_unknown(error: ErrorDetails) -> bool:
+    """Return whether a key is none of those that there are."""
+    return error["type"] in ("unexpected_keyword_argument", "invalid_key") or error["loc"][-1:] == ("[key]",)
 
 
 def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:
     """Return what is wrong, where, and what would be right."""
-    kind, given = error["type"], error["input"]
-    key = _joined(path, error["loc"])
-    if kind == "missing":
+    kind, given, place = error["type"], error["input"], error["loc"]
+    if _is_unknown(error):
+        place = place[:-1] if place[-1] == "[key]" else place
+        section = _node(schema, place[:-1])
+        known = [*section.get("properties", section.get("propertyNames", {}).get("enum", ())), *section.get("also", ())]
+        near = did_you_mean(str(place[-1]), known)
+        return f"unknown key {_joined(path, place)}; allowed: {', '.join(known)}{near}"
+    key = _joined(path, place)
+    if kind == "missing" and not isinstance(place[-1], int):
         return f"missing key {key}"
-    if kind in _UNKNOWN:
-        section = _node(schema, error["loc"][:-1])
-        known = [*section["properties"], *section.get("also", ())]
-        return f"unknown key {key}; allowed: {', '.join(known)}{did_you_mean(str(error['loc'][-1]), known)}"
     if kind == "value_error":  # of a check of the model's own, which says by its own keys what is wrong
         return ": ".join(filter(None, (key, str(error["ctx"]["error"]))))
-    right = _right(_node(schema, error["loc"]))
-    shown = type(given).__name__ if right in (_LIST, _MAPPING) else short(given)
-    return f"{key or 'the file'} must be {right}, got {shown}"
+    if kind == "missing":  # a list that is too short
+        return f"{_joined(path, place[:-1])} must be {_right(_node(schema, place[:-1]))}, got {short(given)}"
+    right = _right(_node(schema, place))
+    if right in (_LIST, _MAPPING):
+        return f"{key or 'the file'} must be {right}, got {type(given).__name__}"
+    known = _node(schema, place).get("enum", ())
+    return f"{key} must be {right}, got {short(given)}{did_you_mean(given, known) if isinstance(given, str) else ''}"
 
 
 _LIST, _MAPPING = "a list", "a mapping"
@@ -120,20 +132,27 @@ _LIST, _MAPPING = "a list", "a mapping"
 
 def _right(node: dict[str, Any]) -> str:
     """Return what a value has to be by its JSON schema."""
+    kind = node.get("type")
     if "enum" in node or "const" in node:
         return f"one of {', '.join(map(str, node.get('enum', [node.get('const')])))}"
-    if node.get("type") in ("number", "integer"):
-        number = "a whole number" if node["type"] == "integer" else "a number"
-        return f"{number} from {node['minimum']:g} to {node['maximum']:g} ({node['unit']})"
-    return {"string": "text", "boolean": "true or false", "array": _LIST}.get(str(node.get("type")), _MAPPING)
+    if kind in ("number", "integer"):
+        low, high = node.get("minimum"), node.get("maximum")
+        span = "" if low is None else f" ≥ {low:g}" if high is None else f" from {low:g} to {high:g}"
+        number = "a whole number" if kind == "integer" else "a number" if span else "a finite number"
+        return f"{number}{span} ({node['unit']})" if "unit" in node else f"{number}{span}"
+    if "prefixItems" in node:
+        return f"a list of {len(node['prefixItems'])} numbers"
+    return {"string": "text", "boolean": "true or false", "array": _LIST}.get(str(kind), _MAPPING)
 
 
 def _node(schema: dict[str, Any], place: Sequence[int | str]) -> dict[str, Any]:
     """Return the part of a JSON schema that describes a place in the data."""
     node = schema
     for step in (None, *place):
-        if step is not None:
-            node = node["items"] if isinstance(step, int) else node["properties"][step]
+        if isinstance(step, int):
+            node = node["prefixItems"][step] if "prefixItems" in node else node["items"]
+        elif step is not None:
+            node = node["properties"][step] if "properties" in node else node["additionalProperties"]
         node = node.get("anyOf", [node])[0]  # an optional value is this, or null
         if "$ref" in node:
             node = schema["$defs"][node["$ref"].rpartition("/")[2]]

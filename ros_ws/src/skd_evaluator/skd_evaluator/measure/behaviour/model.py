@@ -6,25 +6,22 @@ scale s multiplies all of them.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Finite, Frozen, OneOf, read_model
 from skd_sim.inputs.suggestion import did_you_mean
-from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
+from skd_sim.inputs.yaml_file import parse_yaml, read_text, to_yaml
 
 from skd_evaluator.measure.behaviour import NO_BEHAVIOUR, WALKERS
 
 FILE_NAME: Final = "behaviour.yaml"
 _SHIPPED: Final = {WALKERS: Path(__file__).with_name("walkers.yaml")}
-_KEYS: Final = ("name", "kind", "description", "parameters")
-_ENTRY: Final = ("value", "source", "interval_95")
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ NAMES: Final = tuple(MEANINGS)
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(Frozen):
     """A number of a behaviour model.
 
     Attributes:
@@ -80,13 +77,24 @@ class Parameter:
         interval_95: 95 % interval of it; None: not known.
     """
 
-    value: float
+    value: Finite
     source: str
-    interval_95: tuple[float, float] | None = None
+    interval_95: tuple[Finite, Finite] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a number that comes from nowhere, or is not in its interval."""
+        if not self.source.strip():
+            raise UsageError("source must say where the value is from")
+        if self.interval_95 is not None and not self.interval_95[0] <= self.value <= self.interval_95[1]:
+            low, high = self.interval_95
+            raise UsageError(
+                f"interval_95 must hold the value {self.value:g}, got [{low:g}, {high:g}]: whoever changes the one "
+                "changes the other, or removes it"
+            )
 
 
 @dataclass(frozen=True)
-class Behaviour:
+class Behaviour(Frozen):
     """How road users of a kind deviate from the way that they intend.
 
     Attributes:
@@ -99,7 +107,13 @@ class Behaviour:
     name: str
     kind: str
     description: str
-    parameters: Mapping[str, Parameter]
+    parameters: dict[Annotated[str, OneOf(NAMES)], Parameter]
+
+    def __post_init__(self) -> None:
+        """Refuse a kind of road user that there is none of, and a model without all parameters."""
+        ROAD_USERS.target(self.kind)
+        if missing := [name for name in NAMES if name not in self.parameters]:
+            raise UsageError(f"missing key parameters.{missing[0]}")
 
     @property
     def values(self) -> FloatArray:
@@ -152,58 +166,16 @@ def behaviour_from(data: Any, where: str) -> Behaviour:
     Raises:
         UsageError: they are none; says which key, and what would be right.
     """
-    _check_keys(data, _KEYS, where, "the file")
-    for key in _KEYS[:3]:
-        if not isinstance(data[key], str):
-            raise UsageError(f"{where}: {key} must be text, got {short(data[key])}")
-    if data["kind"] not in ROAD_USERS:
-        known = ROAD_USERS.names()
-        raise UsageError(f"{where}: kind must be one of {', '.join(known)}; got {short(data['kind'])}")
-    _check_keys(data["parameters"], NAMES, where, "parameters")
-    found = {name: _parameter(data["parameters"][name], name, where) for name in NAMES}
-    return Behaviour(data["name"], data["kind"], data["description"], found)
-
-
-def _check_keys(data: Any, names: tuple[str, ...], where: str, what: str, optional: tuple[str, ...] = ()) -> None:
-    if not isinstance(data, Mapping):
-        raise UsageError(f"{where}: {what} must be a mapping of {', '.join(names)}, got {type(data).__name__}")
-    if unknown := [str(key) for key in data if key not in names]:
-        raise UsageError(f"{where}: {what} has an unknown key {short(unknown[0])}{did_you_mean(unknown[0], names)}")
-    if missing := [name for name in names if name not in data and name not in optional]:
-        raise UsageError(f"{where}: {what} has no key {missing[0]}")
-
-
-def _parameter(data: Any, name: str, where: str) -> Parameter:
-    what, meaning = f"parameters.{name}", MEANINGS[name]
-    _check_keys(data, _ENTRY, where, what, _ENTRY[2:])
-    value = _number(data["value"])
-    if not meaning.low <= value <= meaning.high:  # nan, too
-        unit = f" {meaning.unit}" if meaning.unit else ""
-        raise UsageError(
-            f"{where}: {what}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, got "
-            f"{short(data['value'])}"
-        )
-    if not isinstance(data["source"], str) or not data["source"].strip():
-        raise UsageError(f"{where}: {what}.source must say where the value is from, got {short(data['source'])}")
-    interval = data.get("interval_95")
-    if interval is None:
-        return Parameter(value, data["source"])
-    pair = isinstance(interval, list) and len(interval) == 2
-    low, high = map(_number, interval) if pair else (math.nan, math.nan)
-    if not low <= high:
-        raise UsageError(f"{where}: {what}.interval_95 must be two numbers, the lower one first, got {short(interval)}")
-    if not low <= value <= high:
-        raise UsageError(
-            f"{where}: {what}.interval_95 must hold the value {value:g}, got {short(interval)}: whoever changes the "
-            "one changes the other, or removes it"
-        )
-    return Parameter(value, data["source"], (low, high))
-
-
-def _number(value: Any) -> float:
-    """Return a finite number; nan where it is none."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if number else math.nan
+    found = read_model(Behaviour, data, where)
+    for name, one in found.parameters.items():
+        meaning = MEANINGS[name]
+        if not meaning.low <= one.value <= meaning.high:
+            unit = f" {meaning.unit}" if meaning.unit else ""
+            raise UsageError(
+                f"{where}: parameters.{name}.value must be a number from {meaning.low:g} to {meaning.high:g}{unit}, "
+                f"got {one.value:g}"
+            )
+    return found
 
 
 def write_behaviour(path: Path, behaviour: Behaviour) -> None:
