@@ -111,7 +111,6 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         safe_trajectory=[] if phi is None else [_point(*position) for position in phi.positions],
         options=options_to_text(spec),
         controller_seed=np.frombuffer(controller_seed(spec.seed, spec.episode_id), np.uint8),
-        sealed=np.zeros(0, np.uint8),
     )
     sent = [Sent(EPISODE, episode, start)]
     stamp = start

@@ -20,7 +20,7 @@ import time
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-from skd_evaluator.ros.programs.domain import _in_use, _reserve, _reserved
+from skd_evaluator.ros.domains import _in_use, _reserve, _reserved
 
 NODES = (
     "skd_sim.nodes.vehicle_simulator",

@@ -15,7 +15,7 @@ from skd_evaluator.margin.search.episode_search import walked_margins, why_not_w
 from skd_evaluator.margin.search.episode_tree import EpisodeTree, walked
 from skd_evaluator.margin.search.picture import Picture
 from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.ros.readiness.simulator_check import refuted
+from skd_evaluator.ros.evaluator import refuted
 from skd_sim.controllers import BasicController, Controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode

@@ -5,17 +5,15 @@ from __future__ import annotations
 import pytest
 from ackermann_msgs.msg import AckermannDriveStamped
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import AccelStamped, Twist, TwistStamped
+from geometry_msgs.msg import AccelStamped, TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Path
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Joy
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import NAMED_FORMATS, Quantity
 from skd_sim.messages.command_messages import CarCommands, car_commands
-from skd_sim.messages.stream_cdr import CdrError
 from std_msgs.msg import Float64MultiArray, Header
 
 NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)
@@ -49,10 +47,10 @@ def test_the_number_at_the_path_is_read(value: float, other: float, sec: int, na
     ):
         assert chosen.kind is type(message)
         assert chosen.stamped == (expected[0] is not None)
-        assert chosen.read(bytes(serialize_message(message))) == (expected[0], (expected[1], 0.0))
+        assert chosen.read(message) == (expected[0], (expected[1], 0.0))
     drive = AckermannDriveStamped(header=header)
     drive.drive.speed, drive.drive.acceleration, drive.drive.jerk = value, abs(other), 9.0
-    assert commands("ackermann").read(bytes(serialize_message(drive))) == (stamp, (value, abs(other)))
+    assert commands("ackermann").read(drive) == (stamp, (value, abs(other)))
 
 
 def test_what_a_type_means() -> None:
@@ -96,8 +94,5 @@ def test_a_wrong_type_or_field_is_one_line(kind: str, field: str, said: str) -> 
 
 def test_a_message_without_the_element_is_left_out() -> None:
     read = commands("nav_msgs/msg/Path", "poses[2].pose.position.x").read
-    with pytest.raises(CdrError, match="list index out of range"):
-        read(bytes(serialize_message(Path())))
-    for bad in (b"", b"\0\1\0\0", bytes(serialize_message(Twist()))[:20]):
-        with pytest.raises(CdrError):
-            commands("twist").read(bad)
+    with pytest.raises(IndexError):
+        read(Path())

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 import rclpy
 from common import PATIENCE, new_domain, wait_until
-from graph_support import assert_all_gone, in_domain, pids_with, whole_graph
+from graph_support import assert_all_gone, in_domain, whole_graph
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.ros.programs import processes
+from skd_evaluator.ros import processes
 from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
 from skd_sim.episode.episode import Episode, EpisodeLog
 
@@ -37,15 +37,15 @@ rclpy.node.Node.destroy_node = destroy_node
 NODE = (
     HANGS
     + """
-from skd_sim.nodes import executor
+from skd_sim.nodes import support
 from skd_sim.start import start
-spin = executor.LockstepExecutor.spin
+spin = support.spin
 
-def spin_and_say_so(self, *arguments):
+def spin_and_say_so(*arguments):
     pathlib.Path(sys.argv[1] + "-ready").touch()
-    spin(self, *arguments)
+    spin(*arguments)
 
-executor.LockstepExecutor.spin = spin_and_say_so
+support.spin = spin_and_say_so
 sys.exit(start(sys.argv[2]))
 """
 )
@@ -106,57 +106,6 @@ def test_a_controller_whose_end_hangs(
     assert 1.5 < took < 2.0 + MARGIN
     lines = [line for line in capfd.readouterr().err.splitlines() if "killed" in line]
     assert lines == ["skd: car_controller did not end within 2 s of SIGINT; it is killed, with its group"]
-
-
-HIDES = """
-import os, signal, subprocess, sys, time
-child = os.fork()
-if child == 0:
-    os.setsid()
-    if os.fork() == 0:
-        for number in (1, 2, 15): signal.signal(number, signal.SIG_IGN)
-        os.execve("/bin/sleep", ["sleep", "1000.%d" % int(sys.argv[1])], {})
-    os._exit(0)
-os.waitpid(child, 0)
-os.execv(sys.executable, [sys.executable, *sys.argv[2:]])
-"""
-
-
-def sleepers(number: int) -> list[int]:
-    """Processes that sleep for a time that only this test has."""
-    wanted = b"sleep\0" + b"1000.%d\0" % number
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal():
-            try:
-                if (entry / "cmdline").read_bytes() == wanted:
-                    found.append(int(entry.name))
-            except OSError:
-                pass
-    return found
-
-
-@pytest.mark.parametrize("dies", [False, True])
-def test_a_hidden_child_of_a_controller_ends_with_it(
-    tmp_path: Path, episode: Episode, expected: EpisodeLog, dies: bool
-) -> None:
-    """In a session of its own, with no parent and an empty environment."""
-    number = os.getpid()
-    node = ["-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
-    command = shlex.join([sys.executable, "-c", HIDES, str(number), *node])
-    try:
-        with whole_graph(tmp_path, GraphOptions(controller_command=command)) as (evaluator, token):
-            assert evaluator.run_episode(episode).car.tobytes() == expected.car.tobytes()
-            first = sleepers(number)
-            assert len(first) == 1
-            if dies:
-                (pid,) = [pid for pid, line in pids_with(token).items() if "car_controller" in line]
-                os.kill(pid, signal.SIGKILL)
-                wait_until(lambda: first[0] not in sleepers(number), "the child's end")
-        assert sleepers(number) == []
-    finally:
-        for pid in sleepers(number):
-            os.kill(pid, signal.SIGKILL)
 
 
 ASSESS = """

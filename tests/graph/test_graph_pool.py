@@ -35,7 +35,7 @@ class Graphs:
         yield cast(
             Evaluator,
             SimpleNamespace(
-                readiness=SimpleNamespace(prepare=lambda _patience: None),
+                prepare=lambda _patience: None,
                 run_episode=lambda one: EpisodeLog(one, Outcome.ABORTED, np.empty((0, 2)), np.empty((0, 3))),
                 publish_assessment=lambda rating: self.published.append((number, rating)),
             ),

@@ -33,15 +33,15 @@ def graph(context: ForkServerContext, domain: int, folder: Path) -> Iterator[Eva
 
 def deaf(node: Evaluator, monkeypatch: pytest.MonkeyPatch, seconds: float) -> Callable[[], bool]:
     """Keep the evaluator from listening for a while, once it has heard the first state; return whether it was."""
-    listen, was = node._spinner.spin_once, list[bool]()
+    listen, was = node._spin, list[bool]()
 
-    def spin_once(timeout_sec: float | None = None) -> None:
+    def spin(timeout: float) -> None:
         if not was and node._samples.car:
             was.append(True)
             time.sleep(seconds)
-        listen(timeout_sec=timeout_sec)
+        listen(timeout)
 
-    monkeypatch.setattr(node._spinner, "spin_once", spin_once)
+    monkeypatch.setattr(node, "_spin", spin)
     return lambda: bool(was)
 
 

@@ -365,5 +365,5 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert finished.code == 130
         assert len(finished.timeless) == 1, finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
-    # What SIGKILL leaves is ended by others, the kernel and the guardian, and they need a moment.
+    # What SIGKILL leaves is ended by others, the watching shell, and they need a moment.
     wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 1.0)

@@ -13,7 +13,7 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.learning.attempts import own_attempts
-from skd_evaluator.ros.recording.recording import bag_name
+from skd_evaluator.ros.recording import bag_name
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario

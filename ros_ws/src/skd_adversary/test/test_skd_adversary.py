@@ -24,7 +24,7 @@ def test_node(watcher, start):
     assert values == wanted
     assert [name for name in wanted if name != "use_sim_time" and not descriptions[name]] == []
     # Nobody handed it a key, so all is told.
-    said = {"/adversary/velocity_command", "/skd/episode_receipt", "/skd/believed_car"}
+    said = {"/adversary/velocity_command", "/skd/believed_car"}
     topics = (said, {"/ego/odometry", "/skd/episode"})
     assert topics_of(watcher, name, topics) == topics
     assert interrupt(process) == (0, "")

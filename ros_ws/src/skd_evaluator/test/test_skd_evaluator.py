@@ -41,7 +41,7 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     assert {name: values[name] for name in wanted} == {**wanted, "out": str(tmp_path / "out")}
     own = {"use_sim_time"} | {name for name in values if name.startswith("qos_overrides")}
     assert [name for name in values if name not in own and not descriptions[name]] == []
-    states = {"/ego/odometry", "/adversary/odometry", "/skd/episode_result", "/skd/episode", "/skd/episode_receipt"}
+    states = {"/ego/odometry", "/adversary/odometry", "/skd/episode_result"}
     recorded = {"/clock", "/ego/acceleration_command", "/adversary/velocity_command"}
     recorded |= {"/robot_description", "/tf", "/tf_static"}
     said = {"/skd/assessment", "/skd/episode", "/skd/markers", "/skd/clearance", "/skd/deformation"}

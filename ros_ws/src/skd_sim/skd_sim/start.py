@@ -15,7 +15,6 @@ from skd_sim.program.closed import open_closed
 from skd_sim.program.interruption import Interruption
 from skd_sim.program.lasting import import_lasting
 from skd_sim.program.places import places_put_off
-from skd_sim.program.secret import handed_secret
 
 
 def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
@@ -34,7 +33,6 @@ def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
     interruption.listen()
     code = interrupted
     try:
-        handed_secret()  # before anybody else finds it
         main = import_lasting(module).main
         if not interruption.came:
             code = int(main())

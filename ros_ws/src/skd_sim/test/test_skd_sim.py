@@ -26,7 +26,7 @@ if importlib.util.find_spec("vision_msgs"):
 FRAMES = {"/robot_description", "/tf", "/tf_static"}
 TOPICS = {
     "vehicle_simulator": (
-        {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_receipt", "/skd/episode_result"},
+        {"/clock", *STATES, *SENSORS, *FRAMES, "/skd/episode_result"},
         {*COMMANDS, "/skd/episode"},
     ),
     "car_controller": ({COMMANDS[0]}, {*STATES, "/skd/episode"}),

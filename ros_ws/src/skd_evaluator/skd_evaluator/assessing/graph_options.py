@@ -97,14 +97,6 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         launches=(),
         commands=("assess", "episode", "probe"),
     )
-    open_episodes: bool = graph_option(
-        False,
-        "everybody on the graph is told what each episode is: mode, seed and safe trajectory on /skd/episode, the safe "
-        "trajectory in /skd/markers. Without it only SKD's own nodes know, for a controller could behave differently "
-        "in kamikaze episodes",
-        launches=(),
-        commands=("assess", "episode", "probe"),
-    )
 
     @property
     def resets(self) -> tuple[str, ...]:

@@ -1,75 +1,92 @@
-"""Simulator and adversary in the evaluator's process: three nodes, one executor, and the car under test apart.
+"""Simulator and adversary as plain objects in the evaluator's process: they hear each other by calls.
 
-What the three say to each other goes by a call; the wire carries states to the car and its commands back, and whatever
-somebody else listens to. While the adversary plans, the car decides.
+Topics carry the states to the car and its commands back, and whatever somebody else listens to. While the adversary
+plans, the car decides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from pathlib import Path
+from typing import Any
 
-from rclpy.context import Context
 from rclpy.node import Node
-from skd_adversary.nodes.adversary_node import AdversaryNode
+from skd_adversary.nodes.adversary_node import GraphAdversary
+from skd_msgs.msg import Episode as EpisodeMsg
 from skd_sim.episode.aborts import AbortKind, abort_reason
-from skd_sim.nodes.composition.exchange import Exchange
-from skd_sim.nodes.composition.place import LogFile, Place
-from skd_sim.nodes.support import (
-    ADVERSARY_ODOMETRY,
-    CLOCK,
-    EGO_ODOMETRY,
-    EPISODE,
-    EPISODE_RECEIPT,
-    EPISODE_RESULT,
-    ROBOT_DESCRIPTION,
-    TF,
-    TF_STATIC,
-    VELOCITY_COMMAND,
-)
-from skd_sim.nodes.vehicle_simulator import VehicleSimulator
+from skd_sim.episode.episode import Episode, Outcome
+from skd_sim.nodes.simulator_node import GraphSimulator
+from skd_sim.simulation.named_simulator import NamedSimulator
+from skd_sim.simulation.simulator import Frame
+from skd_sim.state import CarState
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.ros.programs.node_logs import ADVERSARY, SIMULATOR
-
-_BY_CALL = (
-    *(CLOCK, TF, TF_STATIC, ROBOT_DESCRIPTION, EGO_ODOMETRY, ADVERSARY_ODOMETRY),
-    *(VELOCITY_COMMAND, EPISODE, EPISODE_RECEIPT, EPISODE_RESULT),
-)
 
 
 class Composed:
-    """The nodes that an evaluator has beside it in its process.
+    """Both sides of an episode, through the evaluator's own node."""
 
-    Attributes:
-        exchange: by which the evaluator speaks with them.
-        nodes: simulator and adversary, which the evaluator's executor has to run.
-    """
-
-    def __init__(self, context: Context, options: GraphOptions, secret: bytes, log_folder: Path) -> None:
-        """Make them.
+    def __init__(
+        self,
+        node: Node,
+        options: GraphOptions,
+        on_frame: Callable[[int, Frame], None],
+        on_result: Callable[[Any], None],
+    ) -> None:
+        """Make both.
 
         Args:
-            context: ROS context of the graph.
-            options: how to run it.
-            secret: by which what is said of episodes is shut.
-            log_folder: folder for what the nodes log, each in a file of its own.
+            node: the evaluator, through which they speak with everybody else.
+            options: how the graph is run.
+            on_frame: called with each state and its stamp (ns).
+            on_result: called with the result of each episode.
         """
-        self.exchange = Exchange([f"/{topic.lstrip('/')}" for topic in _BY_CALL])  # its nodes have no namespace
-        self._problems: list[str] = []
-        place = partial(Place, context=context, secret=secret or None, exchange=self.exchange, failed=self._failed)
-        # First: where they cannot be, no node is left behind.
-        logs = {name: LogFile(log_folder / f"{name}.log", name) for name in (SIMULATOR, ADVERSARY)}
-        self.nodes: tuple[Node, ...] = (
-            VehicleSimulator(place(values=options.simulator_parameters(), log=logs[SIMULATOR])),
-            AdversaryNode(place(log=logs[ADVERSARY])),
-        )
+        self._on_frame, self._on_result = on_frame, on_result
+        self._simulator = GraphSimulator(node, NamedSimulator(), options.simulator_parameters(), alone=False)
+        self._simulator.on_frame = self._hear_frame
+        self._simulator.on_result = self._hear_result
+        self._adversary = GraphAdversary(node)
+        self._due: Callable[[], None] | None = None
+        self._problem: str | None = None
 
-    def _failed(self, name: str, error: Exception) -> None:
+    def begin(self, episode: Episode, message: EpisodeMsg) -> None:
+        """Begin an episode, which a message says to others; what goes wrong is said by `problem`."""
+        self._due = self._problem = None
+        try:
+            self._adversary.begin(episode)
+        except Exception as error:  # an objective may be of somebody else's package
+            self._fail(error)
+        else:
+            self._simulator.begin(message)
+
+    def work(self) -> None:
+        """Let the adversary decide, if it is its turn; to be called when all others have been heard."""
+        due, self._due = self._due, None
+        if due is not None:
+            due()
+
+    def problem(self) -> str | None:
+        """Return why the episode cannot go on, as the reason of an abort; none where it can."""
+        return self._problem
+
+    def _hear_frame(self, stamp: int, frame: Frame) -> None:
+        self._on_frame(stamp, frame)
+        if not frame.period and frame.outcome == Outcome.RUNNING:  # the car decides in between, the adversary does not
+            self._due = partial(self._decide, frame.tick, stamp, frame.car)
+
+    def _hear_result(self, result: Any) -> None:
+        self._due = None  # nobody waits for an answer to the last state
+        self._on_result(result)
+
+    def _decide(self, tick: int, stamp: int, car: CarState) -> None:
+        try:
+            velocity = self._adversary.answer(tick, stamp, car)
+        except Exception as error:
+            self._fail(error)
+            return
+        if velocity is not None:
+            self._simulator.walk(stamp, velocity)
+
+    def _fail(self, error: Exception) -> None:
         said = str(error).partition("\n")[0]
-        self._problems.append(abort_reason(AbortKind.FAILED, f"{name}: {type(error).__name__}: {said}"))
-
-    def check(self) -> str | None:
-        """Return what was wrong since it was asked last; none where all are well."""
-        problems, self._problems = self._problems, []
-        return " and ".join(dict.fromkeys(problems)) or None
+        self._problem = abort_reason(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")

@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from nav_msgs.msg import Odometry
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from skd_adversary.adversary import Adversary, make_adversary
@@ -19,10 +20,8 @@ from skd_sim.episode.command_ages import CommandAges
 from skd_sim.episode.episode import Episode, EpisodeLog
 from skd_sim.lockstep.commands import Quantity
 from skd_sim.messages.command_messages import car_commands
-from skd_sim.messages.stream_cdr import read_adversary
-from skd_sim.nodes.composition.place import Place
-from skd_sim.nodes.executor import LockstepExecutor
-from skd_sim.nodes.support import ADVERSARY_ODOMETRY, listen
+from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary
+from skd_sim.nodes.support import ADVERSARY_ODOMETRY, STREAM, spin
 from skd_sim.state import AdversaryState, CarState
 
 from skd_evaluator.driving.hand import Wish
@@ -37,11 +36,11 @@ _FAREWELL = 2.0  # s for the node's thread to end
 class DrivingNode(AdversaryNode):
     """The adversary's node, moved by a hand or along φ; it shows each state of the car as it comes."""
 
-    def __init__(self, place: Place, commands: CommandOptions, hand_for: HandFor, show: Show) -> None:
+    def __init__(self, context: Context, commands: CommandOptions, hand_for: HandFor, show: Show) -> None:
         """Declare its topics.
 
         Args:
-            place: where it runs.
+            context: ROS context of the graph.
             commands: what the car under test publishes.
             hand_for: gives who moves the adversary.
             show: called with each situation.
@@ -50,17 +49,17 @@ class DrivingNode(AdversaryNode):
         def make(episode: Episode) -> Adversary:
             return hand_for(episode) or make_adversary(episode)
 
-        super().__init__(place, make=make)
-        heard = car_commands(commands)
-        self._show, self._unit = show, _UNITS[heard.format.quantity]
+        super().__init__(make=make, context=context)
+        self._heard = car_commands(commands)
+        self._show, self._unit = show, _UNITS[self._heard.format.quantity]
         self._moment = (-1, -1)
         self._seen: dict[int, tuple[int, int, CarState]] = {}
         self._there: dict[int, AdversaryState] = {}
         self._ages = CommandAges(waited_for=False)
         self._drive = math.nan
         self._onlooker: Onlooker | None = None
-        listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, self._on_adversary)
-        listen(self, heard.kind, commands.command_topic, heard.read, self._on_drive)
+        self.create_subscription(Odometry, ADVERSARY_ODOMETRY, self._on_adversary, STREAM)
+        self.create_subscription(self._heard.kind, commands.command_topic, self._on_drive, STREAM)
 
     def _on_begin(self, episode: Episode) -> None:
         super()._on_begin(episode)
@@ -80,12 +79,14 @@ class DrivingNode(AdversaryNode):
         self._seen[stamp] = tick, period, car
         self._look(stamp)
 
-    def _on_adversary(self, stamp: int, adversary: AdversaryState) -> None:
-        self._there[stamp] = adversary
+    def _on_adversary(self, message: Odometry) -> None:
+        stamp = from_stamp(message.header.stamp)
+        self._there[stamp] = odometry_to_adversary(message)
         self._look(stamp)
 
-    def _on_drive(self, stamp: int | None, command: tuple[float, float]) -> None:
+    def _on_drive(self, message: Any) -> None:
         if self._moment != (-1, -1):
+            stamp, command = self._heard.read(message)
             self._drive = command[0]
             self._ages.come(stamp or None, time.monotonic())
 
@@ -117,9 +118,9 @@ class Watched:
         self._evaluator: Evaluator | None = None
 
     @contextmanager
-    def adversary(self, place: Place) -> Iterator[Node]:
-        """Run the adversary's node at a place, in a thread, as long as this lasts, and yield it."""
-        node = DrivingNode(place, self._commands, self._hand_for, self._show)
+    def adversary(self, context: Context) -> Iterator[Node]:
+        """Run the adversary's node in a context, in a thread, as long as this lasts, and yield it."""
+        node = DrivingNode(context, self._commands, self._hand_for, self._show)
         over = threading.Event()
         thread = threading.Thread(target=_spin, args=(node, over), name="skd-drive", daemon=True)
         thread.start()
@@ -156,4 +157,4 @@ class Watched:
 
 def _spin(node: Any, over: threading.Event) -> None:
     with suppress(ExternalShutdownException):
-        LockstepExecutor(node).spin(over.is_set)
+        spin(node, over.is_set)

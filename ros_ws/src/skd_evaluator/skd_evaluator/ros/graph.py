@@ -5,25 +5,19 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.messages.command_messages import car_commands
-from skd_sim.messages.seal import KEY_SIZE, Seal
-from skd_sim.nodes.composition.place import Place
 
 from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
-from skd_evaluator.ros.composed import Composed
+from skd_evaluator.ros.domains import context_of
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.programs.contexts import context_of
-from skd_evaluator.ros.programs.node_logs import ADVERSARY, CONTROLLER, SIMULATOR, concerned
-from skd_evaluator.ros.programs.processes import Supervisor
-from skd_evaluator.ros.programs.programs import graph_programs
+from skd_evaluator.ros.processes import ADVERSARY, CONTROLLER, Supervisor, concerned, graph_programs
 from skd_evaluator.ros.readiness.lifecycle import resetting
-from skd_evaluator.ros.recording.bag_recorder import SETTLE
-from skd_evaluator.ros.recording.bags_behind import BagsBehind
+from skd_evaluator.ros.recording import SETTLE
 
 _CERTAIN = 1.0 / 3.0
 """Share of the time that a stack has to start after which commands that come elsewhere will not come here."""
@@ -76,21 +70,18 @@ def running_graph(
     """
     options = setting.options
     commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
-    secret = b"" if options.open_episodes else os.urandom(KEY_SIZE)
-    watched, seal = setting.watched, Seal(secret or None)
-    together = watched is None and options.composes(setting.simulator)
+    watched = setting.watched
+    composed = watched is None and options.composes(setting.simulator)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    programs = graph_programs(options, setting.controller, environment, None if together else secret)
+    programs = graph_programs(options, setting.controller, environment, composed=composed)
     if watched is not None:
         del programs[ADVERSARY]
-    composed: Composed | None = None
 
     def check_processes() -> str | None:
         refuse_to_go_on()
         if watched is not None:
             watched.check()
-        problems = (supervisor.check(), composed.check() if composed else None)
-        return " and ".join(filter(None, problems)) or None
+        return supervisor.check()
 
     def replace_silent(reason: str) -> None:
         for name in concerned(reason):
@@ -104,13 +95,10 @@ def running_graph(
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, log_folder, setting.say))
         context, done = stack.enter_context(context_of(domain))
-        if together:
-            composed = Composed(context, options, secret, log_folder)
-            done += composed.nodes
-        evaluator = Evaluator(context, name, composed)
+        evaluator = Evaluator(context, name, options if composed else None, start_parameter_services=False)
         done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
         if watched is not None:
-            done.append(stack.enter_context(watched.adversary(Place(context=context, secret=secret or None))))
+            done.append(stack.enter_context(watched.adversary(context)))
         reset = stack.enter_context(
             resetting(
                 context,
@@ -119,7 +107,6 @@ def running_graph(
                 check_processes=check_processes,
             )
         )
-        bags = stack.enter_context(closing(BagsBehind()))
         evaluator.begin_campaign(
             setting.campaign,
             record_to=setting.record_to,
@@ -129,15 +116,11 @@ def running_graph(
             after_silence=replace_silent,
             commands=options,
             own_world=True,
-            receipts_of=(SIMULATOR, ADVERSARY),
-            seal=seal,
             anew=RESTART in options.resets,
             settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
-            write=bags.write,
             say=setting.say,
             log_folder=log_folder,
             # Who has not started the stack here may be mending it in another terminal.
             patience=_CERTAIN * options.startup_timeout if options.controller_command else math.inf,
         )
         yield evaluator
-        bags.finish()  # an error ends the graph as if it had come at once

@@ -146,7 +146,7 @@ class GraphPool:
                     self._evaluators[number] = evaluator
                     self._changed.notify_all()
                 while True:
-                    evaluator.readiness.prepare(self._patience)
+                    evaluator.prepare(self._patience)
                     place, episode = self._next()
                     log = evaluator.run_episode(episode)
                     with self._changed:

@@ -1,6 +1,6 @@
 """Figures that Foxglove plots: how far car and adversary are apart, and how far the adversary has strayed from φ.
 
-Standard messages of one number each. What tells φ is published only where everybody may know it; a recording has both.
+Standard messages of one number each, published where somebody listens; a recording has both.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ class LiveFigures:
         self._deformation = node.create_publisher(Float64, DEFORMATION, STREAM)
         self._onlooker: Onlooker | None = None
 
-    def begin(self, episode: Episode, start: int, *, with_phi: bool) -> None:
+    def begin(self, episode: Episode, start: int) -> None:
         """Begin an episode.
 
         Args:
             episode: what is run.
             start: stamp of its tick 0, ns.
-            with_phi: whether everybody may know φ.
         """
         listeners = self._clearance.get_subscription_count() + self._deformation.get_subscription_count()
         self._onlooker = Onlooker(episode) if listeners else None
-        self._scenario, self._start, self._with_phi = episode.scenario, start, with_phi
+        self._scenario, self._start = episode.scenario, start
         self._cars: dict[int, CarState] = {}
         self._adversaries: dict[int, AdversaryState] = {}
 
@@ -62,7 +61,7 @@ class LiveFigures:
             return
         seen = self._onlooker.see(*place, self._cars.pop(stamp), self._adversaries.pop(stamp), math.nan, math.nan)
         self._clearance.publish(Float64(data=seen.clearance))
-        if self._with_phi and not math.isnan(seen.strayed):
+        if not math.isnan(seen.strayed):
             self._deformation.publish(Float64(data=seen.strayed))
 
 

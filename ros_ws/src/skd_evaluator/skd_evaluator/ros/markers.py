@@ -105,13 +105,13 @@ def _body(marker: Marker, body: Body, place: tuple[float, float]) -> Marker:
     return _box(marker, (*place, 0.5 * height), size)
 
 
-def fixed_markers(episode: Episode, stamp: int, *, with_phi: bool = True) -> list[Marker]:
+def fixed_markers(episode: Episode, stamp: int) -> list[Marker]:
     """Return the markers of an episode that stay as they are: lanes, what stands, and φ; from `stamp` (ns) on."""
     markers = _lanes(episode.scenario.road, stamp)
     for index, (x, y, heading, half_length, half_width) in enumerate(episode.scenario.rectangles.tolist()):
         box = _turned(_marker(_OBSTACLES + index, Marker.CUBE, stamp, _rgba(palette.OBSTACLE)), heading)
         markers.append(_box(box, (x, y, 0.5 * CAR_HEIGHT), (2.0 * half_length, 2.0 * half_width, CAR_HEIGHT)))
-    if with_phi and episode.safe_trajectory is not None:
+    if episode.safe_trajectory is not None:
         path = _marker(_SAFE, Marker.LINE_STRIP, stamp, _rgba(palette.SAFE))
         markers.append(_line(path, episode.safe_trajectory.positions.tolist(), 0.1))
     return markers
@@ -148,10 +148,10 @@ def moving_markers(
     return markers
 
 
-def episode_markers(episode: Episode, samples: Samples, stamp: int, *, with_phi: bool) -> MarkerArray:
-    """Return all markers of an episode at simulation time `stamp` (ns); φ where everybody may know it."""
+def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArray:
+    """Return all markers of an episode at simulation time `stamp` (ns)."""
     place = samples.car[stamp][:2] if stamp in samples.car else None
     walked = [samples.adversary[time] for time in sorted(samples.adversary)]
     elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
     moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
-    return MarkerArray(markers=[*fixed_markers(episode, stamp, with_phi=with_phi), *moving])
+    return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])

@@ -21,8 +21,7 @@ from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_s
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.programs.domain import choose_domain, free_domain
-from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.processes import log_of
 from skd_evaluator.ros.readiness.failures import Failures
 
 if TYPE_CHECKING:
@@ -87,7 +86,8 @@ def graph_session(
         UsageError: a process cannot be started.
         AssessmentError: the graph cannot go on; says where the logs are.
     """
-    from skd_evaluator.ros.graph import GraphSetting, running_graph  # only here: ROS may be added by `prepare_ros`
+    from skd_evaluator.ros.domains import choose_domain  # only here: ROS may be added by `prepare_ros`
+    from skd_evaluator.ros.graph import GraphSetting, running_graph
 
     domain = choose_domain()
     say = say or _say
@@ -132,6 +132,7 @@ def graphs_session(
 def _pool(
     options: GraphOptions, controller: str, simulator: str, campaign: str, log_folder: Path, record_to: Path | None
 ) -> Iterator[GraphPool]:
+    from skd_evaluator.ros.domains import choose_domain, free_domain
     from skd_evaluator.ros.graph import GraphSetting
     from skd_evaluator.ros.graph_pool import GraphPool, without_echo
 

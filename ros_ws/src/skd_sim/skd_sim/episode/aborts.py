@@ -22,7 +22,6 @@ class AbortKind(StrEnum):
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
     REFUTED = "refuted"  # by where car and adversary were
-    UNASKED = "not as asked"  # a node took the episode for another, or runs other code
     SLIPPED = "pacing slipped"  # the simulator did not keep real time
     FAILED = "failed"  # it said so itself
     OTHER = "other"

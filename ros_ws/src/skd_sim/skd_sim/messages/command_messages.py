@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from geometry_msgs.msg import AccelStamped, TwistStamped
-from rclpy.serialization import deserialize_message
 from rosidl_parser.definition import AbstractNestedType, Array, BasicType, NamespacedType
 
 from skd_sim.choices.graph_options import CommandOptions
@@ -20,15 +18,13 @@ from skd_sim.choices.registry import reason_of
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import CommandFormat, command_format
 from skd_sim.messages.from_messages import from_stamp
-from skd_sim.messages.stream_cdr import CdrError, read_linear
 
-Reader = Callable[[bytes], tuple[int | None, tuple[float, float]]]
-"""From bytes to the stamp (ns; none where the type has none) and the command with its limit (0: none)."""
+Reader = Callable[[Any], tuple[int | None, tuple[float, float]]]
+"""From a message to its stamp (ns; none where the type has none) and the command with its limit (0: none)."""
 
 _STEP = re.compile(r"([A-Za-z]\w*)(?:\[(\d+)\])?")
 _NOT_NUMBERS = ("boolean", "char", "wchar", "octet")
 _MOST_NAMED = 24  # fields in one line of an error
-_LIKE_LINEAR = (AccelStamped, TwistStamped)  # a header, then float64 alone, the first of which is linear.x
 _TIME = "builtin_interfaces/msg/Time"
 
 
@@ -40,7 +36,7 @@ class CarCommands:
         format: format of the commands, as it was asked for.
         kind: class of its messages.
         stamped: whether the messages say for which time they are, in header.stamp or stamp.
-        read: takes one out of its bytes; raises `CdrError` where they are no such message.
+        read: takes one out of a message; raises `IndexError` where its array is too short.
     """
 
     format: CommandFormat
@@ -60,22 +56,12 @@ def car_commands(options: CommandOptions) -> CarCommands:
     take = _getter(chosen.field, kind, chosen.type)
     limit = _getter(chosen.limit, kind, chosen.type) if chosen.limit else None
     stamp = _stamp_getter(kind)
-    if kind in _LIKE_LINEAR and chosen.field.endswith(".linear.x"):
-        return CarCommands(chosen, kind, stamp is not None, _read_linear_x)
 
-    def read(data: bytes) -> tuple[int | None, tuple[float, float]]:
-        try:
-            message = deserialize_message(data, kind)
-            return stamp and from_stamp(stamp(message)), (float(take(message)), float(limit(message)) if limit else 0.0)
-        except Exception as error:  # whatever rmw finds wrong with the bytes, or an index that this message has not
-            raise CdrError(reason_of(error)) from error
+    def read(message: Any) -> tuple[int | None, tuple[float, float]]:
+        said = from_stamp(stamp(message)) if stamp else None
+        return said, (float(take(message)), float(limit(message)) if limit else 0.0)
 
     return CarCommands(chosen, kind, stamp is not None, read)
-
-
-def _read_linear_x(data: bytes) -> tuple[int | None, tuple[float, float]]:
-    stamp, (x, _) = read_linear(data)
-    return stamp, (x, 0.0)
 
 
 def message_class(name: str) -> type:

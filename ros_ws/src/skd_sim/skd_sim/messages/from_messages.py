@@ -72,13 +72,14 @@ class CarEpisode(NamedTuple):
 
 
 def message_to_car_episode(message: Any) -> CarEpisode:
-    """Return what a message tells the car, whether the rest of it is sealed or not.
+    """Return what a message tells the car.
 
     Raises:
         UsageError: its scenario is not valid.
     """
     rng = controller_generator(bytes(message.controller_seed))
-    return CarEpisode(_scenario(str(message.scenario)), str(message.controller), float(message.multiplier), rng)
+    told = str(message.public_scenario or message.scenario)
+    return CarEpisode(_scenario(told), str(message.controller), float(message.multiplier), rng)
 
 
 def message_to_episode(message: Any) -> Episode:
@@ -92,8 +93,10 @@ def message_to_episode(message: Any) -> Episode:
     if len(message.safe_trajectory) > 0:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
+    public = str(getattr(message, "public_scenario", ""))  # which recordings of earlier versions have not
     return Episode(
         scenario=_scenario(str(message.scenario)),
+        shown=_scenario(public) if public else None,
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),

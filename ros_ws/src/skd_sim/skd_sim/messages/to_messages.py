@@ -42,32 +42,38 @@ def to_orientation(heading: float) -> Quaternion:
     return Quaternion(z=math.sin(0.5 * heading), w=math.cos(0.5 * heading))
 
 
-def car_to_odometry(car: CarState, stamp: int, frames: Frames = FRAMES) -> Odometry:
-    """Return the car's odometry: pose of the reference point in `odom`, speed along the car's own x axis."""
-    message = Odometry()
-    message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = frames.odom
-    message.child_frame_id = frames.base
-    message.pose.pose.position.x = car.x
-    message.pose.pose.position.y = car.y
-    message.pose.pose.orientation = to_orientation(car.heading)
-    message.twist.twist.linear.x = car.speed
+@functools.cache
+def _odometry(frame: str, child: str) -> Odometry:
+    """Return the one message that is filled again for each state: to make another one takes longer than to publish."""
+    message = Odometry(child_frame_id=child)
+    message.header.frame_id = frame
     message.pose.covariance = message.twist.covariance = COVARIANCE_6
     return message
 
 
-def adversary_to_odometry(adversary: AdversaryState, stamp: int) -> Odometry:
-    """Return the adversary's odometry; the twist is along the axes of `map`, whichever way a box points."""
-    message = Odometry()
+def car_to_odometry(car: CarState, stamp: int, frames: Frames = FRAMES) -> Odometry:
+    """Return the car's odometry: pose of the reference point in `odom`, speed along the car's own x axis.
+
+    The message is the same object in each call, for publishing at once.
+    """
+    message = _odometry(frames.odom, frames.base)
     message.header.stamp = to_stamp(stamp)
-    message.header.frame_id = MAP_FRAME
-    message.child_frame_id = ADVERSARY_FRAME
+    message.pose.pose.position.x = car.x
+    message.pose.pose.position.y = car.y
+    message.pose.pose.orientation = to_orientation(car.heading)
+    message.twist.twist.linear.x = car.speed
+    return message
+
+
+def adversary_to_odometry(adversary: AdversaryState, stamp: int) -> Odometry:
+    """Return the adversary's odometry, as `car_to_odometry`; the twist is along the axes of `map`."""
+    message = _odometry(MAP_FRAME, ADVERSARY_FRAME)
+    message.header.stamp = to_stamp(stamp)
     message.pose.pose.position.x = adversary.x
     message.pose.pose.position.y = adversary.y
     message.pose.pose.orientation = to_orientation(adversary.heading)
     message.twist.twist.linear.x = adversary.vx
     message.twist.twist.linear.y = adversary.vy
-    message.pose.covariance = message.twist.covariance = COVARIANCE_6
     return message
 
 
@@ -188,6 +194,8 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.mode = int(episode.mode)
     message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
     message.scenario = scenario_text(episode.scenario)
+    if episode.shown is not None:
+        message.public_scenario = scenario_text(episode.shown)
     for one in options_of(Episode):
         if one.field:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import AccelStamped
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
 from skd_sim.choices.car_under_test import CarUnderTest
@@ -22,8 +21,15 @@ from skd_sim.controllers import (
     sight_of,
 )
 from skd_sim.errors import NoNumberError, UsageError
-from skd_sim.messages.from_messages import CarEpisode, from_stamp, message_to_car_episode, message_to_scan
-from skd_sim.messages.stream_cdr import read_adversary, read_car, write_acceleration
+from skd_sim.messages.from_messages import (
+    CarEpisode,
+    from_stamp,
+    message_to_car_episode,
+    message_to_scan,
+    odometry_to_adversary,
+    odometry_to_car,
+)
+from skd_sim.messages.to_messages import acceleration_command
 from skd_sim.nodes.episode_follower import EpisodeFollower
 from skd_sim.nodes.support import (
     ACCELERATION_COMMAND,
@@ -31,9 +37,9 @@ from skd_sim.nodes.support import (
     EGO_ODOMETRY,
     EGO_SCAN,
     STREAM,
+    GraphNode,
     Setting,
     declare,
-    listen,
     run_node,
 )
 
@@ -43,7 +49,7 @@ _SETTINGS = (
 )
 
 
-class CarController(Node):
+class CarController(GraphNode):
     """Answers each state with the acceleration for the coming control period."""
 
     def __init__(self) -> None:
@@ -57,11 +63,12 @@ class CarController(Node):
         self._adversary: dict[int, Any] = {}
         self._scan: dict[int, Any] = {}
         self._scans: Any = None  # subscription, while the controller wants scans
-        self._answered: dict[int, bytes] = {}
+        self._answered: dict[int, AccelStamped] = {}
         self._command = self.create_publisher(AccelStamped, ACCELERATION_COMMAND, STREAM)
         self._follower = EpisodeFollower(self, message_to_car_episode, self._on_begin, self._on_frame)
-        listen(self, Odometry, EGO_ODOMETRY, read_car, partial(self._on_state, self._car))
-        listen(self, Odometry, ADVERSARY_ODOMETRY, read_adversary, partial(self._on_state, self._adversary))
+        self.create_subscription(Odometry, EGO_ODOMETRY, partial(self._on_odometry, self._car, odometry_to_car), STREAM)
+        of_adversary = partial(self._on_odometry, self._adversary, odometry_to_adversary)
+        self.create_subscription(Odometry, ADVERSARY_ODOMETRY, of_adversary, STREAM)
 
     def _on_begin(self, episode: CarEpisode) -> None:
         name = self._settings["controller"] or episode.controller
@@ -85,6 +92,9 @@ class CarController(Node):
             self.destroy_subscription(self._scans)
             self._scans = None
             self._scan.clear()
+
+    def _on_odometry(self, kept: dict[int, Any], read: Callable[[Any], Any], message: Any) -> None:
+        self._on_state(kept, from_stamp(message.header.stamp), read(message))
 
     def _on_scan(self, message: Any) -> None:
         self._on_state(self._scan, from_stamp(message.header.stamp), message)
@@ -111,7 +121,7 @@ class CarController(Node):
             except NoNumberError as error:
                 self.get_logger().error(str(error))
                 command = math.nan  # the simulator ends the episode for it
-            self._answered = {stamp: write_acceleration(command, stamp)}
+            self._answered = {stamp: acceleration_command(command, stamp)}
         self._command.publish(self._answered[stamp])
 
 

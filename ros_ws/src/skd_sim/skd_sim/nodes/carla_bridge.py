@@ -16,6 +16,7 @@ import rclpy
 from geometry_msgs.msg import Pose, Twist
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 
 from skd_sim.dynamics.limits import CommandLimits
 from skd_sim.encounter.scenario import Scenario
@@ -24,8 +25,8 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.heading import on_grid
 from skd_sim.geometry.placement import Placement
 from skd_sim.messages.from_messages import from_stamp
-from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
-from skd_sim.nodes.support import STREAM, Setting, run_node
+from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
+from skd_sim.nodes.support import STREAM, Setting, declare, run_node
 from skd_sim.simulation.carla_conversion import (
     adversary_from_odometry,
     box_from_odometry,
@@ -259,21 +260,19 @@ class CarlaFrames:
         self._newest = car, adversary
 
 
-class CarlaBridge(SimulatorNode):
+class CarlaBridge(Node):
     """CARLA, and its clock."""
 
     def __init__(self) -> None:
         """Find CARLA; then wait for an episode."""
-        super().__init__("carla_bridge", self._make, _SETTINGS, clock=False)
-
-    def _make(self, settings: Mapping[str, Any]) -> FramedSimulator:
+        super().__init__("carla_bridge")
+        settings = declare(self, _SETTINGS)
         self._carla = CarlaFrames(settings)
-        return FramedSimulator(self._carla)
+        self.simulator = GraphSimulator(self, FramedSimulator(self._carla), settings, clock=False)
 
     def destroy_node(self) -> None:
         """Leave the graph, and CARLA with it."""
-        if hasattr(self, "_carla"):
-            self._carla.close()
+        self._carla.close()
         super().destroy_node()
 
 

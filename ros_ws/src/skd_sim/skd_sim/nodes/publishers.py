@@ -1,4 +1,4 @@
-"""Which nodes publish on a topic, without killed ones that the middleware still lists."""
+"""Which nodes publish on a topic, without killed ones that the middleware still lists; on SKD's own only one may."""
 
 from __future__ import annotations
 
@@ -35,10 +35,6 @@ class Publisher(NamedTuple):
     def named(self) -> bool:
         """Whether its node's name has come already."""
         return _UNKNOWN not in self.name
-
-    def same_node(self, other: Publisher) -> bool:
-        """Return whether both belong to one node, as far as is known by now."""
-        return self.participant == other.participant and (self.name == other.name or not (self.named and other.named))
 
 
 def living_publishers(node: Node, topic: str) -> list[Publisher]:
@@ -79,6 +75,15 @@ def publisher_names(node: Node, topic: str, *, least: int = 0) -> list[str]:
             names = [one.name for one in publishers]
             return names + ["one that is gone"] * (least - len(names))
         time.sleep(0.01)
+
+
+def second_publisher(node: Node, topic: str) -> str | None:
+    """Return, in words, who publishes on a topic that is one node's alone; none where at most one does. Cheap then."""
+    topic = node.resolve_topic_name(topic)
+    if node.count_publishers(topic) < 2 or len(living_publishers(node, topic)) < 2:
+        return None
+    names = publisher_names(node, topic, least=2)
+    return f"{len(names)} nodes publish {topic}, one may: {' and '.join(names)}"
 
 
 def _publisher(endpoint: Any) -> Publisher:

@@ -1,4 +1,4 @@
-"""Node of any simulator: publishes where car and adversary are, and hands their commands to the simulator.
+"""The simulator's part in the graph: it publishes where car and adversary are, and hands their commands to a simulator.
 
 The rules of an episode are `skd_sim.lockstep.lockstep`, the motion is the simulator's. Here are topics, parameters and
 timers.
@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
@@ -25,17 +26,15 @@ from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.command_ages import Schedule
 from skd_sim.episode.episode import Episode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.lockstep.command_source import Source
+from skd_sim.lockstep.command_source import Senders, Source
 from skd_sim.lockstep.commands import Quantity, follow_speed
 from skd_sim.lockstep.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
 from skd_sim.messages.command_messages import car_commands
 from skd_sim.messages.from_messages import from_stamp, message_to_episode
-from skd_sim.messages.seal import Seal
-from skd_sim.messages.stream_cdr import read_linear
 from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.composition.place import ComposableNode, Place
+from skd_sim.nodes.command_search import kind_name, why_no_command
 from skd_sim.nodes.initial_pose import InitialPose
-from skd_sim.nodes.receipts import Receipts
+from skd_sim.nodes.publishers import living_publishers, publisher_names
 from skd_sim.nodes.state_publisher import StatePublisher
 from skd_sim.nodes.support import (
     EPISODE,
@@ -43,12 +42,8 @@ from skd_sim.nodes.support import (
     LATCHED,
     STREAM,
     VELOCITY_COMMAND,
-    Setting,
-    declare,
-    listen,
     settings_of,
 )
-from skd_sim.nodes.topic_senders import TopicSenders
 from skd_sim.simulation.simulator import Frame, Simulator, SimulatorError, require_others
 from skd_sim.simulation.world import Contact
 
@@ -58,92 +53,140 @@ SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
 _WATCH_PERIOD = 0.05  # s of wall time
 
 
-class SimulatorNode(ComposableNode):
-    """Ground truth of the graph; one episode at a time."""
+class _Senders:
+    """Who publishes on a topic of commands, as the middleware sees it; see `command_source.Senders`."""
+
+    def __init__(self, node: Node, subscription: Any) -> None:
+        self._node, self._subscription = node, subscription
+
+    def count(self) -> int:
+        return int(self._subscription.get_publisher_count())
+
+    def living(self) -> int:
+        return len(living_publishers(self._node, self._subscription.topic_name))
+
+    def names(self) -> list[str]:
+        return publisher_names(self._node, self._subscription.topic_name)
+
+    def absence(self) -> str:
+        name = self._subscription.topic_name
+        why = why_no_command(self._node, name, kind_name(self._subscription.msg_type))
+        return why or f"what is published on {name} does not reach this node"
+
+
+class _OneSender:
+    """The adversary in this process, which is always there."""
+
+    def count(self) -> int:
+        return 1
+
+    living = count
+
+    def names(self) -> list[str]:
+        return ["the adversary"]
+
+    def absence(self) -> str:
+        return ""
+
+
+class GraphSimulator:
+    """Ground truth of the graph; one episode at a time.
+
+    It speaks through a node that may belong to others as well. Whoever shares the process hears states and results by
+    a call, and calls `begin` and `walk`; everybody else by the topics.
+
+    Attributes:
+        on_frame: called with each state and its stamp (ns).
+        on_result: called with the result of an episode, a skd_msgs/EpisodeResult.
+    """
 
     def __init__(
-        self,
-        name: str,
-        make: Callable[[dict[str, Any]], Simulator],
-        settings: Sequence[Setting] = SIMULATOR_SETTINGS,
-        *,
-        clock: bool = True,
-        place: Place | None = None,
+        self, node: Node, simulator: Simulator, values: Mapping[str, Any], *, clock: bool = True, alone: bool = True
     ) -> None:
-        """Declare parameters and topics, make the simulator; then wait for an episode.
+        """Make the topics; then wait for an episode.
 
         Args:
-            name: name of the node, which messages use too.
-            make: makes the simulator from the values of all parameters.
-            settings: all parameters; a simulator's own beside `SIMULATOR_SETTINGS`.
+            node: node that speaks and listens.
+            simulator: simulator that moves car and adversary.
+            values: values of `SIMULATOR_SETTINGS` by name.
             clock: whether it publishes `/clock`; a simulator may do so itself.
-            place: where it runs; by default in a process of its own.
+            alone: whether evaluator and adversary are in other processes.
         """
-        place = place or Place.alone()
-        super().__init__(name, place)
-        self._settings = declare(self, settings)
-        self._name = name
-        self._simulator = make(self._settings)
-        self._states = StatePublisher(self, StateOptions(**values_of(StateOptions, self._settings)), clock=clock)
-        self._result = self.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
-        self._seal = Seal(place.secret)
-        self._receipts = Receipts(self, self._seal, "skd_sim")
-        self._initial_pose = InitialPose(self) if self._settings["initial_pose"] else None
-        self.create_subscription(EpisodeMsg, EPISODE, self._on_episode, LATCHED)
-        self._lockstep = self._listen_to_commands()
+        self._node, self._simulator, self._values = node, simulator, values
+        self.on_frame: Callable[[int, Frame], None] = lambda _stamp, _frame: None
+        self.on_result: Callable[[EpisodeResult], None] = lambda _result: None
+        self._states = StatePublisher(node, StateOptions(**values_of(StateOptions, values)), clock=clock)
+        self._result = node.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(node) if values["initial_pose"] else None
+        self._lockstep = self._listen_to_commands(alone=alone)
+        if alone:
+            node.create_subscription(EpisodeMsg, EPISODE, self.begin, LATCHED)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._watch = self.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
+        self._watch = node.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
         self._ticker: Any = None
         self._schedule: Schedule | None = None
         self._quiet: Any = None
-        if self._settings["quiet_time"]:
-            self._quiet = self.create_timer(self._settings["quiet_time"], self._on_quiet, clock=self._steady)
+        if values["quiet_time"]:
+            self._quiet = node.create_timer(values["quiet_time"], self._on_quiet, clock=self._steady)
             self._quiet.cancel()
-        self._announced: Any = None  # as it was published; `_message` is what it says to who has the key
         self._message: Any = None
 
-    def _listen_to_commands(self) -> Lockstep:
-        commands = car_commands(CommandOptions(**values_of(CommandOptions, self._settings)))
-        topic = self._settings["command_topic"]
-        drives, walks = TopicSenders(self, topic), TopicSenders(self, VELOCITY_COMMAND)
-        drives.subscription = listen(self, commands.kind, topic, commands.read, self._on_car_command)
-        walks.subscription = listen(self, TwistStamped, VELOCITY_COMMAND, read_linear, self._on_velocity)
-        low, high = -self._settings["maximum_deceleration"], self._settings["maximum_acceleration"]
+    def _listen_to_commands(self, *, alone: bool) -> Lockstep:
+        values, node = self._values, self._node
+        commands = car_commands(CommandOptions(**values_of(CommandOptions, values)))
+        topic = values["command_topic"]
+
+        def on_command(message: Any) -> None:
+            try:
+                stamp, command = commands.read(message)
+            except IndexError as error:
+                said = f"a message on {topic} is left out: {commands.format.field}: {error}"
+                node.get_logger().warning(said, throttle_duration_sec=5.0)
+                return
+            self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
+
+        def on_velocity(message: TwistStamped) -> None:
+            linear = message.twist.linear
+            self.walk(from_stamp(message.header.stamp), (linear.x, linear.y))
+
+        drives: Senders = _Senders(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
+        walks: Senders = _OneSender()
+        if alone:
+            walks = _Senders(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
+        low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
-        real_time = self._settings["pacing"] == REAL_TIME
-        if real_time and self._settings["quiet_time"]:
+        real_time = values["pacing"] == REAL_TIME
+        if real_time and values["quiet_time"]:
             raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
             Source("the car controller", topic, drives),
             Source("the adversary", VELOCITY_COMMAND, walks),
-            Limits(self._settings["command_timeout"], self._settings["startup_timeout"]),
+            Limits(values["command_timeout"], values["startup_timeout"]),
             real_time=real_time,
-            quiet_time=self._settings["quiet_time"],
+            quiet_time=values["quiet_time"],
         )
 
     # --- episodes
 
-    def _on_episode(self, message: Any) -> None:
-        if self._announced is not None and _identity(self._announced) == _identity(message):
+    def begin(self, message: EpisodeMsg) -> None:
+        """Begin an episode, unless it has begun."""
+        if self._message is not None and _identity(self._message) == _identity(message):
             return
         self._stop()
-        self._announced = self._message = message
+        self._message = message
         self._start = from_stamp(message.header.stamp)
         self._clipped = 0
         self._schedule = None
         try:
-            self._message = self._seal.open(message)
-            self._episode: Episode = message_to_episode(self._message)
-            require_others(self._simulator, self.get_name(), self._episode)
+            self._episode: Episode = message_to_episode(message)
+            require_others(self._simulator, self._node.get_name(), self._episode)
             self._frame = self._simulator.reset(self._episode)
         except ValueError as error:
-            self.get_logger().error(str(error))
-            self._refuse(abort_reason(AbortKind.FAILED, f"{self._name}: {error}"))
+            self._refuse(abort_reason(AbortKind.FAILED, f"{self._node.get_name()}: {error}"))
             return
         except SimulatorError as fault:
             self._refuse(str(fault))
             return
-        self._receipts.send(self._episode, message)
         self._states.begin(self._episode, self._start)
         if self._initial_pose is not None:
             self._initial_pose.publish(self._frame.car, self._start)
@@ -157,27 +200,27 @@ class SimulatorNode(ComposableNode):
     def _stop(self) -> None:
         self._lockstep.stop()
         if self._ticker is not None:
-            self.destroy_timer(self._ticker)
+            self._node.destroy_timer(self._ticker)
             self._ticker = None
         if self._quiet is not None:
             self._quiet.cancel()
 
     # --- what arrives
 
-    def _on_car_command(self, stamp: int | None, command: tuple[float, float]) -> None:
-        self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
-
-    def _on_velocity(self, stamp: int, velocity: tuple[float, float]) -> None:
+    def walk(self, stamp: int, velocity: tuple[float, float]) -> None:
+        """Take the adversary's velocity, (East, North), m/s, for the tick of a stamp (ns)."""
         self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
 
     def _on_ticker(self) -> None:
         now = time.monotonic()
         assert self._schedule is not None
-        late, limit = self._schedule.late(now), max(self._settings["slip_limit"], 0.5 * self._schedule.period)
+        late, limit = self._schedule.late(now), max(self._values["slip_limit"], 0.5 * self._schedule.period)
         if late <= limit:
             self._do(self._lockstep.go_on(now))
             return
-        slipped = f"{self._name} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        slipped = (
+            f"{self._node.get_name()} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        )
         self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
 
     def _on_quiet(self) -> None:
@@ -193,9 +236,9 @@ class SimulatorNode(ComposableNode):
         if isinstance(action, Step):
             self._step(action)
         elif isinstance(action, Start):
-            period = self._episode.scenario.control_duration / self._settings["rate_factor"]
+            period = self._episode.scenario.control_duration / self._values["rate_factor"]
             self._schedule = Schedule(time.monotonic(), period)
-            self._ticker = self.create_timer(period, self._on_ticker, clock=self._steady)
+            self._ticker = self._node.create_timer(period, self._on_ticker, clock=self._steady)
         elif isinstance(action, Repeat):
             self._publish_state()
         elif isinstance(action, End):
@@ -227,12 +270,11 @@ class SimulatorNode(ComposableNode):
             self._states.publish(self._frame, stamp)
             self._states.tell_time(stamp - self._lockstep.lead)
             self._quiet.reset()
+        self.on_frame(stamp, self._frame)
 
     # --- results
 
     def _end(self, end: End) -> None:
-        if end.outcome == Outcome.ABORTED:
-            self.get_logger().warning(f"episode aborted: {end.reason}")
         self._clipped = self._simulator.clipped
         contact = end.frame.contact if end.outcome == Outcome.COLLISION else None
         self._publish_result(end.outcome, end.frame.tick, end.stamp, contact, end.reason)
@@ -256,7 +298,9 @@ class SimulatorNode(ComposableNode):
         if contact is not None:
             frame = Frame(ticks, self._frame.car, self._frame.adversary, contact)
             result.impact_time, result.impact_speed = frame.impact(self._episode.scenario.time_step)
-        self._result.publish(result)
+        if self._result.get_subscription_count():
+            self._result.publish(result)
+        self.on_result(result)
 
 
 def _identity(message: Any) -> tuple[str, int, int]:

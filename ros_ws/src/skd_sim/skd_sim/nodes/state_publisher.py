@@ -1,6 +1,6 @@
 """What a stack hears: clock, transforms, odometries, measurements of the car's sensors, and the car's shape.
 
-Odometries and the clock always go out, everything else only while somebody listens.
+Each goes out only while somebody listens.
 """
 
 from __future__ import annotations
@@ -18,8 +18,16 @@ from skd_sim.choices.frames import Frames
 from skd_sim.choices.graph_options import StateOptions
 from skd_sim.episode.episode import Episode
 from skd_sim.messages.robot_description import laser_mount, robot_description
-from skd_sim.messages.stream_cdr import write_adversary, write_car, write_car_transform, write_clock, write_inertia
-from skd_sim.messages.to_messages import scan_to_message, scan_to_points, static_transforms
+from skd_sim.messages.to_messages import (
+    adversary_to_odometry,
+    car_to_odometry,
+    car_to_transform,
+    inertia_to_message,
+    scan_to_message,
+    scan_to_points,
+    static_transforms,
+    to_stamp,
+)
 from skd_sim.messages.tracked_objects import DETECTIONS, detections
 from skd_sim.nodes.support import (
     ADVERSARY_DETECTIONS,
@@ -89,25 +97,27 @@ class StatePublisher:
 
     def tell_time(self, stamp: int) -> None:
         """Publish the clock, ns."""
-        if self._clock is not None:
-            self._clock.publish(write_clock(stamp))
+        if self._clock is not None and self._clock.get_subscription_count():
+            self._clock.publish(Clock(clock=to_stamp(stamp)))
 
     def publish(self, frame: Frame, stamp: int) -> None:
         """Publish a state of the episode at its stamp (ns); it may be published repeatedly."""
         listeners = self._transform.get_subscription_count()
         # tf2 complains of a transform that comes twice; a listener that came since then needs it.
         if listeners and (stamp, listeners) != self._moved:
-            self._transform.publish(write_car_transform(frame.car, stamp, self._frames))
+            self._transform.publish(car_to_transform(frame.car, stamp, self._frames))
         self._moved = stamp, listeners
         inertia = self._inertial_unit.measure(frame.car, stamp)  # of every state, or it would depend on who listens
         if self._imu.get_subscription_count():
-            self._imu.publish(write_inertia(inertia, stamp, self._frames))
+            self._imu.publish(inertia_to_message(inertia, stamp, self._frames))
         self._publish_scan(frame, stamp)
         if self._detections is not None and self._detections.get_subscription_count():
             scenario = self._episode.scenario
             self._detections.publish(detections(scenario, frame.scene(scenario), stamp, self._frames.odom))
-        self._car.publish(write_car(frame.car, stamp, self._frames))
-        self._adversary.publish(write_adversary(frame.adversary, stamp))
+        if self._car.get_subscription_count():
+            self._car.publish(car_to_odometry(frame.car, stamp, self._frames))
+        if self._adversary.get_subscription_count():
+            self._adversary.publish(adversary_to_odometry(frame.adversary, stamp))
 
     def _publish_scan(self, frame: Frame, stamp: int) -> None:
         if self._laser is None or (frame.tick * self._periods + frame.period) % self._scan_every:

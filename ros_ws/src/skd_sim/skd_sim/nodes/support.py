@@ -8,8 +8,9 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -18,8 +19,6 @@ from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.options import options_of
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.suggestion import nearest
-from skd_sim.messages.stream_cdr import CdrError
-from skd_sim.nodes.executor import LockstepExecutor
 from skd_sim.program.bounded_end import END_LIMIT, end_within
 from skd_sim.program.interruption import Interruption
 
@@ -36,7 +35,6 @@ ADVERSARY_DETECTIONS = "adversary/detections"
 ACCELERATION_COMMAND = CommandOptions.command_topic
 VELOCITY_COMMAND = "adversary/velocity_command"
 EPISODE = "skd/episode"
-EPISODE_RECEIPT = "skd/episode_receipt"
 EPISODE_RESULT = "skd/episode_result"
 ASSESSMENT = "skd/assessment"
 MARKERS = "skd/markers"
@@ -59,8 +57,26 @@ LATCHED = QoSProfile(
 )
 """The current episode and the last assessment: a node that joins late gets it."""
 
+_LONGEST_WAIT = 0.05  # s
 _OF_OTHERS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 """Parameters that rclpy itself looks after, some of them later."""
+
+
+class GraphNode(Node):
+    """A node without rclpy's own events (of quality of service that does not fit): each turn would look at all of them.
+
+    Why nothing comes of a publisher is said by `command_search`.
+    """
+
+    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+        """As a node's."""
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*arguments, event_callbacks=events, **options)
+
+    def create_subscription(self, *arguments: Any, **options: Any) -> Any:
+        """As a node's."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*arguments, event_callbacks=events, **options)
 
 
 @dataclass(frozen=True)
@@ -144,35 +160,27 @@ def _warn_of_unknown(node: Node) -> None:
             node.get_logger().warning(f"there is no parameter {name}{hint}")
 
 
-def listen(
-    node: Node, kind: type, topic: str, read: Callable[[bytes], tuple[Any, ...]], handle: Callable[..., None]
-) -> Any:
-    """Subscribe to a stream by its bytes, and return the subscription.
+def spin(node: Node, ended: Callable[[], bool] = lambda: False) -> None:
+    """Run a node's callbacks until it has ended, which is asked at least every 0.05 s: a signal may come unseen.
 
-    Args:
-        node: node that listens.
-        kind: type of the messages.
-        topic: name of the topic.
-        read: reader of `stream_cdr`; messages that it refuses are logged and left out.
-        handle: called with what `read` returns.
+    Raises:
+        ExternalShutdownException: the context is shut down.
     """
-
-    def on_bytes(data: bytes) -> None:
-        try:
-            items = read(data)
-        except CdrError as error:
-            node.get_logger().warning(f"a message on {topic} is left out: {error}", throttle_duration_sec=5.0)
-            return
-        handle(*items)
-
-    return node.create_subscription(kind, topic, on_bytes, STREAM, raw=True)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        while not ended():
+            executor.spin_once(timeout_sec=_LONGEST_WAIT)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
 
 
 def _worked(node: Node, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
     """Return what the work of a node returns; answering messages ends, too, where code of others lost the signal."""
     if work is not None:
         return work(node)
-    LockstepExecutor(node).spin(lambda: interruption.came)
+    spin(node, lambda: interruption.came)
     return None
 
 

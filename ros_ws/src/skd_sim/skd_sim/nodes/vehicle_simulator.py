@@ -8,20 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from skd_sim.nodes.composition.place import Place
-from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, SimulatorNode
-from skd_sim.nodes.support import run_node
+from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
+from skd_sim.nodes.support import GraphNode, declare, run_node
 from skd_sim.simulation.named_simulator import NamedSimulator
 
-_SETTINGS = SIMULATOR_SETTINGS
 
-
-class VehicleSimulator(SimulatorNode):
+class VehicleSimulator(GraphNode):
     """The world, and its clock."""
 
-    def __init__(self, place: Place | None = None) -> None:
-        """Make the simulator at a place, by default in a process of its own; then wait for an episode."""
-        super().__init__("vehicle_simulator", lambda _values: NamedSimulator(), _SETTINGS, place=place)
+    def __init__(self) -> None:
+        """Declare parameters; then wait for an episode."""
+        super().__init__("vehicle_simulator")
+        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, SIMULATOR_SETTINGS))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -51,7 +51,7 @@ from skd_evaluator.report.terminal import (
     surrogate_table,
 )
 from skd_evaluator.risk.asked import risk_asked
-from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.processes import log_of
 from skd_evaluator.ros.rated import rated_through_graph
 from skd_evaluator.ros.session import prepare_ros
 

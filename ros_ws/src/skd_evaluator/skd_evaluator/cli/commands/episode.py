@@ -21,7 +21,7 @@ from skd_evaluator.cli.commands.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.risk.asked import behaviour_asked
 from skd_evaluator.risk.single import single_crossing
-from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.processes import log_of
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
 
 

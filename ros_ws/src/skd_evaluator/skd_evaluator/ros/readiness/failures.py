@@ -10,7 +10,7 @@ from skd_sim.episode.episode import EpisodeLog, Outcome
 
 from skd_evaluator.campaign.run.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.programs.node_logs import log_of
+from skd_evaluator.ros.processes import log_of
 
 
 class Failures:
@@ -31,27 +31,23 @@ class Failures:
         self._say = say
         self._log_folder = log_folder
         self._said: set[AbortKind] = set()
-        self._failed_starts = self._unasked = 0
+        self._failed_starts = 0
 
     def note(self, log: EpisodeLog) -> None:
         """Take note of an episode.
 
         Raises:
-            AssessmentError: it is the last of several in a row that were aborted before their first tick, or that were
-                not run as asked.
+            AssessmentError: it is the last of several in a row that were aborted before their first tick.
         """
         if log.outcome != Outcome.ABORTED:
-            self._failed_starts = self._unasked = 0
+            self._failed_starts = 0
             return
         self.reasons.append(log.reason)
         self._failed_starts = 0 if len(log.adversary) > 1 else self._failed_starts + 1
         kind = kind_of(log.reason)
-        self._unasked = self._unasked + 1 if kind == AbortKind.UNASKED else 0
         if kind not in self._said:
             self._said.add(kind)
             where = f"; log: {log_of(self._log_folder, log.reason)}" if self._log_folder else ""
             self._say(f"an episode was aborted, the first one so: {log.reason}{where}")
         if self._failed_starts >= FAILED_STARTS:
             raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")
-        if self._unasked >= FAILED_STARTS:  # each is waited for at its end, and the next one would be no other
-            raise AssessmentError(f"{FAILED_STARTS} episodes in a row were {log.reason}")

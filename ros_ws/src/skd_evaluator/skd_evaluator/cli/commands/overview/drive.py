@@ -140,7 +140,7 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     plan = plan_of(values, scenario)
     both_ways = {} if arguments.graph else {"rate_factor": GraphOptions.rate_factor}
     scenario = check_car({**values, **both_ways}, plan.scenario, graph=arguments.graph)
-    values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT, "open_episodes": True}
+    values |= {"pacing": REAL_TIME, "slip_limit": _LENIENT}
     return replace(plan, scenario=scenario), GraphOptions(**values_of(GraphOptions, values))
 
 

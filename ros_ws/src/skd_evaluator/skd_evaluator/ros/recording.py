@@ -1,4 +1,8 @@
-"""What was heard during an episode, kept as it came, and the bag that it is written to."""
+"""What was heard during an episode, kept as it came, and the bag that it is written to.
+
+A bag holds all that figures follow from, and what RViz and Foxglove show: transforms and the car's looks as they were
+heard, of whoever sent them, and markers and figures, which are made when the bag is written.
+"""
 
 from __future__ import annotations
 
@@ -9,29 +13,52 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.support import CLEARANCE, CLOCK, DEFORMATION, EGO_ODOMETRY, EPISODE, EPISODE_RESULT, MARKERS, TF
+from skd_sim.nodes.support import (
+    CLEARANCE,
+    CLOCK,
+    DEFORMATION,
+    EGO_ODOMETRY,
+    EPISODE,
+    EPISODE_RESULT,
+    MARKERS,
+    ROBOT_DESCRIPTION,
+    TF,
+    TF_STATIC,
+)
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.bags.writer import RecordedMessage
-from skd_evaluator.campaign.plan.plan import walks_a_way
+from skd_evaluator.bags.writer import RecordedMessage, write_bag
+from skd_evaluator.campaign.plan.plan import model_digest, walks_a_way
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
-from skd_evaluator.ros.recording.recording import Recording, bag_name
-from skd_evaluator.ros.recording.scenery import Scenery
+from skd_evaluator.ros.live_figures import recorded_figures
+from skd_evaluator.ros.markers import fixed_markers, moving_markers
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
+_LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""As tf2 listens: each of several nodes may have latched transforms of its own."""
+
+
+def bag_name(episode: Episode) -> str:
+    """Return the name of an episode's bag, another one for each episode of a campaign."""
+    number, mode = episode.episode_id, episode.mode.name.lower()
+    if episode.mode != Mode.KAMIKAZE:
+        return f"{mode}_{number:016x}"
+    model = model_digest(number, episode.car_model)
+    # Those of several objectives have the same ids, and so have those by which a car is learned.
+    return "_".join(filter(None, (mode, episode.objective, f"{number:016x}", model)))
 
 
 class BagRecorder:
-    """Records one episode after another, each to a bag of its own.
-
-    Attributes:
-        scenery: what else belongs into a bag.
-    """
+    """Records one episode after another, each to a bag of its own."""
 
     def __init__(
         self,
@@ -42,9 +69,9 @@ class BagRecorder:
         *,
         own_world: bool,
         patience: float,
-        write: Callable[[Recording], None],
+        say: Callable[[str], None],
     ) -> None:
-        """Record nothing yet.
+        """Record nothing yet, and listen to what the car looks like.
 
         Args:
             node: node that listens to the topics.
@@ -53,19 +80,25 @@ class BagRecorder:
             walk_topic: topic of the adversary's commands, resolved.
             own_world: whether the simulator is SKD's own, and so publishes transforms.
             patience: how long to wait, after a result, for the commands of all ticks, wall seconds.
-            write: writes a recording, or has it written.
+            say: called with a line about a recording that lacks something.
         """
-        self._node = node
-        self._folder = folder
+        self._node, self._folder, self._say = node, folder, say
         self._drive_topic, self._walk_topic = drive_topic, walk_topic
-        self._own_world = own_world
-        self._patience = patience
-        self._write = write
+        self._own_world, self._patience = own_world, patience
         self._written: set[str] = set()
         self._messages: list[RecordedMessage] = []
         self._key = EpisodeKey("", -1, 0)
         self._now = self._latest_end = 0
-        self.scenery = Scenery(node, self._messages.append, self._foreign_log_time)
+        self._fixed: dict[str, Any] = {}
+        self._description: String | None = None
+        node.create_subscription(TFMessage, TF_STATIC, self._on_fixed_transforms, _LATCHED)
+        node.create_subscription(String, ROBOT_DESCRIPTION, self._on_description, _LATCHED)
+
+    def _on_fixed_transforms(self, message: TFMessage) -> None:
+        self._fixed |= {transform.child_frame_id: transform for transform in message.transforms}
+
+    def _on_description(self, message: String) -> None:
+        self._description = message
 
     def takes(self, episode: Episode) -> bool:
         """Whether the bag of an episode is kept: thousands of ways that were tried would bury those that count.
@@ -91,7 +124,7 @@ class BagRecorder:
         Args:
             topic: topic that the message came on, resolved.
             kind: type of the message.
-            stamp: time stamp of the message, ns.
+            stamp: time stamp of the message, ns; 0 where it has none.
             data: the message's bytes as they came.
         """
         log_time = self._log_time(topic, stamp)
@@ -100,18 +133,14 @@ class BagRecorder:
 
     def _log_time(self, topic: str, stamp: int) -> int | None:
         """Return the simulation time (ns) of a message to record; none for one of an earlier episode."""
-        if topic in (self._drive_topic, self._walk_topic):
-            return self._foreign_log_time(stamp)
+        if topic in (self._drive_topic, self._walk_topic, TF):
+            if not 0 < stamp <= self._latest_end:  # others may have sent it: not stamped, or by another clock
+                return self._now
+            return stamp if stamp >= self._key.start else None
         if stamp < self._key.start:
             return None
         self._now = max(self._now, stamp)
         return stamp
-
-    def _foreign_log_time(self, stamp: int) -> int | None:
-        """Return the same of what others than the simulator may have sent: not stamped, or by another clock."""
-        if not 0 < stamp <= self._latest_end:
-            return self._now
-        return stamp if stamp >= self._key.start else None
 
     def settle(self, episode: Episode, result: Result, listen: Callable[[float], None]) -> None:
         """Wait, a moment at most, for messages that topics without common order deliver after the result.
@@ -129,10 +158,9 @@ class BagRecorder:
             for tick in range(result.ticks - 1)
             for period in range(1, periods)
         }
-        wanted = {self._node.resolve_topic_name(CLOCK): states | between}
-        wanted |= {self._walk_topic: commands, self._drive_topic: commands | between}
-        if self._own_world:
-            wanted[self._node.resolve_topic_name(TF)] = states | between
+        wanted = {CLOCK: states | between, self._walk_topic: commands, self._drive_topic: commands | between}
+        if self._own_world:  # another simulator need not publish any
+            wanted[TF] = states | between
         odometry = self._node.resolve_topic_name(EGO_ODOMETRY)
         last = range(tick_stamp(start, result.ticks - 1, step) + 1, tick_stamp(start, result.ticks, step))
         heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, odometry)}
@@ -150,7 +178,7 @@ class BagRecorder:
             listen(SETTLE)
 
     def write(self, specification: Any, log: EpisodeLog, result: Result, end: int, *, unsaid: bool) -> None:
-        """Write the bag of the episode, or have it written.
+        """Write the bag of the episode.
 
         Args:
             specification: the message that began the episode.
@@ -158,44 +186,53 @@ class BagRecorder:
             result: the episode's result, as published.
             end: stamp of the episode's end, ns.
             unsaid: whether the simulator has not said how the episode ended, so that the evaluator has to.
+
+        Raises:
+            OSError: it cannot be written.
         """
         heard = {kept.topic for kept in self._messages}
         lacking = [topic for topic in (self._drive_topic, self._walk_topic) if topic not in heard]
         if result.ticks and lacking:
-            said = " and ".join(lacking)
-            self._node.get_logger().warning(f"the bag of episode {log.episode.episode_id} holds no message on {said}")
-        spec = self._own(EPISODE, specification, self._key.start)
+            self._say(f"the bag of episode {log.episode.episode_id} holds no message on {' and '.join(lacking)}")
         messages = list(self._messages)
         if unsaid:
-            ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)
-            ending.header.stamp = to_stamp(end)
-            ending.header.frame_id = specification.header.frame_id
-            ending.episode_id = self._key.episode_id
-            ending.outcome = int(result.outcome)
-            ending.ticks = result.ticks
-            ending.impact_time = ending.impact_speed = math.nan
-            ending.reason = result.reason
             messages = [kept for kept in messages if kept.kind is not EpisodeResult]
-            messages.append(self._own(EPISODE_RESULT, ending, end))
+            messages.append(self._own(EPISODE_RESULT, self._ending(specification, result, end), end))
         name = bag_name(log.episode)
         self._written.add(name)
-        self._write(
-            Recording(
-                self._folder / name,
-                spec.data,
-                self._key.start,
-                {topic: self._node.resolve_topic_name(topic) for topic in (MARKERS, CLEARANCE, DEFORMATION)},
-                log.adversary,
-                log.car,
-                log.outcome,
-                log.impact_time,
-                [spec, *self.scenery.latched(self._key.start)],
-                messages,
-            )
-        )
+        start = self._key.start
+        figures = {topic: self._node.resolve_topic_name(topic) for topic in (CLEARANCE, DEFORMATION)}
+        latched = [self._own(EPISODE, specification, start, latched=True)]
+        if self._fixed:
+            fixed = TFMessage(transforms=list(self._fixed.values()))
+            latched.append(self._own(TF_STATIC, fixed, start, latched=True))
+        if self._description is not None:
+            latched.append(self._own(ROBOT_DESCRIPTION, self._description, start, latched=True))
+        shown = [*self._markers(log), *recorded_figures(log, start, figures)]
+        write_bag(self._folder / name, [*latched, *shown, *messages])
 
-    def _own(self, topic: str, message: Any, stamp: int) -> RecordedMessage:
+    def _ending(self, specification: Any, result: Result, end: int) -> EpisodeResult:
+        ending = EpisodeResult(campaign=self._key.campaign, start=specification.header.stamp)
+        ending.header.stamp = to_stamp(end)
+        ending.header.frame_id = specification.header.frame_id
+        ending.episode_id = self._key.episode_id
+        ending.outcome, ending.ticks = int(result.outcome), result.ticks
+        ending.impact_time = ending.impact_speed = math.nan
+        ending.reason = result.reason
+        return ending
+
+    def _own(self, topic: str, message: Any, stamp: int, *, latched: bool = False) -> RecordedMessage:
         data = serialize_message(message)
-        return RecordedMessage(
-            self._node.resolve_topic_name(topic), type(message), stamp, data, latched=topic == EPISODE
-        )
+        return RecordedMessage(self._node.resolve_topic_name(topic), type(message), stamp, data, latched=latched)
+
+    def _markers(self, log: EpisodeLog) -> list[RecordedMessage]:
+        episode, scenario, found = log.episode, log.episode.scenario, []
+        walked = [(float(x), float(y)) for x, y in log.adversary]
+        for tick, car in enumerate(log.car):
+            stamp = tick_stamp(self._key.start, tick, scenario.time_step)
+            place = (float(car[0]), float(car[1])) if math.isfinite(car[0]) else None
+            markers = moving_markers(scenario, place, walked[: tick + 1], tick * scenario.time_step, stamp)
+            if not tick:
+                markers = [*fixed_markers(episode, stamp), *markers]
+            found.append(self._own(MARKERS, MarkerArray(markers=markers), stamp, latched=True))
+        return found

@@ -1,0 +1,292 @@
+"""The processes of a graph: started, watched, restarted, and all ended, whatever happens.
+
+Each is the first of a process group, which ends with it. A shell beside it waits for the end of this process, by
+whatever death, and kills the group then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import printable
+from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
+
+from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.errors import AssessmentError
+
+CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"
+_CALLED = {
+    CONTROLLER: ("the car controller", CONTROLLER),
+    ADVERSARY: ("the adversary", ADVERSARY),
+    SIMULATOR: ("the vehicle simulator", SIMULATOR),
+}
+_RESTARTS = 20
+"""How often a process may die in one campaign before the campaign is given up."""
+END_LIMIT = 2.0
+"""Seconds that a process has to end after SIGINT; half of them after SIGTERM, which follows."""
+_CANNOT_START = (2, 126, 127)
+"""Exit codes of a usage error, and of a shell that cannot run or find a command: another start ends alike."""
+_LACKS = ("ModuleNotFoundError: ", "ImportError: ")
+_WATCH = 'read -r _ || kill -KILL -- "-$1"'
+"""For a shell whose standard input ends when this process does: it kills a process group then."""
+_LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
+"""How much is shown of what a process that has ended printed."""
+
+
+class GraphError(AssessmentError):
+    """The graph cannot go on; the message says which process and why."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a process of the graph is started with: its command and all of its environment's variables."""
+
+    command: Sequence[str]
+    environment: Mapping[str, str]
+
+
+def graph_programs(
+    options: GraphOptions, controller: str, environment: Mapping[str, str], *, composed: bool
+) -> dict[str, Program]:
+    """Return the graph's processes, beside the evaluator's own.
+
+    Args:
+        options: how to run the graph.
+        controller: name of the car under test.
+        environment: variables that they inherit.
+        composed: whether simulator and adversary are none of these processes.
+
+    Raises:
+        UsageError: the controller's command is no command line.
+    """
+    ours = node_variables(environment)
+    programs = {}
+    if not composed:
+        command = _python_node("skd_sim.start", SIMULATOR, *_ros_parameters(options.simulator_parameters()))
+        programs[SIMULATOR] = Program(command, ours)
+        programs[ADVERSARY] = Program(_python_node("skd_adversary.start", ADVERSARY), ours)
+    if not CarUnderTest(controller).is_external:
+        programs[CONTROLLER] = Program(_python_node("skd_sim.start", CONTROLLER), ours)
+    elif options.controller_command:
+        try:
+            command = shlex.split(options.controller_command)
+        except ValueError as error:
+            raise UsageError(f"--controller-command {options.controller_command!r}: {error}") from error
+        if not command:
+            raise UsageError("--controller-command is empty")
+        programs[CONTROLLER] = Program(command, _controller_environment(environment))
+    return programs
+
+
+def _python_node(module: str, *arguments: str) -> list[str]:
+    """Return the command of one of our nodes, on this interpreter; `-P`: the working folder cannot shadow modules."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def _ros_parameters(values: Mapping[str, object]) -> list[str]:
+    """Return parameters as `--ros-args -p name:=value …`; JSON is YAML: a text stays one, the empty one, too."""
+    parameters = [["-p", f"{name}:={json.dumps(value)}"] for name, value in values.items()]
+    return ["--ros-args", *(word for words in parameters for word in words)]
+
+
+def _controller_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a controller that is not ours.
+
+    Where no ROS 2 is sourced, its `python3` is the one of this environment, in which `import rclpy` works. With ROS 2
+    the PATH stays as it is: `python3` is then the one that the user's own stack runs on. Where our libraries lie is
+    none of its business: it may be built against others.
+    """
+    if is_sourced(environment):
+        return dict(environment)
+    folders = [str(Path(sys.executable).parent), environment.get("PATH") or os.defpath]
+    return {**foreign_variables(environment), "PATH": os.pathsep.join(folders)}
+
+
+def concerned(reason: str) -> list[str]:
+    """Return which processes the reason of an abort speaks of."""
+    return [name for name, words in _CALLED.items() if any(word in reason for word in words)]
+
+
+def log_of(folder: Path, reason: str) -> Path:
+    """Return the log of the process that a reason speaks of first, where it has one, else the simulator's."""
+    logs = [folder / f"{name}.log" for name in (*concerned(reason), SIMULATOR)]
+    return next((log for log in logs if log.exists()), folder)
+
+
+@dataclass
+class _Process:
+    name: str
+    program: Program
+    log: Path
+    popen: subprocess.Popen[bytes] | None = None
+    watch: subprocess.Popen[bytes] | None = None
+    output: IO[bytes] | None = field(default=None, repr=False)
+    restarts: int = 0
+    begin: int = 0  # of what this one has printed, in the log
+    said: bool = False
+
+
+class Supervisor:
+    """Starts processes in groups of their own and never leaves one behind."""
+
+    def __init__(
+        self,
+        programs: Mapping[str, Program],
+        log_folder: Path,
+        say: Callable[[str], None] = lambda _line: None,
+    ) -> None:
+        """Prepare; nothing runs yet.
+
+        Args:
+            programs: the programs to start, by name.
+            log_folder: folder for each process's output, as <name>.log.
+            say: called once for each process that ends by itself, with how it ended and what it printed last.
+        """
+        self._say = say
+        self._processes = [_Process(name, program, log_folder / f"{name}.log") for name, program in programs.items()]
+
+    def __enter__(self) -> Supervisor:
+        try:
+            for process in self._processes:
+                self._start(process)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _start(self, process: _Process) -> None:
+        process.output = process.log.open("ab")
+        process.begin = process.output.tell()
+        try:
+            process.popen = subprocess.Popen(
+                process.program.command,
+                stdin=subprocess.DEVNULL,
+                stdout=process.output,
+                stderr=subprocess.STDOUT,
+                env=process.program.environment,
+                start_new_session=True,
+                preexec_fn=_answer_to_sigint,
+            )
+        except OSError as error:
+            raise UsageError(
+                f"{process.name} cannot be started: {error.strerror}: {process.program.command[0]}"
+            ) from error
+        process.watch = subprocess.Popen(
+            ["/bin/sh", "-c", _WATCH, "sh", str(process.popen.pid)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def check(self) -> str | None:
+        """Restart every process that has died, and return what happened; none where all are well.
+
+        Raises:
+            GraphError: one dies again and again.
+        """
+        problems = []
+        for process in self._processes:
+            code = None if process.popen is None else process.popen.poll()
+            if code is None:
+                continue
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"
+            problem = abort_reason(AbortKind.ENDED, f"{process.name} {how}")
+            problems.append(problem)
+            self._end([process])
+            last = _last_lines(process)
+            if not process.said:
+                process.said = True
+                self._say("\n  | ".join([f"{problem}; the end of {process.log}:", *last]))
+            process.restarts += 1
+            lacks = last[-1].startswith(_LACKS)
+            if process.restarts > _RESTARTS or ((lacks or code in _CANNOT_START) and process.restarts > 1):
+                hint = ""
+                if lacks and not is_sourced(process.program.environment):
+                    hint = "; the ROS 2 that SKD brings has rclpy and messages alone: source one with the rest"
+                raise GraphError(f"{problem}, for the {process.restarts}. time; its last words: {last[-1]}{hint}")
+            self._start(process)
+        return " and ".join(problems) or None
+
+    def restart(self, name: str) -> None:
+        """End a process and start it anew."""
+        for process in self._processes:
+            if process.name == name:
+                self._end([process])
+                self._start(process)
+
+    def stop(self) -> None:
+        """End all processes: politely, then firmly."""
+        self._end(self._processes)
+
+    def _end(self, processes: Sequence[_Process]) -> None:
+        begin = time.monotonic()
+        alive = _alive(processes)
+        for number, latest in ((signal.SIGINT, begin + 0.5 * END_LIMIT), (signal.SIGTERM, begin + END_LIMIT)):
+            for process in alive:
+                _signal_group(process, number)
+                # One that is stopped answers no signal; killed where it stands, it may leave locks of the middleware's
+                # shared memory behind, and who comes in its place is not heard.
+                _signal_group(process, signal.SIGCONT)
+            while alive and time.monotonic() < latest:
+                time.sleep(0.01)
+                alive = _alive(alive)
+        for process in alive:
+            self._say(f"{process.name} did not end within {END_LIMIT:g} s of SIGINT; it is killed, with its group")
+        for process in processes:
+            _signal_group(process, signal.SIGKILL)  # also what a process that has ended left behind
+            if process.popen is not None:
+                process.popen.wait()
+            if process.watch is not None:
+                process.watch.communicate(b"\n")
+            if process.output is not None:
+                process.output.close()
+            process.popen = process.watch = process.output = None
+
+
+def _answer_to_sigint() -> None:
+    """Have a process answer to SIGINT whatever the one that started it does."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _alive(processes: Sequence[_Process]) -> list[_Process]:
+    return [process for process in processes if process.popen is not None and process.popen.poll() is None]
+
+
+def _signal_group(process: _Process, number: int) -> None:
+    if process.popen is not None:
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.popen.pid, number)
+
+
+def _last_lines(process: _Process) -> list[str]:
+    """Return the last lines that a process has printed since it was started, at least one."""
+    try:
+        with process.log.open("rb") as log:
+            size = log.seek(0, os.SEEK_END)
+            log.seek(max(process.begin, size - _LAST_BYTES))
+            text = log.read().decode(errors="replace")
+    except OSError:
+        text = ""
+    lines = [printable(line.rstrip().expandtabs())[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
+    return lines[-_LAST_LINES:] or ["(it has printed nothing)"]

@@ -1,1 +1,0 @@
-"""The processes of a graph, their logs and domains."""

@@ -1,1 +1,0 @@
-"""What is recorded of episodes, and the bags that it becomes."""
