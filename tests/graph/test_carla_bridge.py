@@ -49,8 +49,7 @@ from skd_sim.nodes.support import (
     STREAM,
     VELOCITY_COMMAND,
 )
-from skd_sim.ros_environment.messages import MessagePackage, build_messages, find_compiler
-from skd_sim.ros_environment.step import Step
+from skd_sim.ros_environment.installation import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.simulation.carla_objects import objects
 from skd_sim.simulation.world import make_world
@@ -86,8 +85,7 @@ def messages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     (source / "package.xml").write_text(PACKAGE.format(depends))
     for name, text in DEFINITIONS.items():
         (source / "msg" / f"{name}.msg").write_text(text)
-    with Step("carla_msgs", folder / "build.log") as step:
-        build_messages([MessagePackage(source)], find_compiler(), target, step)
+    build_messages([MessagePackage(source)], find_compiler(), target, folder / "build.log")
     for _ in range(2):  # each time those whose own needs are met: the loader looks in no folder that is not on its path
         for library in target.glob("lib/*.so"):
             with contextlib.suppress(OSError):

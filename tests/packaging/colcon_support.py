@@ -18,9 +18,7 @@ from pathlib import Path
 from common import PATIENCE, new_domain
 from packaging_support import SOURCE
 from skd_sim.ros_environment import is_sourced, node_variables
-from skd_sim.ros_environment.installation import environment_digest
-from skd_sim.ros_environment.lock import locked
-from skd_sim.ros_environment.messages import cmake_prefix
+from skd_sim.ros_environment.installation import cmake_prefix, environment_digest, locked
 
 ENVIRONMENT = Path(sys.executable).parent
 """The environment's bin folder."""

@@ -17,9 +17,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment import ensure_ros, installation, is_ready, messages
-from skd_sim.ros_environment.messages import MessagePackage, find_compiler, message_package
-from skd_sim.ros_environment.step import Step
+from skd_sim.ros_environment import ensure_ros, installation, is_ready
+from skd_sim.ros_environment.installation import MessagePackage, find_compiler, message_package
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(installation.__file__).parent
@@ -60,7 +59,7 @@ def test_with_ros_sourced_nothing_is_installed(bare, monkeypatch):
 
 
 def test_missing_headers_are_named(monkeypatch, tmp_path):
-    monkeypatch.setattr(messages.sysconfig, "get_path", lambda _name: str(tmp_path))
+    monkeypatch.setattr(installation.sysconfig, "get_path", lambda _name: str(tmp_path))
     with pytest.raises(UsageError, match=r"Python\.h is missing: sudo apt install python3\.\d+-dev"):
         find_compiler()
 
@@ -137,20 +136,20 @@ def test_a_wheel_with_another_hash_is_refused(tmp_path, monkeypatch):
     list_ = tmp_path / "list.txt"
     list_.write_text(f"{name}==1.0 --hash=sha256:{wrong}\n")
     with pytest.raises(UsageError, match="DO NOT MATCH THE HASHES"):
-        installation._install("wheels", list_, tmp_path / "log")
+        installation.install(list_, tmp_path / "log")
     list_.write_text(f"{name}==1.0\n")
     with pytest.raises(UsageError, match=r"(?i)hash"):
-        installation._install("wheels", list_, tmp_path / "log")
+        installation.install(list_, tmp_path / "log")
 
 
-def test_what_a_failed_step_said_is_in_the_one_line_and_in_the_log(tmp_path):
+def test_what_a_failed_command_said_is_in_the_one_line_and_in_the_log(tmp_path):
     log = tmp_path / "log"
     program = "print('fine'); print('fatal error: no such header'); print('stopped'); raise SystemExit(3)"
-    with pytest.raises(UsageError, match=rf"\(messages\): fatal error: no such header; the whole log is {log}"):
-        Step("messages", log).run([sys.executable, "-c", program])
+    with pytest.raises(UsageError, match=rf"added: fatal error: no such header; the whole log is {log}"):
+        installation.run([sys.executable, "-c", program], log)
     assert log.read_text().splitlines()[1:] == ["fine", "fatal error: no such header", "stopped"]
     with pytest.raises(UsageError, match="no-such-command: No such file"):
-        Step("messages", log).run(["no-such-command"])
+        installation.run(["no-such-command"], log)
 
 
 # --- what is installed

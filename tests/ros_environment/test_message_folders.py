@@ -8,9 +8,8 @@ import pytest
 from skd_evaluator.assessing.asked import with_asked_period
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment import is_sourced, message_folders
-from skd_sim.ros_environment.message_folders import ensure_messages
-from skd_sim.ros_environment.messages import MessagePackage
+from skd_sim.ros_environment import installation, is_sourced
+from skd_sim.ros_environment.installation import MessagePackage, ensure_messages
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so nothing is built")
 
@@ -30,7 +29,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         rounds.extend([[one.name for one in together] for together in wanted])
         place.mkdir()
 
-    monkeypatch.setattr(message_folders, "_build", build)
+    monkeypatch.setattr(installation, "_build", build)
     return rounds
 
 

@@ -39,7 +39,9 @@ def test_a_sourced_ros_stays_as_it_is():
 
 def test_a_controller_that_is_not_ours_inherits_neither():
     options = GraphOptions(controller_command="my_stack --fast")
-    programs = graph_programs(options, "external", node_variables({"PATH": "/usr/bin", PATH: "/opt/stack/lib"}), composed=False)
+    programs = graph_programs(
+        options, "external", node_variables({"PATH": "/usr/bin", PATH: "/opt/stack/lib"}), composed=False
+    )
     theirs = programs[CONTROLLER].environment
     assert theirs[PATH] == "/opt/stack/lib"
     assert GUARD not in theirs

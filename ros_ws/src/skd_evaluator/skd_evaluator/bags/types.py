@@ -14,8 +14,7 @@ from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment.message_folders import PREFIX
-from skd_sim.ros_environment.messages import message_package, packages_without_wheel
+from skd_sim.ros_environment.installation import PREFIX, message_package, packages_without_wheel
 
 
 def _shared(package: str) -> Iterator[Path]:

@@ -42,7 +42,7 @@ END_LIMIT = 2.0
 _CANNOT_START = (2, 126, 127)
 """Exit codes of a usage error, and of a shell that cannot run or find a command: another start ends alike."""
 _LACKS = ("ModuleNotFoundError: ", "ImportError: ")
-_WATCH = 'read -r _ || kill -KILL -- "-$1"'
+_WATCH = 'read -r _ || kill -KILL "-$1"'
 """For a shell whose standard input ends when this process does: it kills a process group then."""
 _LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
 """How much is shown of what a process that has ended printed."""

@@ -1,26 +1,48 @@
-"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and messages that have none."""
+"""Adds ROS 2 Jazzy to this environment, once: its wheels, pinned and with hashes, and messages that have none.
+
+Messages are compiled: SKD's own, those of others that have no wheel, and, into folders of their own, those of a user
+that no sourced workspace has. The wheels made this environment a ROS prefix, with which CMake builds them.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import functools
 import hashlib
 import importlib.util
 import os
 import platform
+import re
+import shutil
+import subprocess
 import sys
+import sysconfig
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.ros_environment.lock import locked
-from skd_sim.ros_environment.messages import build_messages, built_packages, find_compiler
-from skd_sim.ros_environment.step import Step
-from skd_sim.ros_environment.variables import is_sourced
+from skd_sim.inputs.outside import read_text
+from skd_sim.ros_environment.variables import is_sourced, node_variables
 
+PREFIX = "SKD_MESSAGE_PREFIX"
+"""Variable that says where a user's packages of messages are for this run."""
 _HERE = Path(__file__).resolve().parent
 _WHEELS, _SOURCES, _COMPILER = (_HERE / f"{name}.txt" for name in ("wheels", "sources", "compiler"))
 _ELSEWHERE = (
     "install ROS 2 Jazzy yourself (Ubuntu 24.04: apt install ros-jazzy-ros-base), source it, then "
     "cd ros_ws && colcon build && . install/setup.bash"
 )
+_ERROR = re.compile(r"\berror\b", re.IGNORECASE)
+_OF_PACKAGE = re.compile(r"^[ \t]*([a-z][a-z0-9_]*)/[A-Z]", re.MULTILINE)  # a field of a type of that package
+_BUILD_PYTHON = r"/opt/python/[^;\"]*/include/python3[^;\"]*"
+_BUILD_NUMPY = r"/opt/python/[^;\"]*/numpy/[^;\"]*include"
+
+
+# --- whether there is something to add
 
 
 def ensure_ros() -> None:
@@ -30,7 +52,12 @@ def ensure_ros() -> None:
         UsageError: they cannot be had here; the message names the remedy.
     """
     if is_sourced():
-        _check_sourced()
+        for name in ("rclpy", "skd_msgs"):
+            if importlib.util.find_spec(name) is None:
+                raise UsageError(
+                    f"ROS 2 {os.environ.get('ROS_DISTRO', '')} is sourced, but {name} is not found; build and source "
+                    "the workspace: cd ros_ws && colcon build && . install/setup.bash"
+                )
     elif not is_ready():
         _check_platform()
         with locked(Path(sys.prefix, ".skd-ros.lock"), "adding ROS 2"):
@@ -61,15 +88,6 @@ def environment_digest() -> str:
     return digest.hexdigest()
 
 
-def _check_sourced() -> None:
-    for name in ("rclpy", "skd_msgs"):
-        if importlib.util.find_spec(name) is None:
-            raise UsageError(
-                f"ROS 2 {os.environ.get('ROS_DISTRO', '')} is sourced, but {name} is not found; build and source the "
-                "workspace: cd ros_ws && colcon build && . install/setup.bash"
-            )
-
-
 def _check_platform() -> None:
     system = f"{platform.system()} on {platform.machine()}"
     if system != "Linux on x86_64":
@@ -83,6 +101,18 @@ def _check_platform() -> None:
         )
 
 
+@contextmanager
+def locked(file: Path, what: str) -> Iterator[None]:
+    """Hold the lock that a file is, and say what another process is doing where that has to be waited for."""
+    with file.open("w") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print(f"skd: another process is {what}; waiting for it", file=sys.stderr)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
 def _add() -> None:
     compiler, packages = find_compiler(), built_packages()
     how_long = "a minute" if compiler else "three minutes: no C++ compiler is installed, so one is fetched as well"
@@ -90,24 +120,372 @@ def _add() -> None:
     log = Path(sys.prefix, "ros.log")
     log.unlink(missing_ok=True)
     _stamp().unlink(missing_ok=True)
-    _install("wheels", _WHEELS, log, "--only-binary", ":all:")
+    install(_WHEELS, log, "--only-binary", ":all:")
     # After the wheels, with which it is built: nothing that is not listed may come in, not even to build something.
-    _install("sources", _SOURCES, log, "--no-build-isolation")
+    install(_SOURCES, log, "--no-build-isolation")
     if compiler is None:
-        _install("compiler", _COMPILER, log, "--only-binary", ":all:")
-    with Step("messages", log) as step:
-        build_messages(packages, compiler, Path(sys.prefix), step)
+        install(_COMPILER, log, "--only-binary", ":all:")
+    build_messages(packages, compiler, Path(sys.prefix), log)
     temporary = _stamp().with_suffix(f".{os.getpid()}")
     temporary.write_text(environment_digest(), encoding="utf-8")
     temporary.replace(_stamp())
 
 
-def _install(label: str, requirements: Path, log: Path, *options: str) -> None:
-    """Install exactly what a file lists: each archive's hash is checked, and nothing else is drawn in."""
+def install(requirements: Path, log: Path, *options: str) -> None:
+    """Install exactly what a file lists: each archive's hash is checked, and nothing else is drawn in.
+
+    Raises:
+        UsageError: it cannot be installed.
+    """
     pip = [sys.executable, "-m", "pip"]
     if importlib.util.find_spec("pip") is None:
         pip = [os.path.realpath(sys.executable), "-m", "pip", "--python", sys.executable]
     strict = ["--no-deps", "--require-hashes", "--progress-bar", "off", "--disable-pip-version-check"]
-    parts = requirements.read_text(encoding="utf-8").count("==")
-    with Step(label, log, parts=parts, sign="^Collecting ") as step:
-        step.run([*pip, "install", *strict, *options, "-r", str(requirements)])
+    run([*pip, "install", *strict, *options, "-r", str(requirements)], log)
+
+
+def run(command: Sequence[str], log: Path, environment: Mapping[str, str] | None = None) -> None:
+    """Run a command to its end; what it prints goes to a log.
+
+    Raises:
+        UsageError: it cannot be started, or fails; the line has the first error that it printed.
+    """
+    with log.open("a", encoding="utf-8") as file:
+        file.write(f"$ {' '.join(command)}\n")
+        file.flush()
+        begin = file.tell()
+        try:
+            code = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, env=environment, check=False
+            ).returncode
+        except OSError as error:
+            raise UsageError(f"ROS 2 could not be added: {command[0]}: {error.strerror}") from error
+    if code:
+        printed = log.read_bytes()[begin:].decode(errors="replace").splitlines()
+        lines = [line.strip() for line in printed if line.strip()] or [f"exit code {code}"]
+        said = next(filter(_ERROR.search, lines), lines[-1])[:200]
+        raise UsageError(f"ROS 2 could not be added: {said}; the whole log is {log}")
+
+
+# --- packages of messages
+
+
+@dataclass(frozen=True)
+class MessagePackage:
+    """The sources of a package of messages.
+
+    Attributes:
+        folder: folder that holds its package.xml and msg/.
+    """
+
+    folder: Path
+
+    @functools.cached_property
+    def name(self) -> str:
+        """Name of the package, as ROS 2 has it.
+
+        Raises:
+            UsageError: its package.xml is none.
+        """
+        file = self.folder / "package.xml"
+        try:
+            return str(ElementTree.parse(file).findtext("name", self.folder.name)).strip()
+        except ElementTree.ParseError as error:
+            raise UsageError(f"{file}: no XML ({error})") from error
+
+    @property
+    def files(self) -> list[Path]:
+        """What decides how its messages look, sorted."""
+        return [self.folder / "package.xml", *sorted(self.folder.glob("msg/*.msg"))]
+
+    def dependencies(self) -> list[str]:
+        """Return the packages whose messages these use, by their definitions: package.xml has many words for it."""
+        texts = (read_text(file) for file in self.files[1:])
+        return sorted({name for text in texts for name in _OF_PACKAGE.findall(text)} - {self.name})
+
+
+def message_package() -> MessagePackage:
+    """Return skd_msgs: of the checkout, or as it comes with an installed SKD.
+
+    Raises:
+        UsageError: it is in neither place.
+    """
+    for place in (*_HERE.parents, _HERE):
+        if (place / "skd_msgs" / "msg" / "Episode.msg").is_file():
+            return MessagePackage(place / "skd_msgs")
+    raise UsageError("the definitions of skd_msgs are not installed: install SKD from its checkout or wheel")
+
+
+def packages_without_wheel() -> list[MessagePackage]:
+    """Return the messages of others that have no wheel and that SKD uses, with the type hashes of the originals.
+
+    Where SKD is installed in a workspace of ROS 2 they are in its prefixes, and not here.
+    """
+    folder = _HERE / "packages"
+    return [MessagePackage(place) for place in sorted(folder.iterdir())] if folder.is_dir() else []
+
+
+def built_packages() -> list[MessagePackage]:
+    """Return all packages that are built where no ROS 2 is sourced: skd_msgs, and what else has no wheel.
+
+    Raises:
+        UsageError: as `message_package`.
+    """
+    return [message_package(), *packages_without_wheel()]
+
+
+def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
+    """Make sure that a package of messages can be imported: build it from these folders if it is not installed.
+
+    The folder that holds the result is named for all that decides what is built: other definitions, another folder.
+
+    Args:
+        folders: folders in which to look for packages, at any depth.
+        package: name of the package whose messages are needed; those that it uses come with it.
+
+    Returns:
+        The prefix that holds them; none where nothing had to be built.
+
+    Raises:
+        UsageError: it is not there, or cannot be built.
+    """
+    found = {one.name: one for folder in folders for one in _packages_in(Path(folder).expanduser())}
+    if is_installed(package):
+        return None
+    if package not in found:
+        raise UsageError(
+            f"--message-folder {', '.join(folders)}: there is no package {package}; there "
+            f"{'is' if len(found) == 1 else 'are'} {', '.join(sorted(found))}"
+        )
+    if is_sourced():
+        raise UsageError(
+            f"{package} is not in the ROS 2 that is sourced: build it in your workspace and source that "
+            f"(colcon build --packages-up-to {package}); --message-folder is for where none is"
+        )
+    rounds = _rounds(package, found)
+    digest = hashlib.sha256(f"{environment_digest()} {sys.version}".encode())
+    for one in (one for together in rounds for one in together):
+        for file in one.files:
+            digest.update(f"\0{one.name}/{file.name}\0{read_text(file)}".encode())
+    place = Path(sys.prefix, "messages", digest.hexdigest()[:16])
+    if not place.is_dir():
+        place.parent.mkdir(exist_ok=True)
+        with locked(place.parent / ".lock", "building messages"):
+            if not place.is_dir():
+                _build(rounds, place)
+    return place
+
+
+def message_variables(environment: Mapping[str, str], prefix: Path | None) -> dict[str, str]:
+    """Return the environment in which a Python finds the messages in a prefix too, if there is one."""
+    if prefix is None:
+        return dict(environment)
+    changed = {**environment, PREFIX: str(prefix)}
+    modules = sysconfig.get_path("purelib", vars={"base": str(prefix)})
+    for name, folder in (("PYTHONPATH", modules), ("LD_LIBRARY_PATH", str(prefix / "lib"))):
+        parts = [part for part in environment.get(name, "").split(os.pathsep) if part]
+        if folder not in parts:  # else they stay as they are, in whatever order: this program may have begun anew
+            changed[name] = os.pathsep.join([folder, *parts])
+    return changed
+
+
+def is_installed(package: str) -> bool:
+    """Return whether a package of messages can be imported as the environment is, without what this run adds."""
+    added = os.environ.get(PREFIX, "")
+    try:
+        spec = importlib.util.find_spec(package)
+    except ValueError:  # a module of that name that is half made
+        return True
+    return spec is not None and not (added and str(spec.origin).startswith(added))
+
+
+def _packages_in(folder: Path) -> list[MessagePackage]:
+    files = sorted(folder.rglob("package.xml")) if folder.is_dir() else []
+    found = [MessagePackage(file.parent) for file in files if any(file.parent.glob("msg/*.msg"))]
+    if not found:
+        why = "holds no package of messages (package.xml, and beside it msg/*.msg)"
+        raise UsageError(f"--message-folder {folder}: {why if folder.is_dir() else 'no such folder'}")
+    return found
+
+
+def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[MessagePackage]]:
+    """Return which packages have to be built for a package, in rounds: each round depends only on those before it.
+
+    Raises:
+        UsageError: a package that they use is nowhere, or they use each other in a circle.
+    """
+    uses: dict[str, set[str]] = {}
+    ahead = [(package, "")]
+    while ahead:
+        name, by = ahead.pop()
+        if name in uses or is_installed(name):
+            continue
+        if name not in found:
+            raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a --message-folder")
+        uses[name] = set(found[name].dependencies())
+        ahead += [(other, name) for other in uses[name]]
+    rounds = []
+    while uses:
+        ready = sorted(name for name, others in uses.items() if not others & set(uses))
+        if not ready:
+            raise UsageError(f"these packages of messages use each other in a circle: {', '.join(sorted(uses))}")
+        rounds.append([found[name] for name in ready])
+        for name in ready:
+            del uses[name]
+    return rounds
+
+
+# --- building them
+
+
+def _build(rounds: Sequence[Sequence[MessagePackage]], place: Path) -> None:
+    names = ", ".join(package.name for together in rounds for package in together)
+    print(f"skd: building messages of {names} in {place} (once)", file=sys.stderr)
+    compiler, log = find_compiler(), place.parent / "build.log"
+    log.unlink(missing_ok=True)
+    target = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
+    try:
+        for together in rounds:
+            with tempfile.TemporaryDirectory(prefix="skd-messages-") as copies:
+                build_messages([_copy(package, Path(copies)) for package in together], compiler, target, log)
+        target.rename(place)
+    finally:
+        shutil.rmtree(target, ignore_errors=True)
+
+
+def _copy(package: MessagePackage, place: Path) -> MessagePackage:
+    """Return a copy of a package with its messages alone, and with a package.xml in which nothing is missing.
+
+    What else is in it, a build of its own, services, rules for a linter, is nothing that a command needs.
+    """
+    folder = place / package.name
+    (folder / "msg").mkdir(parents=True)
+    for file in package.files[1:]:
+        shutil.copy(file, folder / "msg")
+    uses = "".join(f"<depend>{name}</depend>" for name in package.dependencies())
+    (folder / "package.xml").write_text(
+        f'<package format="3"><name>{package.name}</name><version>0.0.0</version><description>Messages.</description>'
+        f'<maintainer email="nobody@example.org">nobody</maintainer><license>as the original</license>{uses}'
+        "<member_of_group>rosidl_interface_packages</member_of_group></package>\n",
+        encoding="utf-8",
+    )
+    return MessagePackage(folder)
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """Commands of a C and a C++ compiler, and CMake's variables for the tools beside them."""
+
+    c: str
+    cpp: str
+    tools: tuple[str, ...] = ()
+
+
+def find_compiler() -> Compiler | None:
+    """Return the machine's compiler ($CC and $CXX, or what is on the PATH); none where there is none.
+
+    Raises:
+        UsageError: Python's headers are missing, without which no compiler helps.
+    """
+    headers = Path(sysconfig.get_path("include"))
+    if not (headers / "Python.h").is_file():
+        version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        raise UsageError(
+            f"the messages are compiled against Python's headers, and {headers}/Python.h is missing: "
+            f"sudo apt install python{version}-dev, or set SKD_PYTHON to a Python that has them"
+        )
+    c = next(filter(shutil.which, filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))), None)
+    cpp = next(filter(shutil.which, filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++"))), None)
+    return Compiler(c, cpp) if c and cpp else None
+
+
+def _zig(folder: Path) -> Compiler:
+    """Return the compiler that the wheel `ziglang` holds; CMake wants each tool as a program of its own."""
+    programs = {}
+    for name in ("cc", "c++", "ar", "ranlib"):
+        program = folder / f"zig-{name}"
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang {name} "$@"\n', encoding="utf-8")
+        program.chmod(0o755)
+        programs[name] = str(program)
+    tools = (f"-DCMAKE_AR={programs['ar']}", f"-DCMAKE_RANLIB={programs['ranlib']}")
+    return Compiler(programs["cc"], programs["c++"], tools)
+
+
+def cmake_prefix(folder: Path) -> Path:
+    """Make a ROS prefix for CMake in an empty folder: this environment, with the wheels' CMake files mended.
+
+    Those name Python's and numpy's headers where the wheels were built. The wheels stay as they are.
+
+    Args:
+        folder: empty; what is made there holds links into this environment.
+    """
+    for part in ("bin", "include", "lib", "tools"):
+        if Path(sys.prefix, part).exists():
+            (folder / part).symlink_to(Path(sys.prefix, part))
+    shutil.copytree(Path(sys.prefix, "share"), folder / "share", symlinks=True)
+    import numpy as np  # slow to import, and needed only now
+
+    headers = sysconfig.get_path("include")
+    for file in folder.glob("share/*/cmake/*.cmake"):
+        text = file.read_text(encoding="utf-8")
+        if "/opt/python/" in text:
+            text = re.sub(_BUILD_NUMPY, lambda _: np.get_include(), text)
+            file.write_text(re.sub(_BUILD_PYTHON, lambda _: headers, text), encoding="utf-8")
+    return folder
+
+
+def build_messages(packages: Sequence[MessagePackage], compiler: Compiler | None, target: Path, log: Path) -> None:
+    """Build packages of messages with what rclpy needs of them, and install them.
+
+    Args:
+        packages: packages to build; none may depend on another one of them, but each may depend on what is in `target`
+            already.
+        compiler: the compiler; None: that of the wheel `ziglang`.
+        target: prefix to install into.
+        log: file for what the tools print.
+
+    Raises:
+        UsageError: they cannot be built.
+    """
+    with tempfile.TemporaryDirectory(prefix="skd-messages-") as scratch:
+        source, build, prefix, tools = (Path(scratch, name) for name in ("source", "build", "prefix", "tools"))
+        for folder in (source, prefix, tools):
+            folder.mkdir()
+        shutil.copy(_HERE / "CMakeLists.txt", source)
+        for package in packages:
+            shutil.copytree(package.folder, source / package.name)
+            shutil.copy(_HERE / "package.cmake", source / package.name / "CMakeLists.txt")
+        chosen = compiler or _zig(tools)
+        cmake_prefix(prefix)
+        environment = node_variables(os.environ)
+        environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment.get("PATH", os.defpath)])
+        environment["AMENT_PREFIX_PATH"] = str(prefix)
+        definitions = {
+            "CMAKE_BUILD_TYPE": "Release",
+            "CMAKE_INSTALL_PREFIX": str(target),
+            "CMAKE_PREFIX_PATH": str(prefix) if target == Path(sys.prefix) else f"{prefix};{target}",
+            "CMAKE_C_COMPILER": chosen.c,
+            "CMAKE_CXX_COMPILER": chosen.cpp,
+            "Python3_EXECUTABLE": sys.executable,
+            "BUILD_TESTING": "OFF",
+            "SKD_PACKAGES": ";".join(package.name for package in packages),
+            "SKD_DEPENDENCIES": ";".join(sorted({name for package in packages for name in package.dependencies()})),
+        }
+        for package in packages:
+            definitions[f"SKD_DEPENDENCIES_OF_{package.name}"] = ";".join(package.dependencies())
+        options = [f"-D{name}={value}" for name, value in definitions.items()]
+        cmake = ["cmake", "-G", "Ninja", "-S", str(source), "-B", str(build), *options, *chosen.tools]
+        run(cmake, log, environment)
+        run(["cmake", "--build", str(build)], log, environment)
+        for package in packages:
+            _remove_messages(package.name, target)
+        run(["cmake", "--install", str(build)], log, environment)
+
+
+def _remove_messages(name: str, target: Path) -> None:
+    """Take away what an earlier build of a package has installed."""
+    packages = Path(sysconfig.get_path("purelib", vars={"base": str(target)}))
+    for folder in (packages / name, target / "share" / name, target / "include" / name):
+        shutil.rmtree(folder, ignore_errors=True)
+    for library in (target / "lib").glob(f"lib{name}__*"):
+        library.unlink()
