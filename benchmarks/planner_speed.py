@@ -24,7 +24,7 @@ from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.specialisation import specialise
+from skd_sim.kernels.compilation import specialise
 
 _DEFAULT = ("crossing", "tag")
 _BARE_STEPS = 2_000_000

@@ -14,7 +14,7 @@ from skd_sim.program.on_demand import on_demand
     ("program", "without"),
     [
         ("import skd_evaluator.cli.commands.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
-        ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "numba matplotlib"),
+        ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "matplotlib"),
         ("from skd_evaluator.cli.main import main; main(['completion', 'bash'])", "numpy numba rich"),
     ],
     ids=["assess", "plan", "completion"],

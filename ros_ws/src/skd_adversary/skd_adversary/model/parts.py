@@ -13,8 +13,7 @@ from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise
+from skd_sim.kernels.compilation import kernel, specialise
 
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 

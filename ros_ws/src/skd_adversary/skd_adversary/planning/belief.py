@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.planning.pomdp import Action, Pomdp

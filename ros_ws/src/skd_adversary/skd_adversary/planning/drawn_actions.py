@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.options import PlannerOptions

@@ -22,8 +22,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.rollouts import no_note, roll_out_kernel, rollout_kernel
 from skd_adversary.planning.search_tree import Float32Array, IndexArray, Int32Array

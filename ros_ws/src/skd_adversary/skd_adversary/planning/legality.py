@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.search_tree import VISITS, SearchTree
 

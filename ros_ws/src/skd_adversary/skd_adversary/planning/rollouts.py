@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 _step = _rollout_action = _act = _number = _note = _rollout = _leaf_value = unbound
 _HAS_LEAF_VALUE = False

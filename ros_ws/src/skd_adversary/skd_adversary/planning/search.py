@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.drawn_actions import action_kernels
 from skd_adversary.planning.learning_rollouts import learning_rollout_kernel

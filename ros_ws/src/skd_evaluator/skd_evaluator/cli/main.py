@@ -13,7 +13,6 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import guarded, one_line, own
-from skd_sim.kernels.waiting import put_off
 from skd_sim.program.lasting import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json
@@ -31,8 +30,6 @@ _LIMITS = {
     errno.EFBIG: "; allow larger ones (ulimit -f)",
 }
 """What to do about a limit of this user's."""
-_SELDOM_WITH_KERNELS = frozenset({"completion", "doctor", "list", "plan"})
-"""Commands that mostly call no kernel, and then start without numba, which takes longer than all else."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,8 +59,6 @@ def _run(words: list[str]) -> int:
         as_json = getattr(arguments, "json", False)
         if as_json:
             keep_for_json()
-        if arguments.command in _SELDOM_WITH_KERNELS:
-            put_off()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
         command = import_lasting(f"skd_evaluator.cli.commands.{getattr(arguments, 'module', arguments.command)}")
         with ExitStack() as stack:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
-from skd_sim.kernels.compiler.kernel_cache import is_kept
+from skd_sim.kernels.code_cache import is_kept
 
 from skd_evaluator.campaign.run.beside import Beside
 from skd_evaluator.campaign.run.workers import available_workers

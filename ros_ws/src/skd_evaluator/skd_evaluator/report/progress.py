@@ -23,7 +23,6 @@ from rich.progress import (
 )
 from rich.text import Text
 from skd_sim.inputs.printable import guarded, own
-from skd_sim.kernels.anew import any_compiled
 
 from skd_evaluator.campaign.plan.plan import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
@@ -32,7 +31,7 @@ LINE_EVERY = 30.0
 """s between two lines where there is no terminal."""
 FIRST_LINE = 5.0
 """s until the first of them."""
-PREPARING = "compiling what a first run needs; it takes a minute or two, and is kept"
+PREPARING = "preparing; a first run compiles code for a minute or two, and keeps it"
 
 
 Above = Callable[[int], RenderableType]
@@ -169,12 +168,12 @@ class ProgressLines:
             self._last = now
 
     def say(self) -> None:
-        """Write a line for each stage that has not come to its end; before the first, that it is compiled."""
+        """Write a line for each stage that has not come to its end; before the first, that there is more to come."""
         with self._lock:
             now = self._clock()
             going = {label: stage for label, stage in self._stages.items() if stage.done < stage.total}
             begun = self._begun
-        if not begun and any_compiled():
+        if not begun:
             self._write(PREPARING)
         for label, stage in going.items():
             self._write(progress_line(label, stage.done, stage.total, stage.done - stage.before, now - stage.begin))

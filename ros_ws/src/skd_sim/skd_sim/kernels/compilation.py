@@ -1,20 +1,30 @@
-"""Compilation of numeric kernels, with an on-disk cache that no change can ever leave stale.
-
-Numba's own cache looks only at the file of the compiled function. A kernel that calls a kernel of another file, or
-reads a number from one, would keep the old code after an update, and two runs of the same version would then give
-different trajectories. Here code is kept under a digest of all that it depends on (`fingerprint`, `kernel_cache`).
-"""
+"""Kernels: functions of numbers and arrays that numba compiles, and templates of kernels for many models."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any, TypeVar, overload
+import itertools
+import sys
+import types
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeVar, overload
 
-from skd_sim.kernels import waiting
-from skd_sim.program.lasting import import_lasting
+import numba
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
+from skd_sim.errors import UsageError
+from skd_sim.kernels import stream_type as stream_type  # tells numba of it
+from skd_sim.kernels.code_cache import KernelCache, digest_of
+from skd_sim.program.requirements import environment
+
+if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
+    raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")
+
+CompilationError = NumbaError
+"""What a kernel raises whose code or arguments cannot be compiled."""
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_NUMBERS: Final = itertools.count()
 
 
 @overload
@@ -41,7 +51,43 @@ def kernel(function: Any = None, /, *, inline: bool = False, allocates: bool | N
     if function is None:
         return functools.partial(kernel, inline=inline, allocates=allocates, nogil=nogil)
     counts = not inline if allocates is None else allocates
-    options = {"inline": inline, "allocates": counts, "nogil": nogil}
-    if waiting.is_put_off():
-        return waiting.Waiting(function, options)
-    return import_lasting("skd_sim.kernels.compiler.machine_code").compiled(function, **options)
+    # `_nrt` is one of numba's own options, of which its types do not know.
+    options: Any = {"forceinline": inline, "_nrt": counts, "nogil": nogil}
+    made: Any = numba.njit(error_model="numpy", **options)(function)
+    if isinstance(made, Dispatcher):  # not where numba is told to leave Python as it is
+        vars(made)["_cache"] = KernelCache(made)
+    return made
+
+
+def unbound(*_arguments: Any) -> Any:
+    """Stand, in a template, for a kernel that `specialise` binds."""
+    raise NotImplementedError("bound to the model's kernel by `specialise`")
+
+
+def specialise(
+    template: Callable[..., Any],
+    name: str,
+    bindings: Mapping[str, Any],
+    *,
+    allocates: bool = True,
+    inline: bool = False,
+) -> Callable[..., Any]:
+    """Compile a copy of `template` in which the global names of `bindings` stand for other kernels.
+
+    This is how one planner serves many models at full speed: the model's kernels are inlined as if the
+    planner had been written for it, and, unlike a closure over kernels, the result can be cached on disk.
+
+    Args:
+        template: plain (uncompiled) function that calls the bound names as globals.
+        name: name of this specialisation, by which a reader of profiles and of the cache knows it.
+        bindings: global name → kernel.
+        allocates: whether it allocates memory, as in `kernel`.
+        inline: whether it is inlined, as in `kernel`; an inlined kernel allocates nothing.
+    """
+    namespace = {**template.__globals__, **bindings}
+    copy = types.FunctionType(template.__code__, namespace, template.__name__, template.__defaults__)
+    copy.__module__ = template.__module__
+    copy.__qualname__ = template.__qualname__
+    # Names of machine code come from here: no two specialisations may share one.
+    copy.__qualname__ += f"__{name}_{(digest_of(copy) or f'{next(_NUMBERS)}')[:16]}"
+    return kernel(inline=True)(copy) if inline else kernel(allocates=allocates)(copy)

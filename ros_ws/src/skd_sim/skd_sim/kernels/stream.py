@@ -2,7 +2,7 @@
 
 Numba asks a `numpy.random.Generator` for its functions anew in each call of a kernel, which takes longer than many a
 kernel does, and calls them by pointer for each number. A `Stream` is the same generator: its numbers, to the last bit,
-and its state, so that both can draw in turns. `compiler/stream_type.py` says how kernels draw from it.
+and its state, so that both can draw in turns. `stream_type.py` says how kernels draw from it.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.kernels.compiler.machine_code import CompilationError
+from skd_sim.kernels.compilation import CompilationError
 
 from skd_adversary.planning.pomdp import Action, Pomdp
 

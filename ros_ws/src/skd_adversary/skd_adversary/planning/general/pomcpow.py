@@ -26,8 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.kernels.specialisation import specialise, unbound
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.drawn_actions import action_kernels, action_widening, slots_of

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of
-from pathlib import Path
 from typing import Any
 
 from skd_sim import ros_environment
@@ -108,13 +107,11 @@ def _version(module: str) -> str:
 
 def _kernels() -> Finding:
     """Return whether compiled kernels can be kept, and how many are."""
-    from skd_sim.kernels.compiler.kernel_cache import cache_folder
+    from skd_sim.kernels.code_cache import cache_folder
 
     folder = cache_folder()
-    if folder is None:
-        return Finding("kernels", BROKEN, "there is no folder in which compiled kernels can be kept")
-    count = len(list(Path(folder.path).glob("*.kernel")))
-    text = f"{count} compiled ones are kept in {folder.path}" if count else "the next run compiles them, for a minute"
+    count = len(list(folder.glob("*.kernel")))
+    text = f"{count} compiled ones are kept in {folder}" if count else "the next run compiles them, for a minute"
     return Finding("kernels", FINE, text)
 
 
