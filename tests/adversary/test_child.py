@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from skd_adversary.model.road_user.walker import nearest_walked
 from skd_adversary.model.road_users import check_kind
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective

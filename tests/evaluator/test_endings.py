@@ -11,7 +11,7 @@ from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.recomputation import ROUNDING, recompute
+from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.margin.ways.ways import velocities

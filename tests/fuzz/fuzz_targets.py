@@ -22,11 +22,11 @@ from fuzz_trials import behaviour_file, protocol_result, recorded_people, record
 from skd_adversary.car_forest import CarForest
 from skd_adversary.car_model_file import car_model_for_scenario, car_model_from, car_model_text, fitted_car
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.inventory import find_recordings
 from skd_evaluator.bags.logs import _logs_in, _said_beside, recording_of
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
-from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.store.manifest import read_manifest
 from skd_evaluator.campaign.store.rebuilt import recompute
 from skd_evaluator.campaign.store.result_file import read_figures, understood

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from skd_evaluator.bags.validation import Damage
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.fusion.measured import Recorder
 from skd_evaluator.fusion.table import read_trials
 from skd_evaluator.fusion.trial import Trial

@@ -21,7 +21,7 @@ from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.validation.verdict import examine
+from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.report.html.packing import unpack
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects

@@ -1,4 +1,4 @@
-"""What the tests of recordings share: limits, safe trajectories, campaigns, and how `skd replay` ended."""
+"""What the tests of recordings share: safe trajectories, campaigns, and how `skd replay` ended."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.geometry.trajectory import Trajectory
-
-MOST_MEMORY = 500 * 10**6
-MOST_TIME = 20.0
 
 
 def crossing(pace: float, ticks: int, name: str) -> Trajectory:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_evaluator.bags.completeness import missing_episodes
@@ -24,11 +22,6 @@ def test_the_greatest_number_of_an_attempt_takes_no_time_and_no_memory() -> None
     )  # fmt: skip
 
 
-def test_the_greatest_number_of_a_safe_trajectory() -> None:
-    (line,) = _told([episode_id(Stage.COLLISION_RATE, 2**16 - 1, 0)])
-    assert line == "no recording has an episode of safe trajectory 0, 1, 2, 3, 4, … (65535 in all)"
-
-
 @given(_numbered)
 def test_runs_are_missing_where_a_full_campaign_would_have_them(runs: set[tuple[int, int]]) -> None:
     """Said just where the runs are not all that some campaign has, which deals them out in turns."""
@@ -36,5 +29,3 @@ def test_runs_are_missing_where_a_full_campaign_would_have_them(runs: set[tuple[
     safe = max((index for index, _ in runs), default=-1) + 1
     dealt = {(number % safe, number // safe) for number in range(len(runs))} if safe else set()
     assert bool(lines) == (runs != dealt)
-    if not any("safe trajectory" in line and "last runs" not in line for line in lines):
-        assert set(Counter(index for index, _ in runs)) == set(range(safe))

@@ -11,8 +11,8 @@ import pytest
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.campaign.judge.struck import ADVERSARY, closing_speed, struck
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.plausibility import implausible
-from skd_evaluator.campaign.validation.recomputation import ROUNDING, first_touch, recompute, touches
+from skd_evaluator.campaign.validation.episode_check import implausible
+from skd_evaluator.campaign.validation.world_step import ROUNDING, first_touch, recompute, touches
 from skd_sim.controllers import takes_scene
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome

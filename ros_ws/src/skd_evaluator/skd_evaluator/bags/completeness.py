@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence, Set, Sized
-from itertools import accumulate, islice
+from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 
-import numpy as np
 from skd_sim.episode.aborts import counts_in_words
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 
-from skd_evaluator.bags.validation import is_over
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
 from skd_evaluator.measure.doubt import in_doubt
 
@@ -42,9 +39,9 @@ def missing_episodes(
 ) -> list[str]:
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
-    Attempts are numbered from 0 without gaps, every φ is tried until as many have collided as for the others or a cap
-    is reached, and runs along φ are dealt out evenly (`skd_evaluator.campaign.plan.plan`). If the last attempts of
-    every φ are missing alike, nobody can tell.
+    Attempts are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
+    cap is reached (`skd_evaluator.campaign.plan.plan`). If the last attempts of every φ are missing alike, nobody can
+    tell.
 
     Args:
         announced: ids of the episodes that the recordings mention, however they ended; kamikazes of one objective only.
@@ -76,35 +73,19 @@ def missing_episodes(
                 f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
                 f"collided in {tried}, of another {wanted}"
             )
-    uneven = [] if absent else _with_fewer_runs(attempts[Stage.COLLISION_RATE])
-    if uneven:
-        lines.append(f"the last runs along safe trajectory {_some(uneven)} were not recorded: others have more")
+    runs = [len(attempts[Stage.COLLISION_RATE].get(index, ())) for index in sorted(known)]
+    if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
+        lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")
     return lines
 
 
-def _with_fewer_runs(runs: Mapping[int, Sized]) -> list[int]:
-    """Return the numbers of φ with fewer runs than φ after them, or fewer than one less than the most."""
-    counts = [len(runs.get(index, ())) for index in range(max(runs, default=-1) + 1)]
-    most_after = list(accumulate(reversed(counts), max))[::-1]
-    most = max(counts, default=0)
-    return [index for index, count in enumerate(counts) if count < max(most - 1, most_after[index])]
-
-
 def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
-    """Return what has to be said about episodes that do not count because they are marked as aborted.
-
-    Only the recording says that they were. An episode whose states reach an end, or were not recorded at all, may as
-    well have been a hit.
-    """
-    lost = [log for log in logs if log.outcome == Outcome.ABORTED]
-    if not lost:
+    """Return what has to be said about episodes that do not count because they were aborted."""
+    reasons = [log.reason for log in logs if log.outcome == Outcome.ABORTED]
+    if not reasons:
         return []
-    ended = sum(is_over(log) for log in lost)
-    unknown = sum(not np.isfinite(log.car).all() for log in lost)
-    told = f"; by their states {ended} of them had come to their end" if ended else ""
-    told += f"; of {unknown} no states are recorded" if unknown else ""
-    what = "1 episode counts" if len(lost) == 1 else f"{len(lost)} episodes count"
-    return [f"{what} for nothing, said to have been aborted ({counts_in_words(log.reason for log in lost)}){told}"]
+    what = "1 episode counts" if len(reasons) == 1 else f"{len(reasons)} episodes count"
+    return [f"{what} for nothing, aborted ({counts_in_words(reasons)})"]
 
 
 def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
@@ -119,12 +100,16 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
     numbers = [split_episode_id(number)[0] for number in announced]
     found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
     lines = []
-    bags = {file.absolute().parent.parent for file in files}
-    for folder in sorted(folder.parent for folder in bags if folder.name == "bags"):
-        said = _said_in(folder / "assessment.json")
-        if said is not None and (found[0] < said[0] or found[1] < said[1]):
+    for folder in _folders_of_results(files):
+        try:
+            said = read_json(folder / "assessment.json")
+            rows = [row for one in said["objectives"].values() for row in one["per_safe_trajectory"]]
+            attempts, runs = sum(int(row["attempts"]) for row in rows), int(said["collision_runs"])
+        except (UsageError, ValueError, TypeError, KeyError, AttributeError):
+            continue
+        if found[0] < attempts or found[1] < runs:
             lines.append(
-                f"{folder / 'assessment.json'} tells of {said[0]} kamikaze attempts and {said[1]} runs along φ, the "
+                f"{folder / 'assessment.json'} tells of {attempts} kamikaze attempts and {runs} runs along φ, the "
                 f"recordings of {found[0]} and {found[1]}"
             )
     return lines
@@ -133,8 +118,7 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
 def doubts_beside(files: Iterable[Path]) -> list[str]:
     """Return why assessments and probes beside recordings say that theirs may be of another car, a line each."""
     found: list[str] = []
-    bags = {file.absolute().parent.parent for file in files}
-    for folder in sorted(folder.parent for folder in bags if folder.name == "bags"):
+    for folder in _folders_of_results(files):
         for name in SUMMARIES:
             try:
                 found += in_doubt(read_json(folder / name)["warnings"])
@@ -143,33 +127,15 @@ def doubts_beside(files: Iterable[Path]) -> list[str]:
     return found
 
 
-def _said_in(file: Path) -> tuple[int, int] | None:
-    """Return how many attempts and runs an assessment had; None if it cannot be read."""
-    try:
-        said = read_json(file)
-        # Before there were several objectives the only one was at the top.
-        by_objective = said["objectives"].values() if "objectives" in said else [said]
-        attempts = sum(int(row["attempts"]) for one in by_objective for row in one["per_safe_trajectory"])
-        return attempts, int(said["collision_runs"])
-    except (UsageError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
-        return None
+def _folders_of_results(files: Iterable[Path]) -> list[Path]:
+    """Return the folders in whose folder `bags` files are, sorted."""
+    bags = {file.absolute().parent.parent for file in files}
+    return sorted(folder.parent for folder in bags if folder.name == "bags")
 
 
 def _gaps(numbers: Set[int]) -> str:
-    """Return in words which numbers from 0 to the greatest are not among some; empty if all are.
-
-    They are not listed first: a forged recording may number its only episode 2³² - 1.
-    """
+    """Return in words which numbers from 0 to the greatest are not among some, the first few; empty if all are."""
     count = max(numbers, default=-1) + 1 - len(numbers)
     missing = (number for number in itertools.count() if number not in numbers)
-    return _in_words(list(islice(missing, min(count, 5))), count)
-
-
-def _some(numbers: Sequence[int]) -> str:
-    """Return in words the first few of some numbers in order, and how many there are."""
-    return _in_words(numbers[:5], len(numbers))
-
-
-def _in_words(first: Sequence[int], count: int) -> str:
-    said = ", ".join(str(number) for number in first)
-    return said if count <= len(first) else f"{said}, … ({count} in all)"
+    first = ", ".join(map(str, itertools.islice(missing, min(count, 5))))
+    return first if count <= 5 else f"{first}, … ({count} in all)"

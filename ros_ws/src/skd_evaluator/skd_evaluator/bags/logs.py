@@ -21,10 +21,10 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import folders_in, read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
-from skd_evaluator.bags.completeness import SUMMARIES, aborted_episodes, doubts_beside
+from skd_evaluator.bags.acceptance import Damage, Found, accept
+from skd_evaluator.bags.completeness import SUMMARIES, doubts_beside
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.bags.validation import Damage, Found, accept, is_over
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
@@ -175,22 +175,6 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     for index in accept(found, damage):
         log = logs[index]
         yield log.episode.car.label, recording_of(log)
-
-
-def look_through(path: Path, damage: Damage) -> int:
-    """Return how many episodes of an episodes.npz can have happened.
-
-    Args:
-        path: path of episodes.npz; assessment.json or probe.json has to be beside it.
-        damage: told of those that cannot, and what is to be said of the others.
-
-    Raises:
-        UsageError: it cannot be read.
-    """
-    logs = _logs_in(path)
-    for line in aborted_episodes(log for log in logs if log.outcome == Outcome.ABORTED and is_over(log)):
-        damage.warn(line)  # nobody can tell whether these were hits
-    return len(accept([Found(log, str(path), str(path)) for log in logs], damage))
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:

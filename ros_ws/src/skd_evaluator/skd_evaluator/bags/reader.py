@@ -6,19 +6,19 @@ everything that can be recomputed is checked.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.records import Channel, Schema
-from rosbags.typesys import get_types_from_msg
-from rosbags.typesys.store import Typestore
+from mcap.records import Channel
 from skd_sim.choices.options import shared_options
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 
-from skd_evaluator.bags.inventory import METADATA, find_recordings, messages_said
-from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
+from skd_evaluator.bags.acceptance import Damage, Found, accept
+from skd_evaluator.bags.inventory import find_recordings
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened
 from skd_evaluator.bags.recording import (
     ADVERSARY,
     CAR,
@@ -27,10 +27,8 @@ from skd_evaluator.bags.recording import (
     EpisodeName,
     RecordedEpisode,
     Recording,
-    shortened,
 )
-from skd_evaluator.bags.types import typestore, typestore_with
-from skd_evaluator.bags.validation import Damage, Found, accept
+from skd_evaluator.bags.types import types_in, typestore
 
 _TOPICS = {
     CAR: "nav_msgs/msg/Odometry",
@@ -38,12 +36,6 @@ _TOPICS = {
     EPISODE: "skd_msgs/msg/Episode",
     RESULT: "skd_msgs/msg/EpisodeResult",
 }
-_LATER = {
-    "skd_msgs/msg/Episode": 3,
-    "skd_msgs/msg/EpisodeResult": 4,
-}  # fields at a message's end that its first recordings do not have
-_LONGEST_DEFINITION = 64 * 1024  # bytes; ours have a few thousand
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True)
@@ -92,12 +84,8 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     recordings = find_recordings(paths, damage)
     for files in recordings:
         graphs: dict[str, Recording] = {}
-        conditions = [Condition() for _ in files]
-        for file, condition in zip(files, conditions, strict=True):
-            _read_file(file, graphs, condition, damage)
-            if condition.unchecked:
-                damage.unchecked.append(file)
-        _hold_against_count(files, conditions, damage)
+        for file in files:
+            _read_file(file, graphs, damage)
         for recording in graphs.values():
             announced.update(recording.announced())
             for episode in recording.logs(str(files[0]), damage):
@@ -108,16 +96,6 @@ def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> Recorded:
     return Recorded(
         episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
     )
-
-
-def _hold_against_count(files: Sequence[Path], conditions: Sequence[Condition], damage: Damage) -> None:
-    """See that a bag holds as many messages as its metadata says: else an episode may be missing, whole."""
-    said, found = messages_said(files), sum(one.messages for one in conditions)
-    if said not in (None, found) and not any(one.damage or one.refuted for one in conditions):
-        damage.warn(
-            f"{files[0].parent / METADATA}: counts {said} messages, its files hold {found}: some are missing, or were "
-            "added"
-        )
 
 
 def _one_of(places: Sequence[_Place], damage: Damage) -> _Place | None:
@@ -151,71 +129,44 @@ def _content(log: EpisodeLog) -> tuple[object, ...]:
     )
 
 
-def _read_file(file: Path, graphs: dict[str, Recording], condition: Condition, damage: Damage) -> None:
-    """Add the messages of a file to the graphs, by namespace; damaged ones are refused or left out."""
-    try:
-        if damage.skip:
-            # The checksum of the whole comes last, and what it contradicts must not be used.
-            first = Condition()
-            for _ in read_messages(file, lambda _topic: False, first):
-                pass
-            if first.refuted:
-                damage.leave_out(f"{file}: {first.damage[-1]}")
-                return
-        count = _gather(file, graphs, condition, damage)
-    except UsageError as error:
-        if not damage.skip:
-            raise
-        damage.leave_out(str(error))
-        return
-    for what in condition.damage:
-        damage.leave_out(f"{file}: {what}" + (f" ({count} messages of it count)" if damage.skip else ""))
-
-
-def _gather(file: Path, graphs: dict[str, Recording], condition: Condition, damage: Damage) -> int:
-    """Add the messages of a file to the graphs, by namespace; return how many there were.
+def _read_file(file: Path, graphs: dict[str, Recording], damage: Damage) -> None:
+    """Add the messages of a file to the graphs, by namespace; damaged ones are refused or left out.
 
     Raises:
         UsageError: it is no recording of this version's messages, or something must not be left out.
     """
-    store = typestore()
-    places: dict[str, tuple[str, str] | None] = {}
-
-    def place(topic: str) -> tuple[str, str] | None:
-        if topic not in places:
-            places[topic] = _namespace_and_role(topic)
-        return places[topic]
-
-    count = 0
+    count, condition = 0, Condition()
     senders: set[str] = set()
-    for message in read_messages(file, lambda topic: place(topic) is not None, condition):
-        found = place(message.channel.topic)
-        assert found is not None
-        namespace, role = found
+    for message in read_messages(file, lambda topic: _namespace_and_role(topic) is not None, condition):
+        topic = message.channel.topic
+        namespace, role = _namespace_and_role(topic) or ("", "")
+        _check_type(message, role, file)
         try:
-            decoder = _decoder_for(message, role, store)
+            content = message.decoded()
+        except UsageError as error:
+            damage.leave_out(f"{file}: {error}")
+            continue
+        try:
+            graphs.setdefault(namespace, Recording()).add(role, content, message)
         except UsageError as error:
             raise UsageError(f"{file}: {error}") from error
-        name = message.schema.name
-        try:
-            content = decoder.deserialize_cdr(message.data, name)
-            recording = graphs.setdefault(namespace, Recording())
-            recording.add(role, content, message.data, lambda: bytes(decoder.serialize_cdr(content, name)))  # noqa: B023
-        except UsageError as error:
-            raise UsageError(f"{file}: {error}") from error
-        except Exception as error:  # what damaged bytes are taken for can raise anything
-            said = shortened(f"{type(error).__name__}: {error}")
-            damage.leave_out(f"{file}: a message on {message.channel.topic} cannot be read ({said})")
+        except ValueError as error:
+            damage.leave_out(f"{file}: a message on {topic} is not valid ({shortened(str(error))})")
         count += 1
-        if role == RESULT and message.channel.topic not in senders and _publishers(message.channel) > 1:
-            senders.add(message.channel.topic)
+        if role == RESULT and topic not in senders and _publishers(message.channel) > 1:
+            senders.add(topic)
             damage.warn(
-                f"{file}: {_publishers(message.channel)} nodes published {message.channel.topic}, which is the "
-                "simulator's alone"
+                f"{file}: {_publishers(message.channel)} nodes published {topic}, which is the simulator's alone"
             )
-    return count
+    if condition.refuted:
+        raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
+    if condition.unchecked:
+        damage.unchecked.append(file)
+    for what in condition.damage:
+        damage.leave_out(f"{file}: {what}" + (f" ({count} messages of it count)" if damage.skip else ""))
 
 
+@functools.cache
 def _namespace_and_role(topic: str) -> tuple[str, str] | None:
     """Return the namespace of a topic of SKD's, and which of them it is."""
     name = next((name for name in _TOPICS if topic.endswith(name)), None)
@@ -227,46 +178,12 @@ def _publishers(channel: Channel) -> int:
     return str(channel.metadata.get("offered_qos_profiles", "")).count("reliability:")
 
 
-_SCHEMA_STORES: dict[bytes, Typestore] = {}
-
-
-def _decoder_for(message: Received, role: str, store: Typestore) -> Typestore:
-    """Return a store that knows a message's type.
-
-    Raises:
-        UsageError: the message is of another type than its topic's, or not as this version writes it.
-    """
-    schema, channel = message.schema, message.channel
+def _check_type(message: Received, role: str, file: Path) -> None:
+    """Refuse a message of another type than its topic's, or of another version of SKD."""
+    schema = message.schema
     if schema.name != _TOPICS[role]:
-        raise UsageError(f"{channel.topic} has type {shortened(schema.name)}, expected {_TOPICS[role]}")
-    if channel.message_encoding != "cdr":
-        raise UsageError(f"{channel.topic} is encoded as {shortened(channel.message_encoding)}, expected cdr")
-    if message.data.startswith(_ZSTD_MAGIC):
-        raise UsageError(
-            "its messages are compressed one by one; unpack it with ros2 bag convert, or record with "
-            "--storage-preset-profile zstd_fast instead of --compression-mode message"
-        )
-    return _decoder(store, schema)
-
-
-def _decoder(store: Typestore, schema: Schema) -> Typestore:
-    """Return a store that knows the type as the file defines it, where that differs from what is installed."""
-    if not schema.name.startswith("skd_msgs/") or schema.encoding != "ros2msg":
-        return store
-    if len(schema.data) > _LONGEST_DEFINITION:
-        raise UsageError(f"the definition of {schema.name} has {len(schema.data)} bytes, more than any of a message")
-    if schema.data not in _SCHEMA_STORES:
-        try:
-            theirs = get_types_from_msg(schema.data.decode(), schema.name)[schema.name]
-        except Exception as error:  # its parser raises whatever the text makes it raise
-            raise UsageError(f"the definition of {schema.name} cannot be read") from error
-        constants, fields = get_types_from_msg(_text(store, schema.name), schema.name)[schema.name]
-        known = [fields[: len(fields) - later] for later in range(_LATER.get(schema.name, 0) + 1)]
-        if theirs not in [(constants, earlier) for earlier in known]:
-            raise UsageError(f"{schema.name} was recorded by another version of SKD; replay it with that one")
-        _SCHEMA_STORES[schema.data] = store if theirs[1] == fields else typestore_with({schema.name: theirs})
-    return _SCHEMA_STORES[schema.data]
-
-
-def _text(store: Typestore, name: str) -> str:
-    return store.generate_msgdef(name, ros_version=2)[0]
+        raise UsageError(f"{file}: {message.channel.topic} has type {shortened(schema.name)}, expected {_TOPICS[role]}")
+    if schema.name.startswith("skd_msgs/"):
+        theirs = types_in(schema.name, schema.encoding, schema.data).fielddefs[schema.name]
+        if theirs != typestore().fielddefs[schema.name]:
+            raise UsageError(f"{file}: {schema.name} was recorded by another version of SKD; replay it with that one")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -10,7 +10,9 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.messages.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
 
-from skd_evaluator.bags.validation import Damage
+from skd_evaluator.bags.acceptance import Damage
+from skd_evaluator.bags.mcap_file import Received, shortened
+from skd_evaluator.bags.types import types_in
 from skd_evaluator.campaign.plan.plan import model_digest
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
@@ -78,42 +80,36 @@ class Recording:
         for key, message in self.episodes.items():
             yield _name(key.campaign, key.episode_id, int(message.mode), str(message.objective), str(message.car_model))
 
-    def add(self, role: str, message: Any, data: bytes, canonical: Callable[[], bytes]) -> None:
+    def add(self, role: str, content: Any, message: Received) -> None:
         """Take a message.
 
         Args:
             role: what the topic is for: its name without a namespace.
-            message: the message, decoded.
-            data: the message as bytes.
-            canonical: gives the bytes that any serializer would have made of it, paddings included.
+            content: the message, decoded.
+            message: the message as it was recorded.
 
         Raises:
             UsageError: there are too many states.
         """
         if role == EPISODE:
-            key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.header.stamp))
-            if self._agrees(role, key, data, canonical, self.episodes.get(key)):
-                self.episodes[key] = message
+            key = EpisodeKey(content.campaign, int(content.episode_id), from_stamp(content.header.stamp))
+            if self._agrees(role, key, content, message):
+                self.episodes[key] = content
         elif role == RESULT:
-            key = EpisodeKey(message.campaign, int(message.episode_id), from_stamp(message.start))
-            result = result_from_message(message)
-            if self._agrees(role, key, data, canonical, self.results.get(key)):
-                self.results[key] = result
+            key = EpisodeKey(content.campaign, int(content.episode_id), from_stamp(content.start))
+            if self._agrees(role, key, content, message):
+                self.results[key] = result_from_message(content)
         else:
-            self._add_state(role, message)
+            self._add_state(role, content)
 
-    def _agrees(
-        self, role: str, key: EpisodeKey, data: bytes, canonical: Callable[[], bytes], known: Any | None
-    ) -> bool:
-        """Whether all messages about the episode on this topic say the same."""
-        if known is not None and self._said[role, key] == data:
+    def _agrees(self, role: str, key: EpisodeKey, content: Any, message: Received) -> bool:
+        """Whether all messages about the episode on this topic say the same, paddings between fields apart."""
+        known, said = self._said.setdefault((role, key), message.data), message.data
+        if known == said:
             return True
-        said = canonical()
-        if known is None:
-            self._said[role, key] = data
-            self._said[f"{role} canonical", key] = said
-            return True
-        if self._said[f"{role} canonical", key] == said:
+        schema = message.schema
+        store, name = types_in(schema.name, schema.encoding, schema.data), schema.name
+        if store.serialize_cdr(store.deserialize_cdr(known, name), name) == store.serialize_cdr(content, name):
             return True
         self.disputed[key] = f"two different messages on {role} are about it: who sent them?"
         return False
@@ -179,9 +175,3 @@ class Recording:
             f"or were {CAR} and {ADVERSARY} not recorded?"
         )
         return None
-
-
-def shortened(text: str) -> str:
-    """Return a text in a few words on one line."""
-    said = " ".join(text.split()).rstrip(": ")
-    return said if len(said) <= 120 else f"{said[:120]}…"

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 
 from skd_sim.choices.objective import Objective
 from skd_sim.choices.options import options_of, shared_options
-from skd_sim.encounter.known_scenarios import is_named
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.completeness import (
     aborted_episodes,
     doubts_beside,
@@ -22,7 +21,6 @@ from skd_evaluator.bags.completeness import (
 )
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
-from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.campaign.plan.options import RECORDED
@@ -168,7 +166,7 @@ def rating_from(
         return replace(rating, warnings=(*lost, *standing))
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
-    lines = [*judged_otherwise(first.scenario), *unfinished_episodes(unfinished)]
+    lines = unfinished_episodes(unfinished)
     reached = {str(one.plan.objective): one.successes_by_phi for one in rating.assessments}
     wanted = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
@@ -183,25 +181,3 @@ def rating_from(
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
     return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *standing))
-
-
-def judged_otherwise(scenario: Scenario) -> list[str]:
-    """Return where a scenario with the name of one of SKD's judges episodes otherwise than that one, in a line.
-
-    Nothing that happens in an episode follows from what a hit is and from what an attempt without any counts as, so no
-    recording tells whether it was recorded with them.
-    """
-    if not is_named(scenario.name):
-        return []
-    known = load_scenario(scenario.name)
-    said = [
-        f"{name} is {here:g} and not {there:g}"
-        for name, here, there in (
-            ("η_max (m)", scenario.eta_max, known.eta_max),
-            ("collision.hit_speed (m/s)", scenario.collision.hit_speed, known.collision.hit_speed),
-        )
-        if here != there
-    ]
-    if not said:
-        return []
-    return [f"the scenario is called {scenario.name}, but judges otherwise than SKD's: {', '.join(said)}"]

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
@@ -38,16 +37,39 @@ def _definition_folder() -> Path:
 @functools.cache
 def typestore() -> Typestore:
     """Return the type store with all messages that the graph uses."""
-    return typestore_with({})
-
-
-def typestore_with(replaced: Typesdict) -> Typestore:
-    """Return a type store with all messages that the graph uses, some as another version defined them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in sorted(_definition_folder().glob("*.msg")):
-        name = f"skd_msgs/msg/{file.stem}"
-        ours = get_types_from_msg(file.read_text(encoding="utf-8"), name)
-        store.register({**ours, name: replaced.get(name, ours[name])})
+        store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"skd_msgs/msg/{file.stem}"))
+    return store
+
+
+@functools.cache
+def types_in(name: str, encoding: str, definition: bytes) -> Typestore:
+    """Return a store with a message type as a file defines it, or as it is installed where the file does not say.
+
+    Args:
+        name: of the type.
+        encoding: of the definition; all but ros2msg is taken as installed.
+        definition: as the file has it; some recorders leave it empty, or leave out types that it uses.
+
+    Raises:
+        UsageError: the definition cannot be read, or a type is defined nowhere.
+    """
+    if not definition or encoding != "ros2msg":
+        complete(typestore(), name)
+        return typestore()
+    try:
+        types, store = get_types_from_msg(definition.decode(), name), get_typestore(Stores.EMPTY)
+        left = [*types]
+        while left:
+            used = [one for _, field in types[left.pop()][1] for one in _names(field) if one not in types]
+            for one in used:
+                complete(typestore(), one)
+                types[one] = typestore().fielddefs[one]
+            left += used
+        store.register(types)
+    except Exception as error:  # its parser raises whatever the text makes it raise
+        raise UsageError(f"the definition of {name:.80} cannot be read ({type(error).__name__})") from error
     return store
 
 

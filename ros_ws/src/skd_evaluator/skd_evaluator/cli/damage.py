@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.bags.validation import Damage
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.report.terminal import counted
-from skd_evaluator.verbosity import is_verbose
 
 _SHOWN = 10
 
@@ -30,12 +29,6 @@ def say_damage(command: str, damage: Damage) -> None:
             "episode cannot be noticed there"
         )
     _warn(command, lines)
-    if damage.unread:
-        names = [str(path) for path in damage.unread]
-        shown = names if is_verbose() else names[:_SHOWN]
-        more = f", and {len(names) - len(shown)} more (--verbose names them)" if len(names) > len(shown) else ""
-        are = "file that is no recording was" if len(names) == 1 else "files that are no recordings were"
-        print(f"skd {command}: {len(names)} {are} not read: {', '.join(shown)}{more}", file=sys.stderr)
 
 
 def say_left_out(command: str, damage: Damage) -> None:

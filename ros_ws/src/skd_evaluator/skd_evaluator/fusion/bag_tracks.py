@@ -16,9 +16,7 @@ from skd_sim.errors import UsageError
 from skd_sim.messages.from_messages import from_stamp
 
 from skd_evaluator.bags.inventory import find_recordings
-from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
-from skd_evaluator.bags.recording import shortened
-from skd_evaluator.bags.types import complete, typestore
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened
 from skd_evaluator.fusion.transforms import Transforms
 
 _NANOSECONDS = 1e-9
@@ -84,7 +82,8 @@ def _detections(message: Any) -> Iterator[Sighting]:
     for one in message.detections:
         header = one.header if one.header.frame_id else message.header
         time = _NANOSECONDS * from_stamp(header.stamp)
-        yield Sighting(str(one.id), str(header.frame_id), time, *_pose(one.bbox.center), np.nan)
+        name = one.id if hasattr(one, "id") else one.tracking_id  # before ROS 2 Humble
+        yield Sighting(str(name), str(header.frame_id), time, *_pose(one.bbox.center), np.nan)
 
 
 _READERS: dict[str, Callable[[Any], Iterator[Sighting]]] = {
@@ -144,13 +143,10 @@ def bag_tracks(path: Path, names: Sequence[str], map_frame: str | None = None) -
 
 
 def _read(received: Received, file: Path) -> Any:
-    kind = received.schema.name
     try:
-        complete(typestore(), kind)
-        return typestore().deserialize_cdr(received.data, kind)
-    except Exception as error:  # what damaged bytes are taken for can raise anything
-        topic = received.channel.topic
-        raise UsageError(f"{file}: a message on {topic} cannot be read ({shortened(str(error))})") from error
+        return received.decoded()
+    except UsageError as error:
+        raise UsageError(f"{file}: {error}") from error
 
 
 def _sightings(received: Received, file: Path) -> Iterator[Sighting]:

@@ -27,7 +27,7 @@ from skd_sim.simulation.named_simulator import NamedSimulator
 from skd_sim.simulation.simulator import Simulator, SimulatorError, require_others
 
 from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.validation.verdict import examine
+from skd_evaluator.campaign.validation.episode_check import examine
 
 
 def run_episode(

@@ -1,1 +1,1 @@
-"""Whether an episode can have happened, recomputed from its states: of recordings, and of other simulators."""
+"""Whether an episode can have happened: of recordings, and of other simulators."""

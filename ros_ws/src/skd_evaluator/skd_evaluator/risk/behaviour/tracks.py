@@ -16,8 +16,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.reader import read_bags
-from skd_evaluator.bags.validation import Damage
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.risk.behaviour.residuals import padded, quantile_table
 

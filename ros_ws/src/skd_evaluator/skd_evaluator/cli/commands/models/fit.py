@@ -17,8 +17,8 @@ from skd_adversary.car_fit.speed_change import LARGEST_NOISE
 from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
 from skd_adversary.fitted_car import FittedCar
 
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.logs import read_recordings
-from skd_evaluator.bags.validation import Damage
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models import simulator
 from skd_evaluator.cli.damage import say_damage
