@@ -28,10 +28,10 @@ from forgeries import FORGING, FOUND_OTHERWISE, OF_SEVERAL
 from mcap.writer import CompressionType
 from mutators import MUTATORS, NPZ_MUTATORS, Mutator
 from recorders import METADATA, RECORDERS
+from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.logs import read_recordings, write_logs
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
-from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.campaign.judge.rating import judge_all
 from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set, safe_trajectories
 from skd_evaluator.campaign.plan.probe import probe_episodes
