@@ -49,9 +49,9 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.bags.validation import examine
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.composed import Composed
