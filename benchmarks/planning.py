@@ -1,175 +1,189 @@
-"""How good the planner is on problems with published results, beside those and beside pomdp-py in the same run.
+"""How good the planner is on problems with published results: mean discounted return, and time a move.
 
-For each problem: mean discounted return ± its standard error over episodes of a seed each, simulations a move, time a
-move, simulations a second of one core. The models are in `benchmarks/problems`, each with its source; all are written
-against the public interface, `skd_adversary.planning.pomdp`. pomdp-py plans on the same model with the same number of
-simulations, the same default policy and the same belief (`benchmarks/problems/pomdp_py_models.py`), in fewer episodes,
-for it is slower. The crossing is the kamikaze POMDP of this project, for which nothing is published.
+Each problem is played in closed loop, an episode a seed: plan, act, observe, update the belief. The models are in
+`benchmarks/problems`, each with its source, written against the public interface, `skd_adversary.planning.pomdp`.
 
-`--planner` lets other planners of this project plan: POMCPOW or PFT-DPW, with published parameters where there are, or
-the default policy alone. pomdp-py is compared with ours. `--set` gives options of the planner other values than the
-problem does: a number, `true` or `false`, a member's name, or `none` for an exploration that the search finds, as in
-`--set cells=NEAREST exploration=none`.
-
-    python benchmarks/planning.py [--problems NAME ...] [--planner ours|pomcpow|pft_dpw|default_policy ...]
-                                  [--set OPTION=VALUE ...] [--episodes N]
-                                  [--simulations N | --seconds-a-move S] [--pomdp-py-episodes N] [--workers N]
-                                  [--seed N] [--record FILE] [--json]
+    python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N] [--workers N] [--seed N]
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
-import importlib.util
-import json
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
-from dataclasses import replace
-from pathlib import Path
-from typing import Any
+import multiprocessing
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from planner_choice import PLANNERS, options_of, settings_of
-from planning_episode import CALIBRATION_SEED, calibrated_simulations, run_episode
-from planning_problems import PROBLEMS
-from recorded_episodes import Episode, Record
-from worker_processes import worker_processes
+from problems.rock_sample import rock_sample
+from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
+from problems.tiger import tiger
+from skd_adversary.planning.belief import ParticleBelief
+from skd_adversary.planning.closed_loop import play
+from skd_adversary.planning.options import Backup, Cells, PlannerOptions
+from skd_adversary.planning.planner import Planner
+from skd_adversary.planning.pomdp import Pomdp
+from skd_sim.arrays import FloatArray
 
 
-def summary(episodes: Sequence[Episode]) -> dict[str, float]:
-    """Return the figures of a number of episodes."""
-    values = np.array([episode.value for episode in episodes])
-    moves, simulations = sum(e.moves for e in episodes), sum(e.simulations for e in episodes)
-    seconds = sum(e.seconds for e in episodes)
-    return {
-        "episodes": len(values),
-        "mean": float(values.mean()),
-        "standard_error": float(values.std(ddof=1) / math.sqrt(len(values))) if len(values) > 1 else math.nan,
-        "moves_per_episode": moves / len(values),
-        "simulations_per_move": simulations / moves,
-        "ms_per_move": 1000.0 * seconds / moves,
-        "simulations_per_second": simulations / seconds,
-    }
+@dataclass(frozen=True)
+class Problem:
+    """What is measured.
+
+    Attributes:
+        make: the model.
+        options: of the planner; `simulations` is the default budget.
+        moves: an episode is cut off after so many.
+        planning_model: model of the same states that the planner plans on; the problem's own by default.
+        published: figures to compare with: source → (mean return, standard error or None).
+    """
+
+    make: Callable[[], Pomdp]
+    options: PlannerOptions
+    moves: int
+    planning_model: Callable[[], Pomdp] | None = None
+    published: dict[str, tuple[float, float | None]] = field(default_factory=dict)
 
 
-def measure(
-    name: str,
-    planner: str,
-    simulations: int,
-    seeds: Sequence[int],
-    pool: Executor,
-    record: Record,
-    settings: Mapping[str, Any],
-    *,
-    pomdp_py: bool = False,
-) -> dict[str, float]:
-    """Measure one planner on one problem. Episodes on record are not run again."""
-    options = options_of(name, planner, settings)
-    run = {
-        "problem": name,
-        "simulations": simulations,
-        "planner": "pomdp_py" if pomdp_py else planner,
-        "options": repr(options if pomdp_py else replace(options, simulations=simulations)),
-    }
-    one = functools.partial(
-        run_episode, name, simulations=simulations, planner=planner, settings=settings, pomdp_py=pomdp_py
-    )
-    if not pomdp_py:  # compiles, once for all workers
-        run_episode(name, CALIBRATION_SEED, min(simulations, 100), moves=2, planner=planner, settings=settings)
-    return summary(list(record.episodes(run, seeds, pool, one)))
+# Observations that repeat exactly: each has a child of its own.
+_DISCRETE: Final[dict[str, Any]] = {"cells": Cells.NEAREST, "observation_factor": math.inf}
+_TIGER: Final = PlannerOptions(
+    # The default policy listens, whatever the state: rollouts have no optimism, and need not learn any.
+    simulations=5_000,
+    depth=25,
+    exploration=110.0,
+    particles=1_000,
+    learned_states=0,
+    **_DISCRETE,
+)
+_ROCK_SAMPLE: Final = PlannerOptions(
+    # Leaves have the exact value of a good policy: the mean of the action tried most is not spoilt by the others.
+    simulations=5_000,
+    depth=60,
+    exploration=1.0,
+    particles=3_000,
+    backup=Backup.MOST_VISITED,
+    **_DISCRETE,
+)
+_SUB_HUNT: Final = PlannerOptions(simulations=20_000, depth=20, exploration=100.0, particles=10_000)
+PROBLEMS: Final[dict[str, Problem]] = {
+    "tiger": Problem(tiger, _TIGER, moves=150, published={"optimum": (19.37, None)}),
+    "rock_sample_7_8": Problem(
+        functools.partial(rock_sample, 7, 8),
+        _ROCK_SAMPLE,
+        moves=100,
+        planning_model=functools.partial(rock_sample, 7, 8, advantages=True),
+        published={
+            "SARSOP": (21.47, 0.04),
+            "DESPOT C++, 1 s a move": (21.68, 1.19),
+            "DESPOT, published": (20.9, None),
+            "ABT (TAPIR), 0.1 s": (19.40, 1.23),
+        },
+    ),
+    "rock_sample_11_11": Problem(
+        functools.partial(rock_sample, 11, 11),
+        _ROCK_SAMPLE,
+        moves=100,
+        planning_model=functools.partial(rock_sample, 11, 11, advantages=True),
+        published={
+            "SARSOP": (21.56, 0.11),
+            "DESPOT C++, 0.1 s": (20.59, 1.21),
+            "DESPOT, published": (21.8, None),
+            "ABT (TAPIR), 0.1 s": (17.46, 1.34),
+        },
+    ),
+    "sub_hunt": Problem(
+        sub_hunt,
+        _SUB_HUNT,
+        moves=100,
+        planning_model=sub_hunt_with_leaves,
+        published={
+            "PFT-DPW, published": (77.4, 1.1),
+            "POMCPOW, published": (69.2, 1.3),
+            "QMDP, published": (28.0, 1.3),
+            "ping first, then QMDP, published": (79.0, 1.1),
+        },
+    ),
+    "sub_hunt_rollouts": Problem(sub_hunt, _SUB_HUNT, moves=100),
+    "sub_hunt_at_random": Problem(sub_hunt_at_random, _SUB_HUNT, moves=100),
+}
 
 
-def _print_row(planner: str, row: Mapping[str, float], remark: str = "") -> None:
-    print(
-        f"    {row['mean']:7.2f} ± {row['standard_error']:<5.2f} {planner}, {row['episodes']} episodes, "
-        f"{row['simulations_per_move']:.0f} simulations and {row['ms_per_move']:.1f} ms a move, "
-        f"{row['simulations_per_second']:,.0f} simulations/s and core, {row['moves_per_episode']:.1f} moves{remark}",
-        flush=True,
-    )
+class Episode(NamedTuple):
+    """What one episode gave: discounted return, moves, and seconds of processor time that planning took."""
+
+    value: float
+    moves: int
+    seconds: float
 
 
-def _print_published(published: Mapping[str, tuple[float, float | None]]) -> None:
-    for source, (mean, error) in published.items():
-        print(f"    {mean:7.2f}{'' if error is None else f' ± {error:.2f}':8} {source}", flush=True)
+class _Timed:
+    """A planner, and the seconds of processor time that it has taken."""
+
+    def __init__(self, planner: Planner) -> None:
+        self._planner = planner
+        self.seconds = 0.0
+
+    def plan(self, belief: ParticleBelief) -> int:
+        begin = time.process_time()
+        action = self._planner.plan(belief)
+        self.seconds += time.process_time() - begin
+        return action
+
+    def advance(self, action: int, observation: FloatArray) -> None:
+        begin = time.process_time()
+        self._planner.advance(action, observation)
+        self.seconds += time.process_time() - begin
 
 
-def _arguments() -> tuple[argparse.Namespace, dict[str, dict[str, Any]]]:
-    """Return the command's arguments, and planner → option → value."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS), metavar="NAME")
-    parser.add_argument(
-        "--planner", nargs="+", choices=PLANNERS, default=["ours"], metavar="NAME", help="one or several; default: ours"
-    )
-    parser.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="OPTION=VALUE", help="instead of the problem's"
-    )
-    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="per problem (default 100)")
-    budget = parser.add_mutually_exclusive_group()
-    budget.add_argument("--simulations", type=int, metavar="N", help="a move (default: the problem's own)")
-    budget.add_argument("--seconds-a-move", type=float, metavar="S", help="converted to a number once per problem")
-    parser.add_argument(
-        "--pomdp-py-episodes", type=int, metavar="N", help="of pomdp-py, 0: none (default: the problem's own)"
-    )
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode (default 0)")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="add episodes to it; those in it are not run again")
-    parser.add_argument("--json", action="store_true", help="print JSON: problem → planner → figures")
-    arguments = parser.parse_args()
-    if arguments.episodes < 2:
-        parser.error("--episodes must be at least 2")
-    sizes = arguments.workers, arguments.simulations, arguments.seconds_a_move
-    if min(size for size in sizes if size is not None) <= 0:
-        parser.error("--workers, --simulations and --seconds-a-move must be positive")
-    try:
-        settings = {planner: settings_of(planner, arguments.set) for planner in arguments.planner}
-        for planner in settings:
-            for name in arguments.problems:
-                options_of(name, planner, settings[planner])
-    except ValueError as error:
-        parser.error(f"--set: {error}")
-    return arguments, settings
+def run_episode(name: str, simulations: int, seed: int, moves: int | None = None) -> Episode:
+    """Run one episode.
 
-
-def _measure_problem(
-    name: str, arguments: argparse.Namespace, settings: Mapping[str, Mapping[str, Any]], pool: Executor
-) -> dict[str, Any]:
-    """Measure one problem by each planner, and print a row of each at once unless JSON is wanted."""
-    problem, record = PROBLEMS[name], Record(arguments.record)
-    seeds = range(arguments.seed, arguments.seed + arguments.episodes)
-    result: dict[str, Any] = {"published": problem.published}
-    others = problem.pomdp_py_episodes if arguments.pomdp_py_episodes is None else arguments.pomdp_py_episodes
-    if problem.pomdp_py is None or importlib.util.find_spec("pomdp_py") is None:
-        others = 0
-    if not arguments.json:
-        print(name)
-    for planner, chosen in settings.items():
-        simulations = arguments.simulations or options_of(name, planner, chosen).simulations
-        if arguments.seconds_a_move is not None:
-            simulations = calibrated_simulations(name, arguments.seconds_a_move, planner, chosen)
-        row = result[planner] = measure(name, planner, simulations, seeds, pool, record, chosen)
-        if not arguments.json:
-            _print_row(planner, row)
-        if planner != "ours" or others <= 0:
-            continue
-        theirs = measure(name, planner, simulations, seeds[:others], pool, record, chosen, pomdp_py=True)
-        result["pomdp_py"] = theirs
-        result["speed_ratio"] = row["simulations_per_second"] / theirs["simulations_per_second"]
-        if not arguments.json:
-            _print_row("pomdp_py", theirs, f", {result['speed_ratio']:.0f} times as slow")
-    if not arguments.json:
-        _print_published(problem.published)
-    return result
+    Args:
+        name: of the problem.
+        simulations: a move.
+        seed: of the episode; world, belief and planner draw from generators of their own.
+        moves: at most; the problem's own limit by default.
+    """
+    problem = PROBLEMS[name]
+    model = problem.make()
+    options = replace(problem.options, simulations=simulations)
+    world, believing, planning = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3))
+    planner = _Timed(Planner((problem.planning_model or problem.make)(), options, planning))
+    belief = ParticleBelief(model, options.particles, believing)
+    played = play(model, belief, planner, world, moves=moves or problem.moves)
+    return Episode(played.value, len(played.actions), planner.seconds)
 
 
 def main() -> None:
-    """Measure, and print a table or JSON."""
-    arguments, settings = _arguments()
-    with worker_processes(arguments.workers) as pool:
-        results = {name: _measure_problem(name, arguments, settings, pool) for name in arguments.problems}
-    if arguments.json:
-        print(json.dumps(results, indent=2))
+    """Measure, and print a row for each problem with those that it is compared with."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--problems", nargs="+", choices=PROBLEMS, default=list(PROBLEMS), metavar="NAME")
+    parser.add_argument("--episodes", type=int, default=100, metavar="N", help="per problem (default 100)")
+    parser.add_argument("--simulations", type=int, metavar="N", help="a move (default: the problem's own)")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default 1)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode (default 0)")
+    arguments = parser.parse_args()
+    with ProcessPoolExecutor(arguments.workers, multiprocessing.get_context("spawn")) as pool:
+        for name in arguments.problems:
+            simulations = arguments.simulations or PROBLEMS[name].options.simulations
+            run_episode(name, min(simulations, 100), 1 << 30, moves=2)  # compiles, once for all workers
+            seeds = range(arguments.seed, arguments.seed + arguments.episodes)
+            episodes = list(pool.map(functools.partial(run_episode, name, simulations), seeds))
+            values = np.array([one.value for one in episodes])
+            moves = sum(one.moves for one in episodes)
+            print(
+                f"{name}\n    {values.mean():7.2f} ± {values.std(ddof=1) / math.sqrt(len(values)):<5.2f} SKD, "
+                f"{len(values)} episodes, {simulations} simulations and "
+                f"{1000.0 * sum(one.seconds for one in episodes) / moves:.1f} ms a move",
+                flush=True,
+            )
+            for source, (mean, error) in PROBLEMS[name].published.items():
+                print(f"    {mean:7.2f}{'' if error is None else f' ± {error:.2f}':8} {source}", flush=True)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ ORDERS = {  # from above to below: a room imports from those behind it alone
         "nodes messages hazard_training lockstep simulation apart controllers hazard sensors episode dynamics "
         "encounter choices geometry kernels inputs program"
     ),
-    "skd_adversary": "nodes itself model planning",
+    "skd_adversary": "nodes model planning",
     "skd_evaluator/campaign": "compare store judge run plan",
     "skd_evaluator/margin": "search exact ways",
     "skd_evaluator/exchange": "coming_in going_out",

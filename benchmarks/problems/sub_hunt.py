@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.planning.general.observed_values import with_observed_leaves
+from observed_values import with_observed_leaves
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel

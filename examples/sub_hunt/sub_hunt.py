@@ -9,7 +9,7 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp, check_model, play, with_observed_leaves
+from skd_adversary import ParticleBelief, Planner, PlannerOptions, Pomdp, check_model, play
 from skd_sim import kernel
 
 OWN_X, OWN_Y, X, Y, GOAL, AWARE = range(6)  # of a state
@@ -89,15 +89,14 @@ def reinvigorate(p, state, seen, redrawn, rng):
 model = Pomdp("sub_hunt", 6, 8, 6, 0.99, Parameters(), initial, step, observe, likelihood, rollout_action, reinvigorate)
 
 
-def episode(planning_model, seed, options):
+def episode(seed, options):
     rng = np.random.default_rng(seed)
     belief = ParticleBelief(model, options.particles, rng)
-    return play(model, belief, Planner(planning_model, options, rng), rng, moves=100).value
+    return play(model, belief, Planner(model, options, rng), rng, moves=100).value
 
 
 if __name__ == "__main__":
     check_model(model)
-    leaves = with_observed_leaves(model, ((1, 20),) * 4 + ((0, 3), (0, 1)))
-    options = PlannerOptions(simulations=10_000, depth=20, exploration=100.0, particles=10_000)
-    values = [episode(leaves, seed, options) for seed in range(int(sys.argv[1]))]
+    options = PlannerOptions(exploration=100.0)
+    values = [episode(seed, options) for seed in range(int(sys.argv[1]))]
     print(f"{np.mean(values):.1f} ± {np.std(values, ddof=1) / math.sqrt(len(values)):.1f}")

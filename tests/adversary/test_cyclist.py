@@ -28,7 +28,6 @@ from skd_adversary.model.road_user.wheeled import (
 from skd_adversary.model.road_users import road_user_named
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
@@ -170,27 +169,6 @@ def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
         assert recompute(log).deviation <= ROUNDING
         hits += log.outcome == Outcome.COLLISION
     assert hits >= 10
-
-
-def test_actions_that_are_drawn_are_within_its_limits_and_none_of_those_that_are_listed() -> None:
-    hits, steps = 0, []
-    for number in range(10):
-        drawn = Episode(
-            SCENARIO, Mode.KAMIKAZE, 0, number, safe_trajectory=WAVERING, simulations=300, multiplier=0.75,
-            objective=Objective.DEFORMATION, actions=Actions.DRAWN,
-        )  # fmt: skip
-        log = run_episode(drawn)
-        assert beyond_the_limits(WAVERING.positions, log.adversary) <= 1e-6, number
-        assert recompute(log).deviation <= ROUNDING, recompute(log).where
-        jumped = log.adversary.copy()
-        jumped[2] += (0.0, 0.4)  # aside, and back
-        assert recompute(replace(log, adversary=jumped)).deviation > 0.05
-        steps.append(recompute(replace(log, episode=replace(drawn, actions=Actions.LISTED))).deviation)
-        hits += log.outcome == Outcome.COLLISION
-        if number == 0:
-            assert np.array_equal(run_episode(drawn).adversary, log.adversary)
-    assert hits >= 6
-    assert max(steps) > 1e-3
 
 
 @given(

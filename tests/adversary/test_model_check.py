@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.planning.general.model_check import ModelError, check_model
+from skd_adversary.planning.model_check import ModelError, check_model
 from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.kernels.compilation import kernel
 

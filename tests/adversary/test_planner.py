@@ -8,6 +8,7 @@ level's mean contains the exploration of the levels below it; what counts there 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,11 +17,10 @@ import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.general.closed_loop import play
+from skd_adversary.planning.closed_loop import play
 from skd_adversary.planning.options import Backup, Cells, PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp
-from tiger_choices import belief_after, return_of_choices
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)
@@ -66,6 +66,36 @@ def _shares(model: Pomdp, p_right: float, options: PlannerOptions, runs: int) ->
         planner, belief = _planner(model, p_right, options, seed)
         actions.append(planner.plan(belief))
     return np.bincount(actions, minlength=3) / runs
+
+
+def belief_after(count: int) -> float:
+    """How probable the tiger is on the side where it was heard `count` times oftener than on the other."""
+    return 1.0 / (1.0 + ((1.0 - ACCURACY) / ACCURACY) ** count)
+
+
+def return_of_choices(shares: Sequence[Any]) -> float:
+    """What it is worth, from the even belief, to choose with these shares, computed without episodes.
+
+    Args:
+        shares: for each count from 0, of (listen, the door away from the tiger, as far as one knows, the other door);
+            the last ones are those of all higher counts.
+    """
+    most, steps = 40, 600  # beyond which nothing matters: 0.95^600 is 4e-14
+    value = np.zeros(most + 1)
+    for _ in range(steps):
+        after = value.copy()
+        for count in range(most):
+            listen, away, towards = shares[min(count, len(shares) - 1)]
+            right = belief_after(count)
+            nearer = ACCURACY * right + (1.0 - ACCURACY) * (1.0 - right)
+            after[count] = (
+                listen * (-1.0 + GAMMA * (nearer * value[count + 1] + (1.0 - nearer) * value[abs(count - 1)]))
+                + away * (10.0 * right - 100.0 * (1.0 - right) + GAMMA * value[0])
+                + towards * (10.0 * (1.0 - right) - 100.0 * right + GAMMA * value[0])
+            )
+        after[most] = after[most - 1]
+        value = after
+    return float(value[0])
 
 
 def test_value_iteration_gives_the_published_optimum() -> None:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.general.closed_loop import play
-from skd_adversary.planning.general.model_check import check_model
+from skd_adversary.planning.closed_loop import play
+from skd_adversary.planning.model_check import check_model
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
 from skd_adversary.planning.pomdp import Pomdp

@@ -1,4 +1,4 @@
-"""The three brakes of known order against closed forms, and what the encounter table says of orders and closeness."""
+"""The three brakes of known order against closed forms."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from cars.triggers import MARGIN, EarlyTrigger, LateTrigger, MiddleTrigger
-from encounter_rows import closeness_lines, order_lines
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.state import AdversaryState, CarState
@@ -57,39 +56,3 @@ def test_it_brakes_until_the_strip_is_free_and_drives_on() -> None:
 def test_curves_are_refused() -> None:
     with pytest.raises(UsageError, match="straight roads only"):
         LateTrigger().reset(load_scenario("right_turn"), np.random.default_rng(0))
-
-
-def row(deformation: float, half: float, margin: float | None = None) -> dict[str, object]:
-    interval = (deformation - half, deformation + half)
-    return {"deformation": deformation, "ci95": interval, "margin": margin, "planned in them": deformation}
-
-
-def test_what_is_said_of_an_order() -> None:
-    found = {
-        "apart": {"late": row(1.0, 0.4), "middle": row(2.0, 0.4), "early": row(3.0, 0.4)},
-        "overlap": {"late": row(1.0, 0.6), "middle": row(2.0, 0.6), "early": row(3.0, 0.6)},
-        "wrong": {"late": row(2.0, 0.1), "middle": row(1.0, 0.1), "early": row(3.0, 0.1)},
-        "alike": {"late": row(0.0, 0.0), "middle": row(0.0, 0.0), "early": row(0.0, 0.0)},
-        "missing": {"late": {"refused": "why"}, "middle": row(1.0, 0.1), "early": row(2.0, 0.1)},
-    }
-    told = {line.split(" | ")[0].removeprefix("| "): line.split(" | ")[-1] for line in order_lines(found)[2:]}
-    assert told == {
-        "apart": "yes |",
-        "overlap": "order kept, intervals overlap |",
-        "wrong": "no |",
-        "alike": "all alike |",
-    }
-
-
-def test_closeness_is_the_mean_over_cars_that_have_a_margin() -> None:
-    found = {
-        "near": {"late": row(1.2, 0.1, 1.0), "early": row(3.0, 0.1, 2.0), "middle": {"refused": "why"}},
-        "far": {"late": row(3.0, 0.1, 1.0), "early": row(1.0, 0.1, 0.0), "middle": row(1.0, 0.1)},
-        "known": {"C=1": row(1.3, 0.1, 1.0), "cal": row(3.0, 0.1, 1.0)},
-        "nobody": {"C=1": row(5.0, 0.0, 5.0)},  # who cannot be hit says nothing of kamikazes
-    }
-    assert closeness_lines(found)[2:] == [
-        "| near | – | 1.35 | yes |",
-        "| far | – | 3.00 | no |",
-        "| known | 1.30 | 2.15 | basic cars |",
-    ]

@@ -21,7 +21,6 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
@@ -185,24 +184,6 @@ def test_one_fault_does_not_hide_another(monkeypatch: pytest.MonkeyPatch) -> Non
     same = doubts(monkeypatch, Careful(), Careful(), [way], 12)
     assert [line.startswith(DOUBT) for line in same] == [True, False]  # could not be asked alone; copies
     assert same[1].startswith(DISBELIEF)
-
-
-def test_kamikazes_that_plan_with_copies_are_run_again_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A car that is careful where a copy was made of it was so in all of them, and nobody looked."""
-
-    class Uncopied(Careful):
-        def __deepcopy__(self, memo: dict[int, Any]) -> Careful:
-            raise AssertionError
-
-    plan = replace(PLAN, simulations=20, knowledge=Knowledge.NOTHING)
-    episodes = [plan.episode(Mode.KAMIKAZE, number, 0, PHI[number]) for number in range(2)]
-    planned = [run_episode(one, Careful([True] * 2)) for one in episodes]
-    logs = [replace(one, episode=replace(one.episode, knowledge=Knowledge.ITSELF)) for one in planned]
-    (line,) = doubts(monkeypatch, logs, Uncopied())
-    assert "of 2 episodes went otherwise when they were run again" in line
-    assert "the first is a kamikaze" in line
-    (line,) = doubts(monkeypatch, logs, Careful([True] * 4))
-    assert "could not be asked again" in line
 
 
 # --- who does not drive

@@ -22,7 +22,6 @@ from skd_evaluator.campaigns.episode_record import Specifications, from_bytes, t
 from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
 from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.errors import AssessmentError
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
@@ -128,8 +127,6 @@ def test_whatever_is_specified_is_in_the_digest():
         for change in (
             {"seed": 1}, {"episode_id": 1}, {"mode": Mode.REPLAY}, {"multiplier": 0.5},
             {"controller": "cal", "knowledge": Knowledge.NOTHING},
-            {"knowledge": Knowledge.ITSELF, "told": True}, {"knowledge": Knowledge.ITSELF, "controller_calls": 60_000},
-            {"actions": Actions.DRAWN},
             {"simulations": 7}, {"objective": Objective.FRECHET}, {"particles": 9}, {"maximum_distance": 2.0},
             {"car_model": "{}", "knowledge": Knowledge.LEARNED}, {"simulator": "elsewhere"},
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},

@@ -65,7 +65,7 @@ def test_kamikazes_go_around_and_hit(objective: Objective) -> None:
     assert sum(log.hit for log in logs) >= 9
 
 
-@pytest.mark.parametrize("knowledge", [Knowledge.NOTHING, Knowledge.LEARNED, Knowledge.ITSELF])
+@pytest.mark.parametrize("knowledge", [Knowledge.NOTHING, Knowledge.LEARNED])
 def test_whatever_they_know(knowledge: Knowledge) -> None:
     scenario = parked()
     model = any_car_models()[1] if knowledge == Knowledge.LEARNED else ""

@@ -23,23 +23,6 @@ SMALL = (
 )
 
 
-@pytest.mark.parametrize("scenario", ["crossing", "cyclist"])
-def test_drawn_actions_are_among_what_their_road_user_can_do(
-    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    drawn = ("--actions", "drawn", "--margin-limit", 0, "--scenario", scenario)
-    assert run_skd("assess", *drawn, *SMALL, "--out", tmp_path / "drawn") == 0
-    assert run_skd("verify", tmp_path / "drawn") == 0, capsys.readouterr().out
-    # Whoever says that they were listed, is contradicted by their episodes.
-    summary = tmp_path / "drawn" / "assessment.json"
-    figures = json.loads(summary.read_text())
-    assert figures["options"].pop("actions") == "drawn"
-    summary.write_text(json.dumps(figures))
-    (tmp_path / "drawn" / "manifest.sha256").unlink()
-    assert run_skd("verify", tmp_path / "drawn") == 1
-    assert "does not follow from its other states" in capsys.readouterr().out
-
-
 def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,19 +37,6 @@ def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
     assert in_doubt(figures["warnings"]) == []
     assert "or take more than η_max" in capsys.readouterr().err
     assert run_skd("verify", tmp_path / "near") == 0, capsys.readouterr().out
-
-
-def test_who_plans_with_copies_may_go_as_phi_whatever_it_is_rewarded_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A way of its own, which no listed action takes anybody along."""
-    rows = "".join(f"{0.3 * tick!r},{-3.5 + 0.4 * tick!r},{0.1 * tick!r}\n" for tick in range(16))
-    (tmp_path / "across.csv").write_text(f"t,x,y\n{rows}")
-    planned = ("--objective", "frechet", "--controller-calls", 2000, "--margin-limit", 0, "--safe", tmp_path)
-    assert (
-        run_skd("assess", *planned, *SMALL, "--knowledge", "itself", "--safe-count", 1, "--out", tmp_path / "out") == 0
-    )
-    assert run_skd("verify", tmp_path / "out") == 0, capsys.readouterr().out
 
 
 @pytest.mark.filterwarnings("error")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import sub_hunt as example
 from problems.sub_hunt import sub_hunt
-from skd_adversary.planning.general.model_check import check_model
+from skd_adversary.planning.model_check import check_model
 from skd_adversary.planning.options import PlannerOptions
 
 THEIRS = sub_hunt()
@@ -74,5 +74,5 @@ def test_it_starts_and_goes_on_as_the_other() -> None:
 def test_an_episode_of_it() -> None:
     """It is played to the end: a kill after 3 to 20 moves, or the target has crossed the bay."""
     options = PlannerOptions(simulations=300, depth=20, exploration=100.0, particles=500)
-    value = example.episode(OURS, 3, options)
+    value = example.episode(3, options)
     assert value == 0.0 or value in [pytest.approx(100.0 * 0.99**moves) for moves in range(20)]

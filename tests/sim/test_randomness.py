@@ -18,7 +18,6 @@ def test_roles_keep_their_numbers() -> None:
         "SCAN": 5,
         "PROBE": 6,
         "FLOOR": 7,
-        "ITSELF": 8,
         "ORDER": 9,
         "WALKER": 10,
         "RISK": 11,

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
-from skd_sim.controllers import Controller
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.world import World
 from skd_sim.state import CarState
 
 from skd_adversary.car_model_file import fitted_car
@@ -35,7 +31,7 @@ from skd_adversary.model.safe_path import velocities_of, velocity_at
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
 from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 
 class BelievedCar(NamedTuple):
@@ -95,9 +91,7 @@ class PlanningAdversary:
         self._tick = 0
         self._parameters = model.parameters
         self._phi = velocities_of(model.parameters.path, scenario.time_step)
-        self._drawn = model.action_dim > 0
-        self._rest: Action = np.zeros(model.action_dim) if self._drawn else self._road_user.rest
-        self._action: Action = None
+        self._action: int | None = None
         self._belief = ParticleBelief(model, options.particles, planner_rng)
         self._planner = Planner(model, options, planner_rng)
 
@@ -125,12 +119,10 @@ class PlanningAdversary:
         if self._action is not None:
             self._belief.predict(self._action)
             self._planner.advance(self._action, seen)
-        self._belief.correct(self._rest if self._action is None else self._action, seen)
+        self._belief.correct(self._road_user.rest if self._action is None else self._action, seen)
         self._action = self._planner.plan(self._belief)
         step, own = self._scenario.time_step, self._belief.particles[0]  # all of them have the road user's own state
-        if self._drawn:
-            vx, vy = self._possible(self._parameters, own, *self._action)
-        elif self._action == self._road_user.action_count:  # as φ
+        if self._action == self._road_user.action_count:  # as φ
             vx, vy = self._possible(self._parameters, own, *velocity_at(self._phi, self._tick))
         else:
             vx, vy = self._velocity(self._parameters, own, self._action)
@@ -194,19 +186,7 @@ def predicted_car(episode: Episode) -> CarPrediction:
     return known
 
 
-class Met(NamedTuple):
-    """The car that an adversary in process meets.
-
-    Attributes:
-        controller: controller of the car under test, which has been reset.
-        world: world of the episode; None where the simulator is not SKD's own world.
-    """
-
-    controller: Controller
-    world: World | None
-
-
-def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
+def _planning(episode: Episode) -> PlanningAdversary:
     """Return an adversary that plans with a predicted car, safe or kamikaze."""
     if episode.mode == Mode.SAFE:
         objective, path = safe.OBJECTIVE, None
@@ -226,7 +206,6 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
         path=path,
         maximum_distance=episode.maximum_distance,
         road_user=road_user,
-        actions=Actions.LISTED if episode.mode == Mode.SAFE else episode.actions,
     )
     return PlanningAdversary(
         model,
@@ -240,52 +219,13 @@ def _planning(episode: Episode, met: Met | None = None) -> PlanningAdversary:
     )
 
 
-def _itself(episode: Episode, met: Met | None) -> Adversary:
-    """Return an adversary that plans with copies of the car that it meets.
-
-    Raises:
-        UsageError: it cannot look at the car, or not at its world, or the car cannot be copied.
-    """
-    from skd_adversary.itself.adversary import ItselfAdversary
-
-    if episode.actions == Actions.DRAWN:
-        raise UsageError("actions drawn: knowledge itself plans with listed actions alone; use learned, or listed")
-    if met is None:
-        raise UsageError("knowledge itself needs a car that runs in process: leave out --graph, or use learned")
-    if met.world is None:
-        raise UsageError(f"knowledge itself needs SKD's own world, not simulator {episode.simulator}; use learned")
-    return ItselfAdversary(
-        episode,
-        met.controller,
-        car_model_for(episode.car),
-        told=met.world if episode.told else None,
-        calls=episode.controller_calls or 0,
-    )
-
-
-KAMIKAZES: Final[Mapping[Knowledge, Callable[[Episode, Met | None], Adversary]]] = {
-    Knowledge.NOTHING: _planning,
-    Knowledge.LEARNED: _planning,
-    Knowledge.KNOWN: _planning,
-    Knowledge.ITSELF: _itself,
-}
-"""Who makes a kamikaze, by what it knows of the car."""
-
-
-def make_adversary(episode: Episode, met: Met | None = None) -> Adversary:
+def make_adversary(episode: Episode) -> Adversary:
     """Return the adversary of an episode, seeded from its specification.
 
-    Args:
-        episode: what is to be run.
-        met: the car, where it runs in this process.
-
     Raises:
-        UsageError: nobody makes a kamikaze with this knowledge, or it lacks what it is to know.
+        UsageError: it lacks what it is to know.
     """
     if episode.mode == Mode.REPLAY:
         assert episode.safe_trajectory is not None
         return ReplayAdversary(episode.safe_trajectory)
-    if episode.mode == Mode.SAFE:
-        return _planning(episode)
-    assert episode.knowledge is not None  # an episode says what it is planned with
-    return KAMIKAZES[episode.knowledge](episode, met)
+    return _planning(episode)

@@ -8,11 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.actions import Actions
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.errors import UsageError
 
-from skd_adversary.model import crossing, drawn
+from skd_adversary.model import crossing
 from skd_adversary.model.parts import (
     CarKernels,
     CarPrediction,
@@ -33,7 +31,6 @@ class _Kernels(NamedTuple):
     step: Any
     rollout_action: Any
     legal: Any
-    draw_action: Any = None
 
 
 _CLASS, _SEPARATOR = "Parameters", "__"
@@ -50,7 +47,6 @@ _USER_INTERFACES = (
     "pointing",
     "steer",
     "touch",
-    "draw_velocity",
 )
 _SENSOR_INTERFACES = ("observe", "likelihood", "place_car")
 
@@ -126,26 +122,6 @@ def _kernels(objective: ObjectiveModel, car: CarKernels, road_user: RoadUserKern
 
 
 @functools.cache
-def _drawn_kernels(
-    objective: ObjectiveModel, car: CarKernels, road_user: RoadUserKernels, road: RoadKernels
-) -> _Kernels:
-    listed = _kernels(objective, car, road_user, road)
-    name, parts = _all_parts(objective, car, road_user, road)
-    name += drawn.SUFFIX
-    parts = {**parts, "listed_action": listed.rollout_action, "listed_velocity": parts["chosen"]}
-    parts["FOLLOWS_PHI"] = objective.follows_phi
-    parts["velocity"] = parts["chosen"] = bound(drawn.velocity, name, parts)
-    parts["rollout_action"] = bound(drawn.rollout_action, name, parts)
-    return _Kernels(
-        initial=listed.initial,
-        step=bound(objective.step, name, parts),
-        rollout_action=parts["rollout_action"],
-        legal=None,
-        draw_action=bound(drawn.draw_action, name, parts),
-    )
-
-
-@functools.cache
 def _reinvigorate(car: CarKernels, sensor: Sensor, road: RoadKernels) -> Any:
     parts = {**_car_interfaces(car, road), **_sensor_interfaces(sensor, road)}
     return bound(crossing.reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
@@ -179,7 +155,6 @@ def compose(
     path: FloatArray | None = None,
     maximum_distance: float | None = None,
     road_user: RoadUserModel = pedestrian.ROAD_USER,
-    actions: Actions = Actions.LISTED,
 ) -> Pomdp:
     """Return the adversary's POMDP.
 
@@ -192,11 +167,9 @@ def compose(
         path: φ, n × 2, m, one point per tick; None for an objective that has no φ.
         maximum_distance: greatest distance from φ, m, for an objective that limits it; by default there is no limit.
         road_user: kind of road user, which says how the adversary can move.
-        actions: whether its actions are listed or drawn.
 
     Raises:
         ValueError: two parts have a parameter of the same name.
-        UsageError: the actions are to be drawn, and of this kind they are listed alone.
     """
     phi = np.array([start]) if path is None else path
     sensor, road, user = car.sensor, _road_of(scenario), road_user.kernels
@@ -213,17 +186,13 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
-    are_drawn = actions == Actions.DRAWN
-    if are_drawn and (user.draw_velocity is None or road_user.within is None):
-        raise UsageError(f"actions {actions}: of a {road_user.name} actions are listed alone; use {Actions.LISTED}")
-    kernels = (_drawn_kernels if are_drawn else _kernels)(objective, car.kernels, user, road)
+    kernels = _kernels(objective, car.kernels, user, road)
     seen = _sensor_interfaces(sensor, road)
     return Pomdp(
-        name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}"
-        + (drawn.SUFFIX if are_drawn else ""),
+        name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
         state_dim=crossing.STATE_DIM + car.kernels.own_dim + user.own_dim + objective.own_dim(len(phi)),
         observation_dim=1,
-        action_count=0 if are_drawn else user.action_count + objective.follows_phi,
+        action_count=user.action_count + objective.follows_phi,
         discount=objective.discount,
         parameters=_parameters_class(*values)(**values),
         initial=kernels.initial,
@@ -233,6 +202,4 @@ def compose(
         rollout_action=kernels.rollout_action,
         reinvigorate=_reinvigorate(car.kernels, sensor, road),
         legal=kernels.legal,
-        action_dim=drawn.ACTION_DIM if are_drawn else 0,
-        draw_action=kernels.draw_action,
     )

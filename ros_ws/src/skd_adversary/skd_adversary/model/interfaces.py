@@ -28,8 +28,6 @@ EARLY_ACTIONS: Final = cast(tuple[int, ...], None)
 AS_PHI: Final = _NO_NUMBER
 """The action *as φ*, one beyond the road user's own: φ's displacement in the present tick, none after its end, or what
 of the `possible` comes nearest to that."""
-FOLLOWS_PHI: Final = _NO_NUMBER
-"""Whether the objective has the action *as φ*."""
 
 
 # --- the road user's
@@ -37,11 +35,6 @@ FOLLOWS_PHI: Final = _NO_NUMBER
 
 def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
     """Return the velocity under an action of the road user."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return a velocity drawn from all those that the road user can have from its state."""
     raise NotImplementedError(_UNBOUND)
 
 
@@ -261,16 +254,6 @@ def sensible(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
 
 def begin(parameters: Any, state: FloatArray) -> None:
     """Write the objective's own part of a first state."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def listed_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    """Return the listed action that the default policy takes."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def listed_velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Return the velocity under a listed action, where those that are tried are drawn; see `chosen`."""
     raise NotImplementedError(_UNBOUND)
 
 

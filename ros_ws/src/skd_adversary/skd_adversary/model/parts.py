@@ -27,7 +27,6 @@ SEARCH: Final = PlannerOptions(
     backup=Backup.BEST,
     cells=Cells.NEAREST,
     keep_tree=True,
-    action_factor=3.0,  # drawn actions: 17 with 1,000 simulations
 )
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
@@ -223,7 +222,6 @@ class RoadUserKernels:
         touch: interface.
         late: `LATE_ACTIONS`.
         early: `EARLY_ACTIONS`.
-        draw_velocity: interface; None for a kind whose actions are listed alone.
     """
 
     name: str
@@ -243,7 +241,6 @@ class RoadUserKernels:
     touch: Any
     late: tuple[int, ...]
     early: tuple[int, ...]
-    draw_velocity: Any = None
 
 
 @dataclass(frozen=True)
@@ -260,8 +257,6 @@ class RoadUserModel:
             gone it so far: (n − 1) × 2, m/s.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
-        within: (scenario, φ, way) → its velocities in each tick of a way, having gone it so far, or what it can do that
-            comes nearest to them: (n − 1) × 2, m/s; None for a kind whose actions are listed alone.
         called: what another simulator, a format or a data set calls it, by their names: `{"carla":
             "walker.pedestrian.0001", "openscenario": "pedestrian"}`; data sets of levelXdata are `levelxdata`.
     """
@@ -274,7 +269,6 @@ class RoadUserModel:
     fastest: float
     height: float
     called: Mapping[str, str] = field(default_factory=dict)
-    within: Callable[[Scenario, FloatArray, FloatArray], FloatArray] | None = None
 
 
 class CarPrediction(Protocol):

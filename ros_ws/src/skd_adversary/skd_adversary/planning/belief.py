@@ -16,7 +16,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 from skd_sim.kernels.stream import stream_of
 
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""
@@ -34,7 +34,7 @@ def _propagate_template(
     parameters: Any,
     particles: FloatArray,
     weights: FloatArray,
-    action: Action,
+    action: int,
     moved: FloatArray,
     rng: np.random.Generator,
 ) -> None:
@@ -46,7 +46,7 @@ def _propagate_template(
 
 
 def _reweigh_template(
-    parameters: Any, particles: FloatArray, weights: FloatArray, action: Action, observation: FloatArray
+    parameters: Any, particles: FloatArray, weights: FloatArray, action: int, observation: FloatArray
 ) -> float:
     """Multiply the weights by the likelihoods, normalise them, and return their sum before that."""
     total = 0.0
@@ -158,12 +158,12 @@ class ParticleBelief:
         mean, deviation = moments(self.particles, self.weights, column)
         return mean, deviation
 
-    def predict(self, action: Action) -> None:
+    def predict(self, action: int) -> None:
         """Move the belief through one step of the model."""
         self._propagate(self._model.parameters, self.particles, self.weights, action, self._spare, self._rng)
         self.particles, self._spare = self._spare, self.particles
 
-    def correct(self, action: Action, observation: FloatArray) -> None:
+    def correct(self, action: int, observation: FloatArray) -> None:
         """Condition on what was observed after `action`; resample or reinvigorate as the module describes."""
         parameters = self._model.parameters
         if self._reweigh(parameters, self.particles, self.weights, action, observation) == 0.0:

@@ -17,7 +17,6 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.pomdp import Action
 from skd_adversary.planning.search_tree import (
     BLOCK,
     CHILDREN,
@@ -91,23 +90,19 @@ def _profile_template(
     tree: SearchTree,
     node: int,
     action: int,
-    taken: Action,
     observation: FloatArray,
     reference: FloatArray,
     likelihood: FloatArray,
     profile: Float32Array,
 ) -> None:
-    """Compute likelihoods and profile of an observation made after an action; `reference` is scratch for a state.
-
-    The tree knows the action by a number, the model as what was `taken`.
-    """
+    """Compute likelihoods and profile of an observation made after an action; `reference` is scratch for a state."""
     known = tree.basis[node, action, KNOWN]
     row = tree.basis[node, action, BLOCK]
     total = 0.0
     for i in range(known):
         for k in range(reference.shape[0]):
             reference[k] = tree.references[row, i, k]
-        likelihood[i] = _likelihood(parameters, reference, taken, observation)
+        likelihood[i] = _likelihood(parameters, reference, action, observation)
         total += likelihood[i]
     scale = 1.0 / total if total >= _SMALLEST else 0.0
     for i in range(known):
@@ -119,7 +114,6 @@ def _add_reference_template(
     tree: SearchTree,
     node: int,
     action: int,
-    taken: Action,
     state: FloatArray,
     observation: FloatArray,
 ) -> None:
@@ -132,7 +126,7 @@ def _add_reference_template(
     for _ in range(tree.links[node, action, CHILDREN]):
         for k in range(observation.shape[0]):
             observation[k] = tree.observation[candidate, k]
-        tree.likelihood[candidate, known] = _likelihood(parameters, state, taken, observation)
+        tree.likelihood[candidate, known] = _likelihood(parameters, state, action, observation)
         set_profile(tree, candidate, known + 1)
         candidate = tree.sibling[candidate]
     tree.basis[node, action, KNOWN] = known + 1

@@ -34,8 +34,6 @@ class PlannerOptions:
             root has returned in this decision, of the action for which that is greatest. See `ucb`.
         observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
         observation_exponent: α of the widening.
-        action_factor: k of the widening k·N^α of actions, where they are drawn.
-        action_exponent: α of that widening.
         particles: size of the belief.
         backup: how the value of a node enters that of the node above it.
         keep_tree: whether the subtree of what was done and seen is kept for the next decision.
@@ -60,8 +58,6 @@ class PlannerOptions:
     references: int = 8
     cell_distance: float = 0.1
     learned_states: int = 1 << 17
-    action_factor: float = 8.0
-    action_exponent: float = 0.25
 
     @property
     def learns(self) -> bool:
@@ -87,12 +83,11 @@ class PlannerOptions:
         for name in ("simulations", "depth", "particles", "references", "learned_states"):
             if getattr(self, name) != int(getattr(self, name)):
                 raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
-        for what in ("observation", "action"):
-            factor, exponent = getattr(self, f"{what}_factor"), getattr(self, f"{what}_exponent")
-            if not factor > 0.0 or not 0.0 <= exponent <= 1.0:
-                raise ValueError(
-                    f"k·N^α needs k > 0 and α in [0, 1], got {what}_factor {factor!r} and {what}_exponent {exponent!r}"
-                )
+        if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
+            raise ValueError(
+                f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
+                f"observation_exponent {self.observation_exponent!r}"
+            )
         for name, kind in (("backup", Backup), ("cells", Cells)):
             if getattr(self, name) not in list(kind):
                 raise ValueError(f"{name} must be one of {', '.join(map(str, kind))}, got {getattr(self, name)!r}")

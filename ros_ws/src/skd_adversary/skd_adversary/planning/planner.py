@@ -1,4 +1,4 @@
-"""POMCP over cells of observations: online tree search for listed or drawn actions and any observations.
+"""POMCP over cells of observations: online tree search for listed actions and any observations.
 
 A simulation follows one state, drawn from the belief, down the tree: UCB1 chooses actions, observations choose children
 (POMCP, Silver and Veness, NIPS 2010). A continuous observation never comes twice, and a tree that makes a child of each
@@ -11,8 +11,7 @@ A node's value is the mean over all that was tried there, as published: where le
 of an action's means is their optimism, and "ask later" always looks better than to ask. A new node's first try is the
 default policy's.
 
-Where a model has no leaf values, rollouts learn what states are worth (`learning_rollouts`), if its actions are listed.
-Drawn ones are widened (`drawn_actions`); a new node's first try is then the first that the model draws.
+Where a model has no leaf values, rollouts learn what states are worth (`learning_rollouts`).
 
 docs/decisions.md says why this planner.
 """
@@ -23,11 +22,10 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.drawn_actions import action_widening, slots_of
 from skd_adversary.planning.learning_rollouts import ROLLOUTS, no_experience, practice_kernel
 from skd_adversary.planning.observation_cells import most_alike_child, nearest_child, profile_kernel
 from skd_adversary.planning.options import Cells, PlannerOptions
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.search import Scratch, search_kernel
 from skd_adversary.planning.search_tree import (
     CHILDREN,
@@ -52,19 +50,15 @@ class Planner(TreePlanner):
         self._by_likelihood = options.cells == Cells.LIKELIHOOD
         references = options.references if self._by_likelihood else 0
         nodes = 2 * options.simulations + 1  # half of them for what is kept
-        slots = slots_of(model, options, nodes)
         tree, self._spare = (
-            empty_tree(nodes, slots, model.observation_dim, references, model.state_dim, model.action_dim)
-            for _ in range(2)
+            empty_tree(nodes, model.action_count, model.observation_dim, references, model.state_dim) for _ in range(2)
         )
         super().__init__(model, options, rng, tree)
-        learns = options.learns and model.leaf_value is None and model.draw_action is None
+        learns = options.learns and model.leaf_value is None
         self._search = search_kernel(model, self._by_likelihood, learns)
         self._practise = practice_kernel(model.name, model.step, model.rollout_action, model.legal) if learns else None
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
-        self._action_widening = action_widening(options, nodes)
-        drawn = np.empty(model.action_dim)
         self._scratch = Scratch(
             state=np.empty(model.state_dim),
             moved=np.empty(model.state_dim),
@@ -77,12 +71,9 @@ class Planner(TreePlanner):
             other_observation=np.empty(model.observation_dim),
             likelihood=np.empty(references),
             profile=np.empty(references, np.float32),
-            notes=drawn
-            if model.action_dim
-            else no_experience(
+            notes=no_experience(
                 options.learned_states if learns else 0, model.state_dim, model.action_count, options.depth
             ),
-            drawn=drawn,
             returns=self._returns,
         )
         self._kept = 0  # nodes of the tree that `advance` has left
@@ -116,7 +107,6 @@ class Planner(TreePlanner):
             self._tree,
             max(1, self._kept),
             self._tables,
-            self._action_widening,
             self._scratch,
             self._log,
             options.ucb_constant,
@@ -127,7 +117,7 @@ class Planner(TreePlanner):
         )
         self._kept = 0
 
-    def advance(self, action: Action, observation: FloatArray) -> None:
+    def advance(self, action: int, observation: FloatArray) -> None:
         """Keep of the tree what lies below an action that was taken and the observation made after it."""
         if not self._options.keep_tree:
             return
@@ -137,15 +127,9 @@ class Planner(TreePlanner):
         self._kept = copy_subtree(self._tree, child, self._spare, self._options.simulations, self._origin)
         self._tree, self._spare = self._spare, self._tree
 
-    def _child(self, taken: Action, observation: FloatArray) -> int:
+    def _child(self, action: int, observation: FloatArray) -> int:
         """Return the root's child whose cell an observation belongs to, −1 without a child."""
         tree, scratch, seen = self._tree, self._scratch, observation.astype(np.float32)
-        action = taken
-        if self._model.action_dim:
-            slots = np.flatnonzero((tree.drawn[0, : tree.opened[0]] == taken).all(axis=1))
-            if not len(slots):
-                return -1
-            action = int(slots[0])
         if not self._by_likelihood:
             return int(nearest_child(tree, 0, action, seen)[0])
         if tree.links[0, action, CHILDREN] == 0:
@@ -155,7 +139,6 @@ class Planner(TreePlanner):
             tree,
             0,
             action,
-            taken,
             observation,
             scratch.other_state,
             scratch.likelihood,

@@ -10,8 +10,8 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.planning.drawn_actions import action_kernels
 from skd_adversary.planning.learning_rollouts import learning_rollout_kernel
+from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.observation_cells import (
     add_reference_kernel,
     most_alike_child,
@@ -41,9 +41,9 @@ from skd_adversary.planning.search_tree import (
 from skd_adversary.planning.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
 _step = _observe = _leaf_value = _legal = _forbid = unbound
-_first_try = _widen = _taken = _profile = _add_reference = _rollout = unbound
+_first_try = _profile = _add_reference = _rollout = unbound
 _ACTIONS = _SEEN = 0
-_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = _DRAWN = False
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
 
@@ -61,8 +61,7 @@ class Scratch(NamedTuple):
     other_observation: FloatArray  # d
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
-    notes: Any  # of rollouts: an `Experience`, or an array for an action that is drawn
-    drawn: FloatArray  # an action that was drawn
+    notes: Any  # of rollouts: an `Experience`
     returns: FloatArray  # actions × 3: what is kept of the decision's returns
 
 
@@ -92,11 +91,6 @@ def draw_roots(weights: FloatArray, roots: IndexArray, rng: np.random.Generator)
         roots[i], roots[j] = roots[j], roots[i]
 
 
-def _first_slot(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
-    """Return the slot of a node's first action: the only one that is open then."""
-    return 0
-
-
 def _search_template(
     parameters: Any,
     leaf_parameters: Any,
@@ -105,7 +99,6 @@ def _search_template(
     tree: SearchTree,
     node_count: int,
     tables: Tables,
-    action_widening: Int32Array,
     scratch: Scratch,
     log: RootLog,
     exploration: float,
@@ -154,13 +147,11 @@ def _search_template(
         depth = 0
         tail = 0.0
         while depth < depth_limit:
-            _widen(parameters, tree, node, depth, state, scratch.drawn, action_widening, rng)
             if tree.total[node] == 0:
                 action = _first_try(parameters, state, rng)
             else:
                 action = choose(tree, node, constant, tables, rng)
-            taken = _taken(tree, node, action, scratch.drawn)
-            reward, terminal = _step(parameters, state, taken, moved, rng)
+            reward, terminal = _step(parameters, state, action, moved, rng)
             steps += 1
             path_node[depth] = node
             path_action[depth] = action
@@ -169,7 +160,7 @@ def _search_template(
             if terminal:
                 break
             state, moved = moved, state  # to copy numbers that were written just now would wait for them
-            _observe(parameters, state, taken, observation, rng)
+            _observe(parameters, state, action, observation, rng)
             for k in range(seen.shape[0]):
                 seen[k] = observation[k]
             siblings = links[node, action, CHILDREN]
@@ -178,10 +169,10 @@ def _search_template(
                 if siblings > 0:
                     known = tree.basis[node, action, KNOWN]
                     if known < profile.shape[0]:
-                        _add_reference(parameters, tree, node, action, taken, state, scratch.other_observation)
+                        _add_reference(parameters, tree, node, action, state, scratch.other_observation)
                         known += 1
                     other = scratch.other_state
-                    _profile(parameters, tree, node, action, taken, observation, other, likelihood, profile)
+                    _profile(parameters, tree, node, action, observation, other, likelihood, profile)
                 child, apart = most_alike_child(tree, node, action, known, profile, seen)
                 same = apart <= cell_distance and child >= 0
             else:
@@ -208,15 +199,15 @@ def _search_template(
                 if siblings == 0:  # the oldest child's row holds the references
                     tree.basis[node, action, BLOCK] = child
                     tree.basis[node, action, KNOWN] = 0
-                    _add_reference(parameters, tree, node, action, taken, state, scratch.other_observation)
+                    _add_reference(parameters, tree, node, action, state, scratch.other_observation)
                 else:
                     for k in range(known):
                         tree.likelihood[child, k] = likelihood[k]
                     set_profile(tree, child, known)
-            # --- the default policy from here on; its first action, if it has a number, is the new node's first try
+            # --- the default policy from here on; its first action is the new node's first try
             first = -1
             if _HAS_LEAF_VALUE:
-                if depth < depth_limit and not _DRAWN:
+                if depth < depth_limit:
                     first = _first_try(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
             else:
@@ -257,7 +248,6 @@ def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[.
         model.rollout_action,
         model.leaf_value,
         model.legal,
-        model.draw_action,
         likelihood,
         learns,
         model.action_count,
@@ -273,21 +263,18 @@ def _search_kernel(
     rollout_action: Callable[..., Any],
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
-    draw_action: Callable[..., Any] | None,
     likelihood: Callable[..., Any] | None,
     learns: bool,
     actions: int,
     seen: int,
 ) -> Callable[..., Any]:
-    drawn = draw_action is not None
     bound: dict[str, Any] = {
         "_step": step,
         "_observe": observe,
-        "_first_try": kernel(inline=True)(_first_slot) if drawn else rollout_action,
-        "_DRAWN": drawn,
+        "_first_try": rollout_action,
         "_ACTIONS": actions,
         "_SEEN": seen,
-        **action_kernels(name, draw_action, legal),
+        "_forbid": forbid_kernel(name, legal),
     }
     if leaf_value is not None:
         name += "_leaves"
@@ -296,7 +283,7 @@ def _search_kernel(
         bound |= {"_rollout": learning_rollout_kernel(name, step, rollout_action, legal)}
         name += "_learns"
     else:
-        bound |= {"_rollout": rollout_kernel(name, step, rollout_action, drawn=drawn)}
+        bound |= {"_rollout": rollout_kernel(name, step, rollout_action)}
     if legal is not None:
         bound |= {"_legal": legal, "_HAS_LEGAL": True}
     if likelihood is not None:

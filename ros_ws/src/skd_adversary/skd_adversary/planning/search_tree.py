@@ -39,13 +39,9 @@ class SearchTree(NamedTuple):
     references: FloatArray  # n × m × s: reference states
     likelihood: FloatArray  # n × m: of this node's observation in the reference states of the action that led here
     profile: Float32Array  # n × m: square roots of the same, made to sum up to 1
-    drawn: FloatArray  # n × a × e: actions of e numbers that were drawn; e = 0 where they are listed
-    opened: Int32Array  # n: how many of them; without entries where they are listed
 
 
-def empty_tree(
-    nodes: int, actions: int, observation_dim: int, references: int = 0, state_dim: int = 0, action_dim: int = 0
-) -> SearchTree:
+def empty_tree(nodes: int, actions: int, observation_dim: int, references: int = 0, state_dim: int = 0) -> SearchTree:
     """Return a tree that holds nothing but an unvisited root."""
     return SearchTree(
         statistics=np.zeros((nodes, actions, 2), np.float32),
@@ -57,8 +53,6 @@ def empty_tree(
         references=np.zeros((nodes, references, state_dim)),
         likelihood=np.zeros((nodes, references)),
         profile=np.zeros((nodes, references), np.float32),
-        drawn=np.zeros((nodes, actions, action_dim)),
-        opened=np.zeros(nodes if action_dim else 0, np.int32),
     )
 
 
@@ -137,13 +131,9 @@ def copy_subtree(tree: SearchTree, root: int, kept: SearchTree, room: int, origi
     while done < count:
         old = origin[done]
         kept.total[done] = tree.total[old]
-        if tree.drawn.shape[2] > 0:
-            kept.opened[done] = tree.opened[old]
         for action in range(tree.statistics.shape[1]):
             kept.statistics[done, action, VALUE] = tree.statistics[old, action, VALUE]
             kept.statistics[done, action, VISITS] = tree.statistics[old, action, VISITS]
-            for k in range(tree.drawn.shape[2]):
-                kept.drawn[done, action, k] = tree.drawn[old, action, k]
             children = 0
             candidate = tree.links[old, action, FIRST_CHILD]
             for _ in range(tree.links[old, action, CHILDREN]):

@@ -11,9 +11,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.drawn_actions import action_in
 from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 from skd_adversary.planning.search import RootLog, draw_roots
 from skd_adversary.planning.search_tree import CHILDREN, FIRST_CHILD, VALUE, VISITS, Float32Array, SearchTree
 from skd_adversary.planning.ucb import exploration_from, no_returns
@@ -40,7 +39,7 @@ class RootAction:
     """What the last decision found out about an action.
 
     Attributes:
-        action: the action: its number, or what was drawn.
+        action: the action.
         visits: simulations through it, those of a kept tree included.
         value: estimated return; nan where it was not tried.
         standard_error: standard error of the mean return of the last decision's simulations, as if they were
@@ -49,7 +48,7 @@ class RootAction:
         cells: most visited first.
     """
 
-    action: Action
+    action: int
     visits: int
     value: float
     standard_error: float
@@ -74,7 +73,7 @@ class TreePlanner(ABC):
         self._returns = no_returns(tree.statistics.shape[1])
         self._particles = np.empty((0, model.state_dim))
 
-    def plan(self, belief: ParticleBelief) -> Action:
+    def plan(self, belief: ParticleBelief) -> int:
         """Return the action of highest estimated value at `belief`."""
         draw_roots(belief.weights, self._roots, self._rng)
         self._log.action.fill(-1)
@@ -82,7 +81,7 @@ class TreePlanner(ABC):
             self._particles = np.empty_like(belief.particles)
         self._particles[:] = belief.particles  # the belief goes on; `root` asks what it was
         self._search_from(belief)
-        return action_in(self._model, self._tree, self._decision())
+        return self._decision()
 
     @abstractmethod
     def _search_from(self, belief: ParticleBelief) -> None:
@@ -95,7 +94,7 @@ class TreePlanner(ABC):
                 best, decision = value, action
         return decision
 
-    def advance(self, action: Action, observation: FloatArray) -> None:  # noqa: B027 - nothing, unless a tree is kept
+    def advance(self, action: int, observation: FloatArray) -> None:  # noqa: B027 - nothing, unless a tree is kept
         """Say what was done and what was observed after it."""
 
     @property
@@ -106,7 +105,7 @@ class TreePlanner(ABC):
 
     @property
     def visits(self) -> Float32Array:
-        """Number of simulations through each action, or slot for one, at the last belief planned from."""
+        """Number of simulations through each action at the last belief planned from."""
         visits: Float32Array = np.maximum(self._tree.statistics[0, :, VISITS], 0.0)
         return visits
 
@@ -121,11 +120,10 @@ class TreePlanner(ABC):
         return self._tree
 
     def root(self) -> tuple[RootAction, ...]:
-        """Return what the last decision found out about each action, listed or drawn; to be asked before `advance`."""
+        """Return what the last decision found out about each action; to be asked before `advance`."""
         _, numbers = np.unique(self._particles, axis=0, return_inverse=True)
         state_of = numbers.ravel()[self._roots]
-        count = self._model.action_count or int(self._tree.opened[0])
-        return tuple(self._root_action(action, state_of) for action in range(count))
+        return tuple(self._root_action(action, state_of) for action in range(self._model.action_count))
 
     def _root_action(self, action: int, state_of: np.ndarray) -> RootAction:
         visits = int(self.visits[action])
@@ -138,7 +136,7 @@ class TreePlanner(ABC):
             cells.append(RootCell(observation, int(here.sum()), len(np.unique(state_of[here]))))
             child = int(self._tree.sibling[child])
         return RootAction(
-            action_in(self._model, self._tree, action),
+            action,
             visits,
             float(self.values[action]) if visits else np.nan,
             float(returns.std(ddof=1) / np.sqrt(len(returns))) if len(returns) > 1 else np.nan,

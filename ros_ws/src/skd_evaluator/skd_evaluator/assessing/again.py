@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import make_controller
 from skd_sim.controllers.isolated import isolated
@@ -99,9 +98,7 @@ def _heard(log: EpisodeLog) -> Heard:
 def _heard_here(log: EpisodeLog) -> Heard:
     episode = log.episode
     controller = overhear(make_controller(episode.controller), episode.controller)
-    # One that plans with copies of the controller would be heard, too, and would be seen by it.
-    with_copies = episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF
-    again = run_episode(episode, controller, _led(log) if with_copies else None)
+    again = run_episode(episode, controller)
     return Heard(again, controller.questions, controller.answers)
 
 

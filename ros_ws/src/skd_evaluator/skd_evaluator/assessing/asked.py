@@ -6,16 +6,14 @@ import datetime
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from skd_adversary.car_model_file import car_model_for_scenario, file_of
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, check_knowledge, default_knowledge
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
-from skd_sim.choices.simulators import is_own_world
 from skd_sim.encounter.checks import check_control_period
 from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
@@ -93,33 +91,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         scenario = with_asked_period(scenario, values["control_period"])
     if graph:
         GraphOptions(**values_of(GraphOptions, values)).check(car)
-    _check_itself(values, graph=graph)
     return scenario
-
-
-def _check_itself(values: Mapping[str, Any], *, graph: bool) -> None:
-    """Refuse an adversary that plans with copies of the car where no car can be copied, and its options without it."""
-    if values.get("knowledge") == Knowledge.ITSELF:
-        if values.get("actions") == Actions.DRAWN:
-            raise UsageError(
-                f"--actions {Actions.DRAWN}: with --knowledge {Knowledge.ITSELF} listed actions alone are tried"
-            )
-        if graph:
-            refuse_copies()
-        if not is_own_world(values["simulator"]):
-            raise UsageError(f"--knowledge {Knowledge.ITSELF} needs SKD's own world: leave out --simulator")
-        return
-    for name in ("told", "controller_calls"):
-        if values.get(name):
-            raise UsageError(f"--{name.replace('_', '-')} goes with --knowledge {Knowledge.ITSELF}")
-
-
-def refuse_copies() -> NoReturn:
-    """Refuse copies of a car that runs as a node."""
-    raise UsageError(
-        f"knowledge {Knowledge.ITSELF} needs a car that runs in process, for a node cannot be copied: use "
-        f"{Knowledge.LEARNED}"
-    )
 
 
 def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:

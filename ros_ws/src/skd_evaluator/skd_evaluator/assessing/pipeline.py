@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
-from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.choices.options import options_of
 from skd_sim.choices.simulators import is_own_world
@@ -15,7 +14,6 @@ from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the_controller
-from skd_evaluator.assessing.asked import refuse_copies
 from skd_evaluator.assessing.findings import aborted_lines
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
@@ -42,8 +40,6 @@ def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:
 
     Those of a basic car whose C is known, by the default objectives, that node compiles itself at its start.
     """
-    if plan.knows == Knowledge.ITSELF:
-        refuse_copies()
     modelled = bool(plan.car_model) or needs_learning(plan)
     missing = [one for one in objectives if modelled or one not in DEFAULT_OBJECTIVES]
     if missing:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from skd_adversary.car_fit import Recording
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
@@ -129,7 +128,6 @@ class _Beside:
     multiplier: float
     seed: int
     by_objective: bool
-    actions: Actions = Actions.LISTED
     knowledge: Knowledge | None = None
     doubts: tuple[str, ...] = ()
 
@@ -151,7 +149,6 @@ def _said_beside(path: Path) -> _Beside:
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
                     "objectives" in content,
-                    Actions(options.get("actions", Actions.LISTED)),
                     Knowledge(options["knowledge"]) if options.get("knowledge") else None,
                     tuple(in_doubt(content.get("warnings") or ())),
                 )
@@ -255,7 +252,6 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         multiplier=beside.multiplier,
         safe_trajectory=trajectory,
         objective=Objective(objective) if objective else Objective.PAPER,
-        actions=beside.actions,
         knowledge=beside.knowledge,
     )
 

@@ -14,7 +14,6 @@ from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
@@ -66,8 +65,6 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     """
     if limit == 0:
         return NOT_ASKED
-    if plan.actions == Actions.DRAWN:
-        return "--actions drawn: the margin is searched among listed actions, and these kamikazes are not bound to them"
     if not repeats_itself(plan.simulator) or (walked is None and not is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
     if walked is not None:

@@ -14,7 +14,6 @@ class Knowledge(StrEnum):
     NOTHING = "nothing"  # the car is taken for a basic one, with any C
     LEARNED = "learned"  # a model that was fitted to logs of the car
     KNOWN = "known"  # the law by which the car brakes, and C
-    ITSELF = "itself"  # copies of the car's own controller
 
 
 def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:

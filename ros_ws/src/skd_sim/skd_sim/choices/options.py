@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
 
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.choices.knowledge import Knowledge, implied_knowledge
 from skd_sim.choices.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
@@ -250,7 +249,7 @@ class EpisodeOptions:
         "what the adversary knows about the car: nothing (it takes every car for a basic one), learned (it plans "
         "with the "
         "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
-        "time), known (it knows C of the basic controller), itself (it plans with copies of the car)",
+        "time), known (it knows C of the basic controller)",
         str,
         choices=Names(tuple(map(str, Knowledge))),
         metavar="{" + ",".join(Knowledge) + "}",
@@ -260,29 +259,6 @@ class EpisodeOptions:
         implied=lambda source: implied_knowledge(source.car, source.car_model),
         unset="known for basic, learned for any other car",
         make=Knowledge,
-        planning=True,
-    )
-    told: bool = option(
-        False,
-        "with knowledge itself: in every tick the adversary is told the state of the car and of its controller, "
-        "instead of seeing the car through a sensor",
-        group="car and test",
-        commands=("assess",),
-        launches=(),
-        planning=True,
-    )
-    controller_calls: int | None = option(
-        None,
-        "with knowledge itself: how often the planning of one episode may call copies of the controller. With fewer "
-        "calls, such as 25000, planning is faster, but kamikazes bend the safe trajectory more than they would have to",
-        int,
-        low=0,
-        high=1_000_000_000,
-        metavar="N",
-        commands=("assess",),
-        launches=(),
-        absent=0,
-        unset="200000; for a car with a laser 25000",
         planning=True,
     )
     simulations: int = option(
@@ -305,15 +281,6 @@ class EpisodeOptions:
         asked=BOTH,
         make=Objective,
         field=True,
-    )
-    actions: Actions = option(
-        Actions.LISTED,
-        "what the planner of kamikazes tries: listed (the few actions of the kind of road user, such as the paper's "
-        "six) or drawn (any acceleration and direction within the kind's limits, drawn one by one)",
-        str,
-        choices=Names(tuple(map(str, Actions))),
-        make=Actions,
-        planning=True,
     )
     particles: int | None = option(
         None,

@@ -23,7 +23,6 @@ class Role(IntEnum):
     SCAN = 5
     PROBE = 6
     FLOOR = 7
-    ITSELF = 8
     ORDER = 9
     WALKER = 10
     RISK = 11

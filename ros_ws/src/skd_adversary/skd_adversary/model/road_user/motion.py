@@ -43,8 +43,7 @@ def road_user(
 ) -> RoadUserModel:
     """Return a kind that moves so; for the other arguments see `RoadUserModel`."""
     choices, as_phi = functools.partial(_choices, motion, kernels.action_count), functools.partial(_as_phi, motion)
-    within = functools.partial(_within, motion)
-    return RoadUserModel(name, kernels, parameters, choices, as_phi, fastest, height, within=within)
+    return RoadUserModel(name, kernels, parameters, choices, as_phi, fastest, height)
 
 
 def _choices(motion: Motion, action_count: int, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
@@ -55,15 +54,7 @@ def _choices(motion: Motion, action_count: int, scenario: Scenario, path: FloatA
 
 def _as_phi(motion: Motion, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return its velocities as φ, or as near to that as it can, in each tick of a way; see `RoadUserModel`."""
-    return _nearest(motion, scenario, path, way, path_velocities(path, len(way) - 1, scenario.time_step))
-
-
-def _within(motion: Motion, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return its velocities in each tick of a way, or as near to them as it can; see `RoadUserModel`."""
-    return _nearest(motion, scenario, path, way, np.diff(way, axis=0) / scenario.time_step)
-
-
-def _nearest(motion: Motion, scenario: Scenario, path: FloatArray, way: FloatArray, wanted: FloatArray) -> FloatArray:
+    wanted = path_velocities(path, len(way) - 1, scenario.time_step)
     so_far = _so_far(motion, scenario, path, way)
     moved = [motion.nearest(scenario, own, vx, vy) for own, (vx, vy) in zip(so_far, wanted.tolist(), strict=True)]
     return np.array(moved).reshape(-1, 2)

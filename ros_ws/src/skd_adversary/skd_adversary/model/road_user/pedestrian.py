@@ -45,19 +45,6 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
     return compass_velocity(parameters, action)
 
 
-@kernel(inline=True)
-def in_disc(radius: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Return a point of the disc around the origin, drawn uniformly."""
-    distance, direction = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
-    return distance * math.cos(direction), distance * math.sin(direction)
-
-
-@kernel(inline=True)
-def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Interface `draw_velocity`: in any direction, up to its speed."""
-    return in_disc(parameters.adversary_speed, rng)
-
-
 def parameters_of(scenario: Scenario) -> Mapping[str, float]:
     """Return nothing beyond what every model has."""
     return {}
@@ -134,13 +121,6 @@ def as_phi(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     return path_velocities(path, len(way) - 1, scenario.time_step)
 
 
-def within(scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
-    """Return the velocities of a way, none above the pedestrian's speed; see `RoadUserModel`."""
-    wanted = np.diff(way, axis=0) / scenario.time_step
-    speeds = np.maximum(np.hypot(wanted[:, 0], wanted[:, 1]), scenario.adversary.speed)
-    return np.asarray(wanted * (scenario.adversary.speed / speeds)[:, None])
-
-
 KERNELS = RoadUserKernels(
     "pedestrian",
     ACTION_COUNT,
@@ -159,7 +139,6 @@ KERNELS = RoadUserKernels(
     touch,
     LATE,
     EARLY,
-    draw_velocity,
 )
 ROAD_USER = RoadUserModel(
     "pedestrian", KERNELS, parameters_of, choices, as_phi, fastest=12.0, height=1.8,
@@ -170,6 +149,6 @@ ROAD_USER = RoadUserModel(
         "osi": "TYPE_PEDESTRIAN",
         "commonroad": "pedestrian",
         "levelxdata": "pedestrian",
-    }, within=within,
+    },
 )  # fmt: skip
 """Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
@@ -19,7 +18,7 @@ from skd_adversary.model.interfaces import USER_ROW
 from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_user.motion import Motion, Own, road_user
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, STAY, compass_velocity, in_disc
+from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, STAY, compass_velocity
 from skd_adversary.model.safe_path import path_velocities
 
 _OWN = 2  # of a state: velocity to the East and to the North, m/s
@@ -58,18 +57,6 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
     """Interface `velocity`."""
     wanted_x, wanted_y = compass_velocity(parameters, action)
     return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], wanted_x, wanted_y)
-
-
-@template("USER_ROW")
-def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Interface `draw_velocity`: any change within its limit, up to its speed; who is faster slows down."""
-    p = parameters
-    change_x, change_y = in_disc(p.own_change, rng)
-    vx, vy = state[USER_ROW] + change_x, state[USER_ROW + 1] + change_y
-    speed = math.sqrt(vx * vx + vy * vy)
-    if speed > p.adversary_speed:
-        vx, vy = p.adversary_speed / speed * vx, p.adversary_speed / speed * vy
-    return nearest_walked(p.own_change, state[USER_ROW], state[USER_ROW + 1], vx, vy)
 
 
 @template("USER_ROW")
@@ -121,7 +108,6 @@ KERNELS = RoadUserKernels(
     pedestrian.touch,
     pedestrian.LATE,
     pedestrian.EARLY,
-    draw_velocity,
 )
 
 

@@ -155,19 +155,6 @@ def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, fl
 
 
 @template("USER_ROW")
-def draw_velocity(parameters: Any, state: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Interface `draw_velocity`: any acceleration within its limits, and any turn that the speed then allows."""
-    p = parameters
-    limits, speed = p.own_limits, state[USER_ROW + 1]
-    effort = (limits.acceleration + limits.deceleration) * rng.random() - limits.deceleration
-    after = min(max(0.0, speed + p.time_step * effort), max(p.adversary_speed, speed))
-    if after < _SAME:
-        after = 0.0
-    direction = state[USER_ROW] + (2.0 * rng.random() - 1.0) * _sharpest(limits, after, p.time_step)
-    return after * math.cos(direction), after * math.sin(direction)
-
-
-@template("USER_ROW")
 def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
     """Interface `settle`."""
     next_state[USER_ROW], next_state[USER_ROW + 1] = settled(state[USER_ROW], vx, vy)
@@ -250,7 +237,6 @@ KERNELS = RoadUserKernels(
     touch,
     _ANY,
     _ANY,
-    draw_velocity,
 )
 
 

@@ -6,10 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_adversary.adversary import Adversary, BelievedCar, Met, PlanningAdversary, make_adversary
-from skd_adversary.itself.fidelity import watch
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import (
     Controller,
@@ -70,14 +68,12 @@ def _run(
     require_others(simulator, type(simulator).__name__, episode)
     frame = simulator.reset(episode)
     car = controller or make_controller(episode.controller, episode.multiplier)
-    if adversary is None and episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.ITSELF:
-        car = watch(car, episode.controller)
     require_sensor(car, episode.controller, episode.scenario)
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if is_sensing(car) else None
     laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
     car.reset(episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
-    adversary = adversary or make_adversary(episode, Met(car, getattr(simulator, "world", None)))
+    adversary = adversary or make_adversary(episode)
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
     believed: list[BelievedCar] = []

@@ -16,9 +16,7 @@ from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocities
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.actions import Actions
 from skd_sim.choices.car_dynamics import DYNAMICS
-from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import basic_acceleration
 from skd_sim.dynamics.basic import along_road
 from skd_sim.encounter.road import (
@@ -174,13 +172,10 @@ def determined(scenario: Scenario) -> bool:
 
 
 def follows_phi(episode: Episode) -> bool:
-    """Whether the adversary can go as φ does: a replay, and a kamikaze that can choose to.
-
-    That is one of objective `deformation`, and any that plans with copies of the car.
-    """
+    """Whether the adversary can go as φ does: a replay, and a kamikaze that can choose to."""
     if episode.mode != Mode.KAMIKAZE:
         return episode.mode == Mode.REPLAY
-    return objective_named(episode.objective).follows_phi or episode.knows == Knowledge.ITSELF
+    return objective_named(episode.objective).follows_phi
 
 
 def _adversary(log: EpisodeLog, found: Recomputed) -> None:
@@ -195,8 +190,6 @@ def _adversary(log: EpisodeLog, found: Recomputed) -> None:
     choices: list[FloatArray] = []
     if episode.mode != Mode.REPLAY:
         choices.append(user.choices(scenario, path, walked))
-        if episode.actions == Actions.DRAWN and user.within is not None:
-            choices.append(user.within(scenario, path, walked)[:, None])
     if follows_phi(episode):
         replayed = episode.mode == Mode.REPLAY
         as_phi = path_velocities(path, ticks, scenario.time_step) if replayed else user.as_phi(scenario, path, walked)

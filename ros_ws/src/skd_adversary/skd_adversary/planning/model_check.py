@@ -15,13 +15,12 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import CompilationError
 
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 _GUARD = 7.25e77  # stands before and behind every array that is handed out
 _GUARDS = 1000
 _DRAWS = 400  # observations of each of two states that are compared
 _PAIRS = 5  # of states, for each action
-_DRAWN = 20  # actions, of each of which a pair of states is compared
 _ENOUGH = 20  # states redrawn without one that explains what was seen: not by chance
 _SIGMAS = 6.0  # such a difference, by chance, once in 10⁹ comparisons
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -63,7 +62,7 @@ class _Caller:
         function = getattr(self.model, name)
         if not hasattr(function, "py_func"):
             raise self.fail(name, "is not compiled: decorate it with @kernel (skd_sim.kernels.compilation)")
-        first = self.model.leaves if name in ("leaf_value", "action_value") else self.model.parameters
+        first = self.model.leaves if name == "leaf_value" else self.model.parameters
         try:
             return function(first, *arguments)
         except TypeError as error:  # before anything is compiled
@@ -103,7 +102,7 @@ class _Caller:
             raise self.fail(name, f"returns {value!r}, and has to return a finite number")
         return float(value)
 
-    def step(self, state: FloatArray, action: Action) -> tuple[FloatArray, bool]:
+    def step(self, state: FloatArray, action: int) -> tuple[FloatArray, bool]:
         after, returned = self.draw("step", self.model.state_dim, state, action)
         if not (isinstance(returned, tuple) and len(returned) == 2):
             raise self.fail("step", f"returns {returned!r}, and has to return (reward, whether the episode ends)")
@@ -111,26 +110,24 @@ class _Caller:
             raise self.fail("step", f"returns the reward {returned[0]!r} in state {state.tolist()}")
         return after, bool(returned[1])
 
-    def observation(self, after: FloatArray, action: Action) -> FloatArray:
+    def observation(self, after: FloatArray, action: int) -> FloatArray:
         return self.draw("observe", self.model.observation_dim, after, action)[0]
 
-    def likelihood(self, after: FloatArray, action: Action, seen: FloatArray) -> float:
+    def likelihood(self, after: FloatArray, action: int, seen: FloatArray) -> float:
         value = self.number("likelihood", after.copy(), action, seen)
         if value < 0.0:
             raise self.fail("likelihood", f"returns {value:g} < 0 for state {after.tolist()}, seen {seen.tolist()}")
         return value
 
-    def fitting(self, after: FloatArray, action: Action, seen: FloatArray) -> float:
+    def fitting(self, after: FloatArray, action: int, seen: FloatArray) -> float:
         """Return the likelihood in the state that the observation was drawn in."""
         value = self.likelihood(after, action, seen)
         if value == 0.0:
             raise self.fail("likelihood", f"is 0 for what observe drew: state {after.tolist()}, seen {seen.tolist()}")
         return value
 
-    def an_action(self, state: FloatArray, depth: int) -> Action:
-        """Return an action that makes sense in a state: any of those that are listed, or one that is drawn."""
-        if self.model.action_dim:
-            return self.draw("draw_action", self.model.action_dim, state, depth, int(3 * self.rng.random()))[0]
+    def an_action(self, state: FloatArray) -> int:
+        """Return any action that makes sense in a state."""
         actions = self.legal_actions(state)
         return actions[int(self.rng.random() * len(actions))]
 
@@ -158,9 +155,6 @@ class _Caller:
             )
 
     def default_action(self, state: FloatArray) -> None:
-        if self.model.action_dim:
-            self.draw("rollout_action", self.model.action_dim, state)
-            return
         action = self._call("rollout_action", state, self.rng)
         last = self.model.action_count - 1
         if not isinstance(action, int) or not 0 <= action <= last:
@@ -195,17 +189,15 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
             f"model {model.name}: parameters is a {type(model.parameters).__name__}, and has to be a NamedTuple of "
             "numbers and arrays"
         )
-    reached: dict[int, list[tuple[Action, FloatArray, FloatArray]]] = {}
+    reached: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     explained = []
     for _ in range(episodes):
         state, _nothing = caller.draw("initial", model.state_dim)
-        for depth in range(moves):
+        for _move in range(moves):
             caller.default_action(state)
             if model.leaf_value is not None:
                 caller.number("leaf_value", state)
-            action = caller.an_action(state, depth)
-            if model.action_value is not None:
-                caller.number("action_value", state, action)
+            action = caller.an_action(state)
             after, ended = caller.step(state, action)
             if ended:
                 break
@@ -214,24 +206,20 @@ def check_model(model: Pomdp, *, episodes: int = 20, moves: int = 20, seed: int 
             another, _nothing = caller.draw("reinvigorate", model.state_dim, after, seen)
             caller.alike(after, another)
             explained.append(caller.likelihood(another, action, seen) > 0.0)
-            # What was drawn is not drawn again: each such action stands for itself, while there are few.
-            number = min(len(reached), _DRAWN) if model.action_dim else action
-            reached.setdefault(number, []).append((action, after, another))
+            reached.setdefault(action, []).append((after, another))
             state = after
     if len(explained) >= _ENOUGH and not any(explained):
         raise caller.fail("reinvigorate", f"draws no state that explains what was seen, in {len(explained)} of as many")
-    for number, found in sorted(reached.items()):
-        action, states = found[0][0], [after for _, after, _ in found]
-        if model.action_dim and number == _DRAWN:
-            break
+    for action, found in sorted(reached.items()):
+        states = [after for after, _ in found]
         # States of two episodes may differ in all that is seen: those redrawn differ in what is hidden alone.
         apart = list(zip(states[:-1:2], states[1::2], strict=False))[:_PAIRS]
-        hidden = [(after, another) for _, after, another in found if (after != another).any()][:_PAIRS]
+        hidden = [(after, another) for after, another in found if (after != another).any()][:_PAIRS]
         for first, second in apart + hidden:
             _compare(caller, action, first, second)
 
 
-def _compare(caller: _Caller, action: Action, first: FloatArray, second: FloatArray) -> None:
+def _compare(caller: _Caller, action: int, first: FloatArray, second: FloatArray) -> None:
     """Raise where the likelihoods of two states are not in the proportion of the densities they are observed with."""
     if (first == second).all():
         return

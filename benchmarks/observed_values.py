@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from skd_adversary.planning.pomdp import Pomdp
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
-
-from skd_adversary.planning.pomdp import Pomdp
 
 _CHUNK = 4096  # states whose outcomes are drawn at a time
 _MOST = 10**8  # pairs of state and action: some gigabytes
@@ -47,12 +46,11 @@ class StateGrid(NamedTuple):
 
 
 class ObservedLeaves(NamedTuple):
-    """Values of all n states of a grid, as `observed_leaf_value` and `observed_action_value` look them up."""
+    """Values of all n states of a grid, as `observed_leaf_value` looks them up."""
 
     lowest: IntArray
     sizes: IntArray
     values: FloatArray  # n
-    action_values: npt.NDArray[np.float32]  # n × actions
 
 
 @kernel(inline=True)
@@ -72,13 +70,6 @@ def observed_leaf_value(leaves: ObservedLeaves, state: FloatArray) -> float:
     """Return the value of a state of the grid; 0 of any other."""
     index = grid_index(leaves.lowest, leaves.sizes, state)
     return leaves.values[index] if index >= 0 else 0.0
-
-
-@kernel(inline=True)
-def observed_action_value(leaves: ObservedLeaves, state: FloatArray, action: int) -> float:
-    """Return the value of an action in a state of the grid; 0 in any other."""
-    index = grid_index(leaves.lowest, leaves.sizes, state)
-    return leaves.action_values[index, action] if index >= 0 else 0.0
 
 
 def _outcomes_template(
@@ -295,6 +286,5 @@ def with_observed_leaves(model: Pomdp, ranges: Sequence[tuple[int, int]], **opti
     return replace(
         model,
         leaf_value=observed_leaf_value,
-        action_value=observed_action_value,
-        leaf_parameters=ObservedLeaves(*solution.grid, solution.values, solution.action_values.astype(np.float32)),
+        leaf_parameters=ObservedLeaves(*solution.grid, solution.values),
     )

@@ -9,16 +9,16 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 
 from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.pomdp import Action, Pomdp
+from skd_adversary.planning.pomdp import Pomdp
 
 
 class DecisionMaker(Protocol):
     """Whoever decides: a planner, or a policy in its place."""
 
-    def plan(self, belief: ParticleBelief) -> Action:
+    def plan(self, belief: ParticleBelief) -> int:
         """Return an action."""
 
-    def advance(self, action: Action, observation: FloatArray) -> None:
+    def advance(self, action: int, observation: FloatArray) -> None:
         """Be told what was done and what was observed after it."""
 
 
@@ -33,7 +33,7 @@ class Played:
     """
 
     value: float
-    actions: tuple[Action, ...]
+    actions: tuple[int, ...]
     ended: bool
 
 
@@ -59,7 +59,7 @@ def play(
     state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
     model.initial(model.parameters, state, rng)
     value, discount, ended = 0.0, 1.0, False
-    actions: list[Action] = []
+    actions: list[int] = []
     while not ended and len(actions) < moves:
         action = planner.plan(belief)
         actions.append(action)

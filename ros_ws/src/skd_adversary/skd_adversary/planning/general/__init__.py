@@ -1,1 +1,0 @@
-"""Planners and tools for problems of any kind, which no crossing uses."""
