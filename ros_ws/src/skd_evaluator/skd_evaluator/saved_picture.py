@@ -6,8 +6,6 @@ import warnings
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from matplotlib.text import Text
-from skd_sim.inputs.printable import printable
 
 DPI = 150
 PAGE = 7.2
@@ -17,13 +15,7 @@ TYPE = 8.0
 
 
 def save_picture(figure: Figure, path: Path, dpi: int = DPI) -> None:
-    """Save a picture; what is no letter is drawn as an escape, and one that the font lacks as a box, without a word.
-
-    Names of cars and of φ are anybody's.
-    """
-    for text in figure.findobj(Text):
-        if isinstance(text, Text) and (shown := printable(text.get_text())) != text.get_text():
-            text.set_text(shown)
+    """Save a picture; a letter that the font lacks is drawn as a box, without a word."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)
         figure.savefig(path, dpi=dpi)

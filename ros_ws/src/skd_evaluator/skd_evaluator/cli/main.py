@@ -12,7 +12,7 @@ from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import guarded, one_line, own
+from skd_sim.inputs.printable import one_line
 from skd_sim.program.lasting import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json
@@ -35,15 +35,9 @@ _LIMITS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code: 0 fine, 1 the assessment failed, 2 wrong usage."""
     words = sys.argv[1:] if argv is None else list(argv)
-    # Names and errors that are printed have words of anybody's in them: see `skd_sim.inputs.printable`.
-    with guarded():
-        return _run(words)
-
-
-def _run(words: list[str]) -> int:
-    behind = own(sys.stdout)
-    if isinstance(behind, io.TextIOWrapper):
-        behind.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # φ on a terminal that knows no Greek
     name = "skd"
     try:
         arguments = _parsed(words)

@@ -8,8 +8,6 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import IO, Any
 
-from skd_sim.inputs.printable import own, printable_json
-
 
 class _Kept:
     """The program's standard output, where only JSON may go to it.
@@ -27,7 +25,7 @@ def keep_for_json() -> None:
     Descriptor 1 itself is led there, so that it holds for code in C and in processes that are started or forked; and to
     the end, for C writes what it has kept when the process ends.
     """
-    behind = own(sys.stdout)
+    behind = sys.stdout
     if behind is not sys.__stdout__ or not isinstance(behind, io.TextIOWrapper) or behind.fileno() != 1:
         return  # somebody has led it elsewhere already, as tests do
     behind.flush()
@@ -39,7 +37,7 @@ def print_json(content: Mapping[str, Any]) -> None:
     """Print JSON to standard output."""
     import json  # only now: every command begins with this module
 
-    text = printable_json(json.dumps(content, indent=2, ensure_ascii=False))
+    text = json.dumps(content, indent=2, ensure_ascii=False)
     print(text, file=_Kept.output)
     if _Kept.output is not None:
         _Kept.output.flush()

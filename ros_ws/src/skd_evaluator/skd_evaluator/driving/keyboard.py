@@ -42,11 +42,11 @@ def key_names(text: str) -> Iterator[str]:
 
 
 @contextmanager
-def reading_keys(press: Callable[[str], None]) -> Iterator[list[object]]:
+def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
     """Call a function with the name of each key that is pressed, as long as this lasts; the terminal shows none.
 
-    Standard input has to be a terminal; its attributes of before are yielded. The function is called in a thread of
-    its own, which ends where the terminal is closed.
+    Standard input has to be a terminal. The function is called in a thread of its own, which ends where the terminal is
+    closed.
     """
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
@@ -68,7 +68,7 @@ def reading_keys(press: Callable[[str], None]) -> Iterator[list[object]]:
     try:
         tty.setcbreak(descriptor)  # Ctrl-C is still a signal
         reader.start()
-        yield list(before)
+        yield
     finally:
         over.set()
         reader.join(2.0 * _WAIT)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
-from skd_sim.inputs.printable import guarded, own
 
 from skd_evaluator.driving.situation import Situation
 from skd_evaluator.driving.top_view import top_view
@@ -77,13 +75,13 @@ def drawing(screen: Screen, console: Console) -> Iterator[None]:
     """Draw a screen on a terminal as long as this lasts; afterwards it is as it was before."""
     live = Live(screen, console=console, screen=True, refresh_per_second=_REFRESH, redirect_stdout=False,
                 redirect_stderr=False)  # fmt: skip
-    with live, guarded():
+    with live:
         yield
 
 
 def terminal() -> Console:
     """Return the terminal behind standard output."""
-    return Console(file=own(sys.stdout))
+    return Console()
 
 
 def can_draw() -> bool:

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from rich.console import Console, RenderableType
@@ -22,7 +22,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
-from skd_sim.inputs.printable import guarded, own
 
 from skd_evaluator.campaign.plan.plan import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
@@ -108,10 +107,9 @@ def _bar(above: Above | None) -> Iterator[CampaignProgress]:
         TextColumn("{task.description:<22}"), BarColumn(bar_width=16), MofNCompleteColumn(), _Rate(),
         TimeElapsedColumn(), TimeRemainingColumn(compact=True), TextColumn("left"),
     )  # fmt: skip
-    # What is printed meanwhile goes through the bar, which draws with sequences of its own: it is guarded before that.
-    bars = _Bars(*columns, console=Console(file=own(sys.stderr)), transient=True)
+    bars = _Bars(*columns, console=Console(stderr=True), transient=True)
     bars.above = above
-    with _terminal_left_in_order(), bars as progress, guarded():
+    with bars as progress:
         tasks: dict[str, Any] = {}
         lock = threading.Lock()
         preparing = progress.add_task("preparing", total=None)
@@ -124,15 +122,6 @@ def _bar(above: Above | None) -> Iterator[CampaignProgress]:
                 progress.update(tasks[label], completed=done, total=total)
 
         yield update
-
-
-def _terminal_left_in_order() -> AbstractContextManager[None]:
-    """Have the cursor, which bars hide, there again whenever somebody else has the terminal."""
-    try:
-        from skd_sim.program.leaving import CURSOR, leaving_in_order  # not every system has such terminals
-    except ImportError:
-        return nullcontext()
-    return leaving_in_order(own(sys.stderr).fileno(), CURSOR)
 
 
 class _Stage(NamedTuple):

@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
-from skd_sim.inputs.printable import one_line, own
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.doubt import disbelief, in_doubt
@@ -358,4 +358,4 @@ def print_table(table: Table) -> None:
     console.print(one_line_cells(table))
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
-        print(line.rstrip(), file=own(sys.stdout))
+        print(line.rstrip())

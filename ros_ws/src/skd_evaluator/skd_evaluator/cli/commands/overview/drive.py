@@ -17,7 +17,7 @@ from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line, own
+from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.assessing.asked import check_car, default_folder, plan_of, scenario_for
 from skd_evaluator.assessing.findings import episode_line
@@ -147,18 +147,11 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
 @contextmanager
 def _on_terminal(title: str, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
     """Draw on the terminal and read its keys, as long as this lasts."""
-    from skd_sim.program.leaving import OTHER_SCREEN, leaving_in_order  # not every system has such terminals
-
     from skd_evaluator.driving.keyboard import reading_keys
 
     console = terminal()
     screen = Screen(title, KEYS if by_keys else KEYS_OF_ONLOOKER, console)
-    keys, drawn_on = sys.stdin.fileno(), own(sys.stdout).fileno()
-    with (
-        reading_keys(controls.press) as usual,
-        leaving_in_order(drawn_on, OTHER_SCREEN, keys, usual),
-        drawing(screen, console),
-    ):
+    with reading_keys(controls.press), drawing(screen, console):
         yield screen
 
 
