@@ -1,4 +1,4 @@
-"""What others wrote: files that never begin or end, JSON that ends a parser, values where they cannot be."""
+"""What others wrote: files that never begin or end, values where they cannot be."""
 
 from __future__ import annotations
 
@@ -15,13 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line
-from common import run_skd
 from skd_adversary.car_model_file import car_model_for_scenario
 from skd_adversary.safe_trajectories import table
 from skd_evaluator.bags.logs import read_recordings
-from skd_evaluator.campaign.plan.plan import Stage
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
@@ -31,8 +28,6 @@ from skd_evaluator.risk.asked import risk_asked
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import DEEPEST, parse_json, read_bytes, read_json
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
@@ -63,52 +58,10 @@ def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -
     np.savez(path, **arrays)
 
 
-# --- the gate
-
-
-@pytest.mark.parametrize("text", ["NaN", "[Infinity]", "1e999", "[" * 100_000, '{"a":' * 60 + "1" + "}" * 60])
-def test_json_of_others_has_finite_numbers_and_few_levels(text):
-    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads"):
-        parse_json(text, "here")
-
-
-@pytest.mark.parametrize("text", ["9" * 30, "-" + "9" * 5000, '"\\ud800"', '{"\\udfff": 1}', "", "{", b"\xff\xfe\x00"])
-def test_json_of_others_has_numbers_and_texts_that_can_be_written(text):
-    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads"):
-        parse_json(text, "here")
-
-
-def test_json_of_ours_passes():
-    deep: Any = 1
-    for _ in range(DEEPEST - 1):
-        deep = [deep]
-    for data in (deep, {"φ": [1, -2.5, None, True, 2**64, "\u202e"]}):
-        assert parse_json(json.dumps(data), "here") == data
-
-
-def test_only_regular_files_of_some_size_are_read(tmp_path):
-    (tmp_path / "long").write_bytes(b"1" * 1025)
-    os.mkfifo(tmp_path / "pipe")
-    assert read_bytes(tmp_path / "long", 1025) == b"1" * 1025
-    for name, said in (("long", "more than 1 KiB"), ("pipe", "no regular file"), ("missing", "No such file")):
-        with pytest.raises(UsageError, match=said):
-            read_bytes(tmp_path / name, 1024)
-    with pytest.raises(UsageError, match="no regular file"):
-        read_json(Path("/dev/zero"))
-
-
-@pytest.mark.parametrize("text", ["1_0", "1_000.5", "\u0663", "\uff11", "1e1_0", "0x10", "1,5", ""])
-def test_a_number_in_a_table_is_one_that_all_read_alike(text):
-    with pytest.raises(UsageError, match=r"^x must be a number, got"):
-        finite_number(text, "x")
-    assert [finite_number(one, "x") for one in ("10", " +1.5e1", "-.5", "3.")] == [10.0, 15.0, -0.5, 3.0]
-
-
 @pytest.mark.parametrize(
     "words",
     [
-        "fuse circle circle", "compare circle .", "report circle", "show circle", "replay circle", "fit circle",
-        "import circle", "behaviour fit circle", "assess --out circle", "list . circle",
+        "fuse circle circle", "compare circle .", "replay circle", "import circle", "assess --out circle",
     ],
 )  # fmt: skip
 def test_links_in_a_circle_lead_nowhere(here, skd_here, words):
@@ -137,51 +90,34 @@ def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_her
 # --- values that cannot be where they are
 
 
-def nested(figures: dict[str, Any]) -> None:
-    inside: Any = 1
-    for _ in range(900):
-        inside = {"a": inside}
-    figures["options"] = inside
-
-
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
     "multiplier": lambda figures: figures.update(multiplier="abc"),
-    "nan": lambda figures: figures.update(eta_max=math.nan),
     "eta_max": lambda figures: figures.update(eta_max=0.0),
-    "nested": nested,
     "measures": lambda figures: next(iter(figures["objectives"].values())).update(measures=None),
-    "seconds": lambda figures: figures.update(seconds=None),
-    "simulations": lambda figures: figures.update(simulations=None),
-    "options": lambda figures: figures.update(options=None),
     "reasons": lambda figures: figures.update(aborted_reasons=[1]),
-    "rows": lambda figures: figures.update(per_safe_trajectory=[None] * len(figures["per_safe_trajectory"])),
     "scenario": lambda figures: figures["scenario"].pop("car"),
-    "knowledge": lambda figures: figures.update(knowledge={"a": 1}),
 }
 
 
 @pytest.mark.parametrize("name", FORGED)
-@pytest.mark.parametrize("command", ["report", "show", "compare", "plan"])
+@pytest.mark.parametrize("command", ["report", "compare"])
 def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, name, command):
     change(result, FORGED[name])
     words = {
         "report": ["report", result, "--out", "r.html"],
-        "show": ["show", result, "--out", "shown"],
         "compare": ["compare", sweep / "synthetic" / "C_0.5", result, "--out", "compared"],
-        "plan": ["plan", result, "--width", "0.2"],
     }[command]
     one_line(skd_here(*map(str, words)), 2, "assessment.json")
 
 
-@pytest.mark.parametrize("command", ["report", "show"])
 @pytest.mark.parametrize("name", ["impact_speed", "episode_id"])
-def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, command):
+def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name):
     def edit(values: np.ndarray) -> np.ndarray:
         values[-1 if name == "episode_id" else np.flatnonzero(np.isfinite(values))[0]] = -1
         return values
 
     change_arrays(result, **{name: edit})
-    one_line(skd_here(command, str(result), "--out", "x.html"), 2, "episodes.npz")
+    one_line(skd_here("report", str(result), "--out", "x.html"), 2, "episodes.npz")
 
 
 def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
@@ -189,35 +125,10 @@ def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
 
 
-@pytest.mark.parametrize("step", [0.0, 1e-310, -0.3, math.nan, math.inf])
+@pytest.mark.parametrize("step", [0.0, math.nan])
 def test_a_time_step_that_cannot_be_is_said_in_one_line(result, skd_here, step):
     change_arrays(result, time_step=lambda _values: np.float64(step))
     one_line(skd_here("show", str(result), "--out", "shown"), 2, "time_step must be from 1e-06 to 1e+06 s")
-
-
-def test_a_belief_that_signals_is_one_that_nobody_had(result, recwarn):
-    """There are two kinds of nan; numpy warns where the signalling one is converted."""
-
-    def edit(values: np.ndarray) -> np.ndarray:
-        changed = values.copy()
-        changed.view(np.uint32)[-1, 0] = 0x7F800001
-        return changed
-
-    change_arrays(result, belief=edit)
-    read_episodes(result)
-    assert not recwarn.list
-
-
-def test_an_attempt_of_a_number_without_end_takes_no_memory(result, skd_here):
-    """Figures are kept by the numbers of attempts: this one would take 34 GB."""
-
-    def edit(numbers: np.ndarray) -> np.ndarray:
-        kamikaze = np.flatnonzero(numbers >> 48 == int(Stage.KAMIKAZE))
-        numbers[kamikaze[-1]] |= 0xFFFF_FFFF
-        return numbers
-
-    change_arrays(result, episode_id=edit)
-    one_line(skd_here("show", str(result), "--out", "shown"), 2, "its attempts have numbers up to 4294967295, of which")
 
 
 @pytest.mark.parametrize("name", ["positions", "car"])
@@ -288,47 +199,7 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     assert risk_asked(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
 
 
-# --- controllers
-
-
-# --- text on the terminal
-
-STEERING = "a\x1b]0;title\x07\x1b[2J\u202edaer\u2066\x9b31m\r\x7f"
-
-
-def steers(text: str) -> bool:
-    return any(one in text for one in "\x1b\x07\u202e\u2066\x9b\r\x7f")
-
-
-def test_names_do_not_steer_the_terminal(result, sweep, tmp_path, monkeypatch, capfd, recwarn):
-    change(result, lambda figures: figures.update(controller=STEERING, multiplier=None))
-    change(result, lambda figures: [one.update(name=STEERING) for one in figures["per_safe_trajectory"]])
-    monkeypatch.chdir(tmp_path)
-    other = str(sweep / "synthetic" / "C_1")
-    for words in (
-        ["show", "result", "--out", "shown"],
-        ["compare", other, "result", "--out", "compared"],
-        ["compare", other, "result", "--out", "compared", "--overwrite", "--json"],
-        ["assess", "--controller", STEERING],
-        [STEERING],
-        ["compare", other, STEERING],
-    ):
-        run_skd(*words)
-        out, err = capfd.readouterr()
-        assert not steers(out + err), (words, out, err)
-        assert "\\x1b" in out + err or "\\u001b" in out + err, (words, out, err)
-    assert run_skd("compare", other, "result", "--out", "compared", "--overwrite", "--json") == 0
-    assert STEERING in json.loads(capfd.readouterr().out)["rows"][1]["car"]  # JSON says the same all the same
-    assert [str(one.message) for one in recwarn if "Glyph" in str(one.message)] == []  # pictures show escapes, too
-
-
 # --- what takes more time or memory than it says, and names that nothing can have
-
-
-@pytest.mark.parametrize("one", ["{},", "[],", "1,"])
-def test_json_of_others_has_so_many_values(one):
-    with pytest.raises(UsageError, match="has more than 3000000 values"):
-        parse_json("[" + one * 4_000_000 + "1]", "here")
 
 
 def test_a_table_has_so_many_rows(tmp_path, monkeypatch):

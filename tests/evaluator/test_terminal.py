@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
 import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -22,7 +19,6 @@ from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, p
 from skd_sim.choices.registry import Registry
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
-from terminals import Terminal
 
 CLI = Path(__file__).parents[2] / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator" / "cli"
 NOISY = """
@@ -213,34 +209,3 @@ def test_where_there_is_no_terminal_lines_come_on_standard_error_unless_it_is_to
 def test_intervals_over_hardly_any_safe_trajectories_are_remarked_on(count, said):
     line = few_safe_trajectories({"per_safe_trajectory": [{}] * count})
     assert (line is not None and f"over {count} φ say little" in line) == said
-
-
-BARS = """
-import signal, time
-from skd_evaluator.report.progress import progress_bar
-from skd_sim.program.interruption import Interrupted, Interruption
-try:
-    with Interruption(), progress_bar() as progress:
-        progress("kamikazes", 1, 3)
-        while True:
-            time.sleep(0.1)
-except Interrupted:
-    print("over", signal.getsignal(signal.SIGHUP) == signal.SIG_IGN)
-"""
-
-
-def test_the_cursor_is_there_while_a_program_with_bars_is_stopped_and_when_it_was_hung_up(here):
-    program = Terminal([sys.executable, "-c", BARS], PYTHONPATH=str(here))
-    shown, hidden = "\x1b[?25h", "\x1b[?25l"
-    program.wait_for("1/3")
-    assert (program.count(shown), program.count(hidden)) == (0, 1)
-    os.kill(program.pid, signal.SIGTSTP)
-    assert os.WIFSTOPPED(os.waitpid(program.pid, os.WUNTRACED)[1])
-    os.kill(program.pid, signal.SIGCONT)
-    for _ in range(2):
-        program.wait_for("1/3")
-    assert (program.count(shown), program.count(hidden)) == (1, 2)
-    os.kill(program.pid, signal.SIGHUP)
-    assert program.finish() == 0
-    assert "over True" in program.text
-    assert program.count(shown) == 2

@@ -66,7 +66,11 @@ def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
 
     reader = threading.Thread(target=read, name="skd-keys", daemon=True)
     try:
-        tty.setcbreak(descriptor)  # Ctrl-C is still a signal
+        tty.setcbreak(descriptor)
+        attributes = termios.tcgetattr(descriptor)
+        for key in (termios.VSUSP, termios.VQUIT):  # Ctrl-C is still a signal; these would leave the terminal drawn on
+            attributes[6][key] = b"\0"
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, attributes)
         reader.start()
         yield
     finally:

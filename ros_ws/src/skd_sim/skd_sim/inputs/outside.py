@@ -1,13 +1,8 @@
-"""The one gate for files that others wrote: only regular files are opened, and read up to a limit.
-
-A pipe never begins, a device never ends, and a text of brackets alone ends a parser. So whoever reads a file that was
-not made in this process asks here: for its bytes, its text, or the plain data of its JSON.
-"""
+"""Files that others wrote: only regular files are opened, for a pipe would never begin, and read up to a limit."""
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 import os
@@ -16,15 +11,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
+from xml.etree import ElementTree
 
 from skd_sim.errors import UsageError
 
 LARGEST = 64 * 2**20
 """Bytes that are read of a file unless less is enough; the largest assessment.json that was seen has 3 MiB."""
-DEEPEST = 50
-"""Levels of nesting in JSON; those of ours have ten at most."""
-_MOST = 3_000_000
-"""Values in JSON: a campaign of ten thousand cells has a third of them, and each takes its hundred bytes of memory."""
 _BLOCK = 2**20
 LARGEST_WHOLE = 2**64
 """What a whole number of ours may be: seeds and ids have 64 bits."""
@@ -137,29 +129,22 @@ def parse_json(content: bytes | str, where: str) -> Any:
         where: name of the file or message, for error lines.
 
     Raises:
-        UsageError: it is no JSON; is nested deeper than `DEEPEST`; has more than some million values, a number that is
-            not finite or has more than 64 bits, a text that is none, or a key that stands twice in an object: one
-            reader takes the first value, another the last.
+        UsageError: it is no JSON, is nested too deeply, or has a number that is not finite or has more than 64 bits, or
+            a key that stands twice in an object: one reader takes the first value, another the last.
     """
     try:
         text = content.decode("utf-8-sig") if isinstance(content, bytes) else content
-        if not text.isascii():
-            text.encode("utf-8")  # of half a character
-        if sum(map(text.count, ",[{")) > _MOST:
-            raise ValueError(f"it has more than {_MOST} values")
-        data = json.loads(
+        return json.loads(
             text,
             parse_constant=_refuse_constant,
             parse_float=_finite,
             parse_int=_whole,
             object_pairs_hook=_each_once,
         )
-        _look_through(data, texts="\\u" in text)
     except RecursionError as error:
-        raise UsageError(f"{where}: not JSON that SKD reads: it is nested deeper than {DEEPEST} levels") from error
+        raise UsageError(f"{where}: not JSON that SKD reads: it is nested too deeply") from error
     except ValueError as error:
         raise UsageError(f"{where}: not JSON that SKD reads: {' '.join(str(error).split())[:160]}") from error
-    return data
 
 
 def _refuse_constant(name: str) -> NoReturn:
@@ -188,27 +173,20 @@ def _whole(text: str) -> int:
     return value
 
 
-def _look_through(data: Any, *, texts: bool) -> None:
-    """Refuse data that are nested too deeply, and texts with half a character, which cannot be written.
+def read_xml(path: Path, largest: int = LARGEST) -> ElementTree.Element:
+    """Return the root of an XML file; names have no namespaces.
 
-    Args:
-        data: what JSON says.
-        texts: whether there can be such texts: only escapes make them.
+    Raises:
+        UsageError: it cannot be read, is too large, or is no XML.
     """
-    level = [data]
-    for _ in range(DEEPEST + 1):
-        if texts:
-            for text in itertools.chain.from_iterable(
-                (one,) if isinstance(one, str) else one if isinstance(one, dict) else () for one in level
-            ):
-                text.encode("utf-8")
-        inside = [one.values() if isinstance(one, dict) else one for one in level if isinstance(one, (dict, list))]
-        # Numbers, of which there are most, are left out at once.
-        kept = (dict, list, str) if texts else (dict, list)
-        level = [one for part in inside for one in part if type(one) in kept]
-        if not inside:
-            return
-    raise ValueError(f"it is nested deeper than {DEEPEST} levels")
+    content = read_bytes(path, largest)
+    try:
+        root = ElementTree.fromstring(content)  # expat refuses entities that grow
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that nobody knows
+        raise UsageError(f"{path}: not XML that SKD reads: {' '.join(str(error).split())[:160]}") from error
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return root
 
 
 def _size(count: int) -> str:

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import is_there, read_json
-from skd_sim.inputs.xml_file import read_xml
+from skd_sim.inputs.outside import is_there, read_json, read_xml
 
 from skd_evaluator.bags.inventory import METADATA
 from skd_evaluator.bags.mcap_file import Condition, read_messages

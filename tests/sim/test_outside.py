@@ -1,0 +1,82 @@
+"""Files of others: regular ones of limited size; JSON and XML that cannot be used are said in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from skd_sim.errors import UsageError
+from skd_sim.inputs.numbers import finite_number
+from skd_sim.inputs.outside import parse_json, read_bytes, read_json, read_text, read_xml
+
+_LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
+
+
+def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:
+    (tmp_path / "long").write_bytes(b"1" * 1025)
+    os.mkfifo(tmp_path / "pipe")
+    assert read_bytes(tmp_path / "long", 1025) == b"1" * 1025
+    for name, said in (("long", "more than 1 KiB"), ("pipe", "no regular file"), ("missing", "No such file")):
+        with pytest.raises(UsageError, match=said):
+            read_bytes(tmp_path / name, 1024)
+    with pytest.raises(UsageError, match="no regular file"):
+        read_json(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "NaN", "[Infinity]", "1e999", "[" * 100_000, "9" * 30, "-" + "9" * 5000, "", "{", b"\xff\xfe\x00",
+        '{"a": 1, "b": 2, "a": 1}',
+    ],
+)  # fmt: skip
+def test_json_that_two_readers_may_take_otherwise_is_refused(text: str | bytes) -> None:
+    with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads") as caught:
+        parse_json(text, "here")
+    assert len(str(caught.value)) < 250
+
+
+def test_json_is_what_the_standard_library_makes_of_it() -> None:
+    data = {"φ": [1, -2.5, None, True, 2**64, "\u202e"], "deep": [[[[{}]]]]}
+    assert parse_json(json.dumps(data), "here") == data
+    assert parse_json("\ufeff[1]".encode(), "here") == [1]
+
+
+def test_text_is_utf_8_with_or_without_a_mark(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes("\ufeffφ".encode())
+    assert read_text(path) == "φ"
+    path.write_bytes(b"\xe9")
+    with pytest.raises(UsageError, match="not a text file in UTF-8"):
+        read_text(path)
+
+
+@pytest.mark.parametrize("text", ["1_0", "1_000.5", "\u0663", "\uff11", "1e1_0", "0x10", "1,5", "", "nan", "inf"])
+def test_a_number_in_a_table_is_one_that_all_read_alike(text: str) -> None:
+    with pytest.raises(UsageError, match=r"^x must be (a number|finite), got"):
+        finite_number(text, "x")
+    assert [finite_number(one, "x") for one in ("10", " +1.5e1", "-.5", "3.")] == [10.0, 15.0, -0.5, 3.0]
+
+
+def test_names_in_xml_have_no_namespace(tmp_path: Path) -> None:
+    path = tmp_path / "x.xml"
+    path.write_text('<?xml version="1.0"?><o:a xmlns:o="u" x="1"><o:b>φ &amp; ψ</o:b></o:a>', encoding="utf-8")
+    root = read_xml(path)
+    assert (root.tag, root.get("x"), root.findtext("b")) == ("a", "1", "φ & ψ")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f'<!DOCTYPE a [<!ENTITY l0 "ha">{_LAUGHS}]><a>&l9;</a>'.encode(),
+        b'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>',
+        b"<a>" * 1_000_000, b"", b"<a></b>", b"<?xml version='1.0' encoding='nowhere'?><a/>", b"<a>\xff</a>",
+    ],
+)  # fmt: skip
+def test_what_is_no_xml_is_said_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.xml"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=r"x\.xml: not XML that SKD reads: [^\n]+$"):
+        read_xml(path)
