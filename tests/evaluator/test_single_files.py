@@ -16,6 +16,8 @@ import yaml
 from cli_support import SMALL, names, one_line
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import make_cells
+from skd_evaluator.cli.commands import report
+from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import as_yaml, parse_yaml
@@ -118,10 +120,26 @@ def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, her
     assert there is None or (here / "place" / "c.yaml").read_text() == there
 
 
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(AssessmentError, match=r"--out .*/file/out.html: nothing was written: "):
+        report._write(tmp_path / "file" / "out.html", "whole", overwrite=True)
+
+
+def test_what_cannot_be_finished_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", fails)
+    with pytest.raises(AssessmentError, match="nothing was written: No space left on device"):
+        report._write(tmp_path / "out.html", "whole", overwrite=True)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_comes_there_meanwhile_is_not_replaced(tmp_path: Path) -> None:
     check_file(tmp_path / "file", "--out", overwrite=False)
     os.mkfifo(tmp_path / "file")
-    with pytest.raises(OSError, match="no regular file is there"):
+    with pytest.raises(OSError, match="something is there already"):
         write_file(tmp_path / "file", "text")
     assert names(tmp_path) == ["file"]
     (tmp_path / "other").write_text("theirs")

@@ -14,8 +14,8 @@ import pytest
 from common import wait_until
 from graph_support import Skd, of_node, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.files import make_temporary
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
-from skd_evaluator.temporary_folders import make_temporary
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, Outcome
 

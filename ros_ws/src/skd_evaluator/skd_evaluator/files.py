@@ -1,10 +1,12 @@
-"""What to call folders, single files that a user names, and which results a command has put in their place."""
+"""Files that are written elsewhere and then put in their place, and which results a command has put there."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -18,6 +20,8 @@ MARKERS: Final = (
     "export.json", "import.json", "simulator.json",
 )  # fmt: skip
 """A folder with one of these holds results of ours."""
+PREFIX: Final = ".skd-"
+"""Of names of temporary files and folders, which lie beside what they become; one that was killed leaves them."""
 
 
 def tails(folders: Sequence[Path]) -> list[str]:
@@ -67,51 +71,45 @@ def _is_open(descriptor: int, found: os.stat_result) -> bool:
 def write_file(path: Path, text: str, *, overwrite: bool = True) -> None:
     """Write a file that a user has named: elsewhere, and then in its place, so that it is there whole or not at all.
 
-    A link stays, and what it leads to is written. Without `overwrite`, nothing is replaced that somebody has put there
-    since `check_file` looked.
+    A link stays, and what it leads to is written.
 
     Raises:
-        OSError: it cannot be written; what is there has not changed.
+        OSError: it cannot be written, or is there though it may not be replaced; what is there has not changed.
     """
-    from skd_evaluator.temporary_folders import (  # only now: every command begins with this module
-        make_temporary,
-        remove,
-    )
-
     target = real_path(path)
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EEXIST, "no regular file is there")
+    if path.exists() and not (overwrite and path.is_file()):
+        raise OSError(errno.EEXIST, "something is there already")
     target.parent.mkdir(parents=True, exist_ok=True)
-    folder = make_temporary(target.parent)
+    temporary = target.with_name(f"{PREFIX}{os.getpid()}")
     try:
-        temporary = folder / "file"
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
         if target.exists():
-            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
-        whole = temporary.stat()
-        try:
-            _put(temporary, target, overwrite=overwrite)
-        finally:  # an interrupt may come when it is done
-            if target.exists() and os.path.samestat(target.stat(), whole):
-                note_in_place(path)
+            shutil.copymode(target, temporary)
+        temporary.replace(target)
     finally:
-        remove(folder)
+        temporary.unlink(missing_ok=True)
+    note_in_place(path)
 
 
-def _put(temporary: Path, target: Path, *, overwrite: bool) -> None:
-    if not overwrite:
-        try:
-            target.hardlink_to(temporary)
-        except FileExistsError:
-            raise
-        except OSError:  # some file systems have no links
-            pass
-        else:
-            return
-    temporary.replace(target)
+def make_temporary(parent: Path) -> Path:
+    """Make a temporary folder of this process.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=parent))
+
+
+def remove(folder: Path) -> None:
+    """Remove a folder, wholly also where an interrupt comes meanwhile; what cannot be removed stays."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 _in_place: Final[list[Path]] = []

@@ -29,8 +29,7 @@ from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.episode_record import flat
 from skd_evaluator.campaigns.rows import CHECKED
 from skd_evaluator.campaigns.store import FILE_NAME as STORE
-from skd_evaluator.files import MARKERS
-from skd_evaluator.temporary_folders import PREFIX, make_temporary
+from skd_evaluator.files import MARKERS, PREFIX, make_temporary
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
 _HEX = 16  # digits of a digest that are shown

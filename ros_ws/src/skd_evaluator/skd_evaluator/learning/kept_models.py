@@ -27,8 +27,8 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.car_files import CarFiles, car_files
 from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.files import make_temporary
 from skd_evaluator.likeness import likeness
-from skd_evaluator.temporary_folders import make_temporary
 
 _MODEL = "car_model.yaml"
 

@@ -17,7 +17,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_text, sha256_of
 
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.temporary_folders import PREFIX
+from skd_evaluator.files import PREFIX
 
 MANIFEST = "manifest.sha256"
 SIGNATURE = f"{MANIFEST}.sig"

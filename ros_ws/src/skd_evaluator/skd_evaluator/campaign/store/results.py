@@ -23,8 +23,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES
 from skd_evaluator.campaign.store.episodes_file import write_episodes
 from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.files import MARKERS, note_in_place
-from skd_evaluator.temporary_folders import PREFIX, exchange, make_temporary, remove
+from skd_evaluator.files import MARKERS, PREFIX, make_temporary, note_in_place, remove
 from skd_evaluator.version import version
 
 LOGS = "logs"
@@ -149,11 +148,6 @@ class ResultFolder:
         if not self._replaces and self._target.exists():
             _remove_left(self._target)
         if self._replaces and self._target.exists():
-            if exchange(temporary, self._target):
-                if self._is_ours(temporary):
-                    return
-                exchange(temporary, self._target)  # it had been exchanged a moment before
-                self._put_beside(temporary)
             self._target.rename(replaced)
             if not self._is_ours(replaced):  # it was exchanged a moment ago
                 replaced.rename(self._target)

@@ -12,10 +12,10 @@ from skd_sim.inputs.outside import folders_in, read_json, real_path
 
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.files import PREFIX
 from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.terminal import car_name
-from skd_evaluator.temporary_folders import PREFIX
 
 SHORT = 7  # digits of a commit
 _LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "clustering", "measures")
