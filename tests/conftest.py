@@ -4,10 +4,6 @@ A suite that a shell started in the background ignores SIGINT, and so would ever
 Hypothesis tries the same examples in each run and does not mind how long one takes; new ones are tried with
 `--hypothesis-profile=explore`.
 
-Tests of whole node graphs wait for other processes on a machine whose load nobody knows. One that starts some, and
-fails, is run once more and stands in the summary as RERUN, with its traceback; a second one in the same run fails, as
-does what fails twice (`--max-suite-reruns`, in pyproject.toml). Tests without living processes have no such excuse.
-
 Side by side, those of tests/graph run in two processes: each half shares what it records and what it forks nodes from,
 and no more than two of their modules are in each other's way. All others are shared out by their files, what takes long
 first.
@@ -16,11 +12,8 @@ first.
 from __future__ import annotations
 
 import gc
-import inspect
 import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import CodeType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -39,9 +32,6 @@ settings.register_profile("same", settings.get_profile("explore"), derandomize=T
 settings.load_profile("same")
 
 _HERE = Path(__file__).resolve().parent
-_GRAPHS = (_HERE / "graph", _HERE / "packaging")
-_STARTS = {"ForkedSkd", "Popen", "Program", "Skd", "running", "skd", "start_node", "whole_graph"}
-"""What starts a process that a test then talks to, or waits for."""
 _LONGEST = (
     "graph", "packaging", "documentation", "adversary/test_car_fit.py", "sim/test_compilation.py",
     "recordings/test_forged_episodes.py", "evaluator", "benchmarks", "adversary",
@@ -71,41 +61,8 @@ def _turn(item: pytest.Item) -> int:
     return next(places, len(_LONGEST))
 
 
-def _names(function: Callable[..., Any], seen: set[CodeType]) -> Iterator[str]:
-    """Yield the names that a function uses, and that functions and classes of its module use which it calls."""
-    function = inspect.unwrap(function)
-    parts = [code] if isinstance(code := getattr(function, "__code__", None), CodeType) else []
-    while parts:
-        part = parts.pop()
-        if part in seen:
-            continue
-        seen.add(part)
-        parts += [constant for constant in part.co_consts if isinstance(constant, CodeType)]
-        for name in part.co_names:
-            yield name
-            called = function.__globals__.get(name)
-            if getattr(called, "__module__", None) != function.__module__:
-                continue
-            for inner in vars(called).values() if inspect.isclass(called) else (called,):
-                if inspect.isfunction(inner):
-                    yield from _names(inner, seen)
-
-
-def _is_live(item: pytest.Item) -> bool:
-    """Whether a test, or a fixture that is made for it or its module alone, starts processes."""
-    if not isinstance(item, pytest.Function) or not any(item.path.is_relative_to(folder) for folder in _GRAPHS):
-        return False
-    fixtures = [one for found in item._fixtureinfo.name2fixturedefs.values() for one in found]
-    functions = [item.function, *(one.func for one in fixtures if one.scope in ("function", "module"))]
-    seen: set[CodeType] = set()
-    return any(name in _STARTS for function in functions for name in _names(function, seen))
-
-
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let one test of living processes fail once; in a process of several, bring what takes long to the front."""
-    for item in items:
-        if _is_live(item):
-            item.add_marker(pytest.mark.flaky(reruns=1))
+    """In a process of several, bring what takes long to the front."""
     if hasattr(config, "workerinput"):
         items.sort(key=_turn)
 

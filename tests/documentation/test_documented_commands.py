@@ -40,7 +40,6 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/skd encounters reference": "minutes: tests/evaluator/test_reference_sweep.py has smaller ones",
     r"scripts/skd encounters check": "tests/evaluator/test_encounters_command.py checks files of one's own",
     r"scripts/skd campaign": "tests/evaluator/test_campaign_command.py runs files of campaigns",
-    r"scripts/fuzz": "two hours: tests/fuzz gives the same readers a few inputs",
     r".*python benchmarks/": "minutes to hours: a figure of the documentation each",
     r".* sumo_drivers:Krauss --knowledge": "examples/sumo/README.md has it in fewer words",
     r".* --scenario prompt.yaml": "of a file that the reader makes, and of results of a benchmark",

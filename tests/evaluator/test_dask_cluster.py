@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from common import wait_until
 
 pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 from local_dask import local_cluster, start_worker
 from skd_evaluator.campaign.judge.assessment import assess

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
-import random
 import shutil
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,10 +31,6 @@ from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from result_forgeries import ARRAYS
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
 
@@ -187,14 +181,6 @@ def test_verify_says_which_runs_are_not_there_although_later_ones_are(folders, t
     assert not any("it has no" in line or "not recorded" in line for line in remarks)
     found = with_episodes(verify(forge(folders[0.5], tmp_path / "forged", without_one)))
     assert any("along safe trajectory 0" in line or "it has no runs" in line for line in found.remarks), found
-
-
-def test_attempts_without_a_margin_are_noticed(folders, tmp_path):
-    def fewer(arrays: dict[str, np.ndarray]) -> None:
-        ARRAYS["margin's attempts"](arrays, random.Random(0))
-
-    found = verify(forge(folders[0.5], tmp_path / "forged", fewer)).contradict
-    assert any(line.startswith("number of margins of safe trajectory") for line in found), found
 
 
 def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):

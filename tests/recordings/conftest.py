@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from bag_forge import Sent, campaign_messages, write_mcap
 from common import run_skd
+from recordings_support import Replayed, attempts, crossing
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Outcome
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from bag_forge import Sent, campaign_messages, write_mcap
-from recordings_support import Replayed, attempts, crossing
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from typing import Final, cast
 from skd_sim.choices.registry import Registry
 
 DEFAULT_SIMULATIONS: Final = 1000
-"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (benchmarks/closeness.py)."""
+"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/closeness.md)."""
 
 
 class Objective(StrEnum):

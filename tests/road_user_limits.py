@@ -1,26 +1,17 @@
-"""Whether kamikazes stay within what their kind of road user can do: each step held against the documented numbers.
-
-Of each kind so many kamikazes along straight φ, and along recorded ones of a CITR folder, if one is given:
-
-    .venv/bin/python benchmarks/road_user_limits.py --kamikazes 1000 --recorded PATH
-"""
+"""What each kind of road user can do, by the documented numbers alone."""
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-from skd_adversary.safe_trajectories.citr import read_citr
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.cli.arguments import whole_number
 from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -103,26 +94,3 @@ def tally(scenario: Scenario, safe: Sequence[Trajectory], count: int) -> tuple[i
         hits += log.outcome == Outcome.COLLISION
         worst = max(worst, excess)
     return outside, hits, worst
-
-
-def main() -> None:
-    """Measure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kamikazes", type=whole_number(1), default=1000, metavar="N", help="of each kind and each φ")
-    parser.add_argument("--recorded", type=Path, metavar="PATH", help="folder of CITR's vci_lat_uni")
-    arguments = parser.parse_args()
-    print(f"{'kind':12}{'φ':12}{'kamikazes':>10}{'hit':>8}{'beyond its limits':>20}{'worst':>12}")
-    for kind in BODIES:
-        places = [("straight", load_scenario("crossing" if kind in ON_FOOT else "cyclist"))]
-        if arguments.recorded:
-            places.append(("recorded", load_scenario("citr_crossing")))
-        for name, place in places:
-            scenario = with_kind(place, kind)
-            recorded = name == "recorded"
-            safe = read_citr(arguments.recorded, place)[:20] if recorded else straight(scenario)
-            outside, hits, worst = tally(scenario, safe, arguments.kamikazes)
-            print(f"{kind:12}{name:12}{arguments.kamikazes:>10}{hits:>8}{outside:>20}{worst:>12.1e}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -21,7 +21,7 @@ from skd_sim.episode.episode import EpisodeLog
 from skd_sim.episode.randomness import controller_seed
 from skd_sim.episode.stamps import next_start, tick_stamp
 
-DEFINITIONS = Path(__file__).resolve().parents[1] / "ros_ws" / "src" / "skd_msgs" / "msg"
+DEFINITIONS = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
 CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"
 TYPES = {
