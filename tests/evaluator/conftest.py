@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 from cli_support import CONTROLLERS, CROSSING
 from common import run_skd
 from report_support import make_sweep
-from skd_evaluator.campaign.plan import lot
 
 
 @pytest.fixture
@@ -31,12 +29,6 @@ def skd_here(here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
         return subprocess.CompletedProcess(arguments, code, *capsys.readouterr())
 
     return run
-
-
-@pytest.fixture
-def lots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is drawn by lot, from no seed, is drawn from one."""
-    monkeypatch.setattr(lot, "_CHANCE", random.Random(1))
 
 
 @pytest.fixture(scope="session")

@@ -244,7 +244,7 @@ def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
                 yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
 
     plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEFORMATION)
-    point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner(), [])
+    point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner())
     assert (point.attempts, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)
     assert (every.probability, budget_points([every])) == (None, [every])

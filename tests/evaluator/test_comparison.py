@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from comparison_support import FIGURES
-from rich.console import Console
 from scipy import stats
 from skd_evaluator.campaign.compare.comparison import (
     LESS_SAFE,
@@ -20,9 +18,8 @@ from skd_evaluator.campaign.compare.comparison import (
     ranking_figure,
 )
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.doubt import DISBELIEF, DOUBT, HARDLY_DRIVES
+from skd_evaluator.measure.credibility import NOT_CREDIBLE, UNDISTURBED
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
-from skd_evaluator.report.side_by_side import verdict_table
 from skd_sim.encounter.scenario import load_scenario
 
 PHI = tuple(np.full((3, 2), float(index)) for index in range(8))
@@ -154,28 +151,19 @@ def test_two_simulators_are_named_beside_the_verdict() -> None:
     assert compare(elsewhere, elsewhere).lines() == []
 
 
-def test_a_result_that_is_not_to_be_believed_has_no_verdict() -> None:
-    """Else a car that cheats, or stands still, is the safer one without a word."""
-    told = result("b", values(1, shift=1.0), warnings=["harmless", f"{DISBELIEF}it stands"])
+def test_a_result_that_is_not_credible_has_no_verdict() -> None:
+    """Else a car that stands still is the safer one without a word."""
+    told = result("b", values(1, shift=1.0), warnings=["harmless", f"{NOT_CREDIBLE}it stands"])
     for found in (compare(result("a", values(1)), told), compare(told, result("a", values(1)))):
         assert (found.verdict, found.differences) == (NOT_COMPARED, {})
-        assert found.refusals == (f"b is not compared, for its own assessment failed: {DISBELIEF}it stands",)
+        assert found.refusals == (f"b is not compared, for its own assessment failed: {NOT_CREDIBLE}it stands",)
     assert ranking_figure([result("a", values(1)), told]) is None
 
 
 def test_a_car_that_hardly_drives_is_named_beside_its_verdict() -> None:
-    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{HARDLY_DRIVES}it slows"]))
+    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{UNDISTURBED}it slows"]))
     assert found.verdict == SAFER
-    assert found.warnings == (f"b: {HARDLY_DRIVES}it slows",)
-
-
-def test_a_verdict_about_figures_in_doubt_says_so() -> None:
-    found = compare(result("a", values(1)), result("b", values(1, shift=1.0), warnings=[f"{DOUBT}it counts"]))
-    assert (found.verdict, found.in_doubt, found.as_dict()["in_doubt"]) == (SAFER, True, True)
-    assert found.warnings == (f"b: {DOUBT}it counts",)
-    shown = Console(width=200, record=True, file=io.StringIO())
-    shown.print(verdict_table([{"car": "b", **found.as_dict()}], "a", 0.95))
-    assert "safer, in doubt" in shown.export_text()
+    assert found.warnings == (f"b: {UNDISTURBED}it slows",)
 
 
 def test_a_cars_own_part_of_the_scenario_may_differ() -> None:

@@ -16,7 +16,7 @@ from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.fusion.estimate.control_variate import fitted_line
 from skd_evaluator.fusion.estimate.planning import trials_for_width, width_alone, width_fused
 from skd_evaluator.fusion.simulated import read_simulated
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])
@@ -87,11 +87,11 @@ def test_a_plan_says_what_was_to_be_said_of_what_it_plans_with(
         shutil.copytree(source, doubted)
         (doubted / "manifest.sha256").unlink()
         content = json.loads((doubted / name).read_text("utf-8"))
-        (doubted / name).write_text(json.dumps({**content, "warnings": [f"{DOUBT}it counts"]}), "utf-8")
+        (doubted / name).write_text(json.dumps({**content, "warnings": [f"{NOT_CREDIBLE}it counts"]}), "utf-8")
         words = ("plan", "--physical", "--figure", "clearance", "--width", "0.1", doubted)
         for json_too in ((), ("--json",)):
             assert run_skd(*words, *json_too) == 0
-            assert f"{DOUBT}it counts" in capsys.readouterr().err
+            assert f"{NOT_CREDIBLE}it counts" in capsys.readouterr().err
 
 
 PLAN = ("plan", "--physical", "--figure", "clearance", "--width", "0.1")

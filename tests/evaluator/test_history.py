@@ -16,7 +16,7 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.main import main
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.statistics.difference import Difference
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import trend_table
@@ -163,19 +163,18 @@ def test_a_trend_follows_each_car_by_date(figures):
     assert asked == [(str(n), str(n + 1), pytest.approx(1.0 - 0.05 / (REVISIONS - 1))) for n in range(REVISIONS - 1)]
 
 
-def test_what_is_in_doubt_is_marked_in_lists_and_trends(tmp_path, figures, capsys, monkeypatch):
+def test_what_is_not_credible_is_marked_in_lists_and_trends(tmp_path, figures, capsys, monkeypatch):
     """A car that was another one when it was run again stood there like any other."""
     monkeypatch.setenv("COLUMNS", "120")
-    doubted = {**figures, "warnings": [f"{DOUBT}it counts"]}
+    doubted = {**figures, "warnings": [f"{NOT_CREDIBLE}it counts"]}
     written(doubted, tmp_path / "doubted")
     assert main(["list", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "doubted*" in shown
-    assert f"* {tmp_path / 'doubted'}: {DOUBT}it counts" in shown
+    assert f"* {tmp_path / 'doubted'}: {NOT_CREDIBLE}it counts" in shown
     runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", doubted), ("3", figures), ("4", figures))]
     (trend,) = trends_of(runs, "margin")
-    assert [step.in_doubt for step in trend.steps] == [False, True, True, False]
-    assert [one["in_doubt"] for one in trend.as_dict()["runs"]] == [False, True, True, False]
+    assert [one["credible"] for one in trend.as_dict()["runs"]] == [True, False, True, True]
 
 
 @pytest.mark.usefixtures("pictures_drawn")

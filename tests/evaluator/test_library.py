@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from common import run_skd
 from skd_evaluator import AssessmentError, assess, load_result
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_sim import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,10 +102,10 @@ def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, 
     """Who ends its process before it hits had a hit rate of 0 and no warning, and `skd assess` exit code 1."""
     (tmp_path / "quitter.py").write_text(QUITTER)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.warns(UserWarning, match="do not believe these figures: 1 of 10 episodes were aborted.* 5 %"):
+    with pytest.warns(UserWarning, match="not credible: 1 of 10 episodes were aborted.* 5 %"):
         found = assess("quitter:Car", out=tmp_path / "out", **QUITTED, **ALONE).as_dict()
     stored = json.loads((tmp_path / "out" / "assessment.json").read_text())["warnings"]
-    assert [line for line in stored if line.startswith("do not believe these figures: ")] == [
+    assert [line for line in stored if line.startswith("not credible: ")] == [
         line for line in found["warnings"] if "were aborted, more than" in line
     ]
     assert (
@@ -199,7 +199,7 @@ def test_that_skd_is_not_defined_is_said(tmp_path):
         found = assess("basic", multiplier=0.5, maximum_distance=1e-9, out=tmp_path / "out", **SMALL, **ALONE)
     assert found.as_dict()["skd"] is None
     assert {str(one.message) for one in said} <= set(found.warnings)
-    assert not in_doubt(found.warnings)
+    assert not not_credible(found.warnings)
     assert load_result(tmp_path / "out").figures["warnings"] == list(found.warnings)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.report.side_by_side import LiveTable, cell_line
 from terminals import Terminal
 
@@ -56,7 +56,9 @@ def test_a_cell_in_a_line():
     row = {**ENDED, "name": "basic"}
     assert cell_line(row) == "basic: margin 0.637 m (95 %: 0.601 to 0.678), hit along φ 5.2 %, planned 0.824 m"
     assert "(not converged)" in cell_line({**row, "margin_converged": False})
-    assert cell_line({**row, "warnings": [f"{DOUBT}it counts"]}).startswith("basic (in doubt): margin 0.637 m")
+    assert cell_line({**row, "warnings": [f"{NOT_CREDIBLE}it counts"]}).startswith(
+        "basic (not credible): margin 0.637 m"
+    )
     failed = {**OPEN, "name": "mine", "state": "failed", "problems": ["it ended"]}
     assert cell_line(failed) == "mine: failed: it ended"
 

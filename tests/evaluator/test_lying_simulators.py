@@ -16,8 +16,8 @@ from skd_evaluator import assess
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.assessment_margin import _walked_warnings
 from skd_evaluator.margin.search.episode_search import WalkedMargins
-from skd_evaluator.margin.walked_doubts import doubts_of_walking
 from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
@@ -254,29 +254,28 @@ def test_who_drives_through_people_has_no_margin_and_is_not_believed():
     assert all("simulator nocontact gave what cannot have happened: " in one for one in found.reasons)
     assert found.margins is None
     assert "most episodes were aborted" in found.margin_note
-    lines = [one for one in found.warnings if one.startswith(("do not believe", "these figures are in doubt"))]
+    lines = [one for one in found.warnings if "simulator nocontact" in one or one.startswith("not credible: ")]
     assert any("8 of 8 episodes in simulator nocontact cannot have happened" in one for one in lines)
     assert any("were aborted, more than" in one for one in lines)
 
 
 def test_ways_of_a_margin_that_were_aborted_are_no_misses():
-    """They may be hits that the simulator hides: with many there is no margin, with few it is in doubt."""
+    """They may be hits that the simulator hides: with many there is no margin, with few a warning."""
     plan = Plan(CROSSING, simulator="nocontact")
     walked = WalkedMargins([None], True, 20, 3, 3, 0.0, 100, ("refuted: it touches",) * 5)
-    (line,) = doubts_of_walking(walked, plan)
-    assert line.startswith("these figures are in doubt: in the search for the margin, of 100 ways ")
+    (line,) = _walked_warnings(walked, plan)
+    assert line.startswith("in the search for the margin, of 100 ways ")
     assert "5 were aborted (refuted: it touches): the margin may be less" in line
-    assert doubts_of_walking(replace(walked, reasons=()), plan) == ()
+    assert _walked_warnings(replace(walked, reasons=()), plan) == ()
     with pytest.raises(AssessmentError, match=r"of 100 ways that were walked 6 were aborted \(refuted: it touches\)$"):
-        doubts_of_walking(replace(walked, reasons=walked.reasons + walked.reasons[:1]), plan)
+        _walked_warnings(replace(walked, reasons=walked.reasons + walked.reasons[:1]), plan)
 
 
 def test_who_says_that_it_repeats_itself_has_to():
     random.seed(5)
     found = assess("basic", simulator="forgetful", margin_limit=64, **TINY)
-    assert any(
-        "simulator forgetful does not repeat itself though it says that it does" in one for one in found.warnings
-    )
+    begin = "not credible: simulator forgetful, or controller basic, does not repeat itself"
+    assert any(one.startswith(begin) for one in found.warnings)
     assert found.margins is not None
 
 

@@ -20,7 +20,7 @@ from skd_evaluator.campaign.store import stored_result
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.campaign.store.stored_result import StoredResult
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Skd
 from skd_sim.encounter.scenario import load_scenario
 
@@ -28,7 +28,7 @@ CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
 from skd_evaluator.assessing import library
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.errors import AssessmentError
 
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())
@@ -106,12 +106,12 @@ def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path
         mine.is_worse_than(tmp_path / "longer")
 
 
-def test_a_car_whose_figures_are_in_doubt_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_car_whose_figures_are_not_credible_passes_no_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their margin was held against its limit like any other."""
-    figures = {"margin": 5.0, "warnings": ["harmless", f"{DOUBT}it counts"]}
+    figures = {"margin": 5.0, "warnings": ["harmless", f"{NOT_CREDIBLE}it counts"]}
     rating = SimpleNamespace(as_dict=lambda: figures, for_skd=HAS_SKD)
     monkeypatch.setattr(library, "assess", lambda _name, **_options: rating)
-    with pytest.raises(AssessmentError, match=f"MyCar: {DOUBT}it counts. See {tmp_path / '0'}"):
+    with pytest.raises(AssessmentError, match=f"MyCar: {NOT_CREDIBLE}it counts. See {tmp_path / '0'}"):
         Skd(tmp_path).assess(MyCar)
 
 

@@ -18,7 +18,7 @@ from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.commands.compare import reference_hint
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.cli.parser import make_parser, parse
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command
@@ -55,11 +55,11 @@ def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, 
 
 
 @pytest.mark.parametrize("words", [("show", "--worst", "1"), ("export", "--format", "csv", "--json")])
-def test_of_a_car_in_doubt_that_is_said(words, result, tmp_path, capsys):
-    doubted = edited(result, tmp_path / "doubted", warnings=[f"{DOUBT}it\ncounts", "harmless"])
-    assert run_skd(*words, doubted, "--out", tmp_path / "out") == 0
+def test_of_figures_that_are_not_credible_that_is_said(words, result, tmp_path, capsys):
+    doubtful = edited(result, tmp_path / "doubtful", warnings=[f"{NOT_CREDIBLE}it\ncounts", "harmless"])
+    assert run_skd(*words, doubtful, "--out", tmp_path / "out") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
-    assert said == [f"skd {words[0]}: warning: {DOUBT}it counts"]
+    assert said == [f"skd {words[0]}: warning: {NOT_CREDIBLE}it counts"]
 
 
 def test_files_that_a_command_needs_and_only_the_result_has_are_told(tmp_path, subject):

@@ -13,12 +13,12 @@ import pytest
 from common import run_skd
 from report_support import edited
 from scipy import special, stats
-from skd_evaluator.assessing.propagated import draw_doubts, propagated
+from skd_evaluator.assessing.propagated import draw_warnings, propagated
 from skd_evaluator.cli.commands.models.simulator import doubts
 from skd_evaluator.fusion.calibration.estimate import estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
-from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.surrogate.scene import Scene
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
@@ -204,24 +204,24 @@ def draw(**changes: object) -> dict[str, Any]:
 
 def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
     late = {"no answer": {"count": 3, "first": "no answer\nfor a second"}}
-    assert draw_doubts([draw(), draw()], 0.05) == []
-    said = draw_doubts([draw(), draw(margin_converged=False, margin_budget=1024), draw(margin_beyond=5)], 0.05)
+    assert draw_warnings([draw(), draw()], 0.05) == []
+    said = draw_warnings([draw(), draw(margin_converged=False, margin_budget=1024), draw(margin_beyond=5)], 0.05)
     assert said == [
         "in 1 of 3 draws the search for the margin had not converged at 1024 whole episodes an attempt: the margin may "
         "be less",
         "in 1 of 3 draws nobody could be hit within η_max (5 m) in attempts of which the margin is made, 5 of 36 in "
         "all; they count as η_max: the margin may be more",
     ]
-    (few,) = draw_doubts([draw(), draw(aborted=3, aborted_reasons=late)], 0.05)
+    (few,) = draw_warnings([draw(), draw(aborted=3, aborted_reasons=late)], 0.05)
     assert few == "3 episodes in 1 of 2 draws were aborted (no answer for a second); they count in no figure"
-    (many,) = draw_doubts([draw(), draw(aborted=8, aborted_reasons=late)], 0.05)  # of 137 that were not
-    assert many.startswith(f"{DISBELIEF}8 episodes in 1 of 2 draws were aborted")
+    (many,) = draw_warnings([draw(), draw(aborted=8, aborted_reasons=late)], 0.05)  # of 137 that were not
+    assert many.startswith(f"{NOT_CREDIBLE}8 episodes in 1 of 2 draws were aborted")
     lacking = draw(margin=None, margin_note="nothing was found", margin_converged=None, margin_beyond=None)
-    assert draw_doubts([draw(), lacking], 0.05) == [
+    assert draw_warnings([draw(), lacking], 0.05) == [
         "the margin is not said: in 1 of 2 draws it is not known (nothing was found)"
     ]
-    doubted = draw(warnings=[f"{DOUBT}it counts", "the car was clipped"])
-    assert draw_doubts([doubted, doubted], 0.05) == [f"{DOUBT}it counts"]
+    doubted = draw(warnings=[f"{NOT_CREDIBLE}it counts", "the car was clipped"])
+    assert draw_warnings([doubted, doubted], 0.05) == [f"{NOT_CREDIBLE}it counts"]
 
 
 def test_every_parameter_is_a_key_of_a_scenario():

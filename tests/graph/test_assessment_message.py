@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
 from skd_evaluator.ros.assessment_message import assessment_to_message
@@ -87,17 +87,13 @@ def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
     assert (message.hit_rate, message.collision_rate) == (0.5, 1.0)
 
 
-def test_figures_in_doubt_are_not_told_to_who_sees_no_warning() -> None:
+def test_figures_that_are_not_credible_are_not_told_to_who_sees_no_warning() -> None:
     found = replace(rated(Outcome.COLLISION), warnings=("something else",))
     assert assessment_to_message(found, "", 0).deformation > 0.0
-    for begin in (DOUBT, DISBELIEF):
-        message = assessment_to_message(replace(found, warnings=(f"{begin}it stands",)), "", 0)
-        for name, kind in message.get_fields_and_field_types().items():
-            if kind.startswith("double") and name not in {"multiplier", "eta_max"}:
-                assert np.isnan(getattr(message, name)).all(), name
-        assert (message.multiplier, message.eta_max, message.kamikaze_attempts) == (
-            1.0,
-            5.0,
-            found.as_dict()["kamikaze_attempts"],
-        )
-        assert not message.margin_converged
+    message = assessment_to_message(replace(found, warnings=(f"{NOT_CREDIBLE}it stands",)), "", 0)
+    for name, kind in message.get_fields_and_field_types().items():
+        if kind.startswith("double") and name not in {"multiplier", "eta_max"}:
+            assert np.isnan(getattr(message, name)).all(), name
+    attempts = found.as_dict()["kamikaze_attempts"]
+    assert (message.multiplier, message.eta_max, message.kamikaze_attempts) == (1.0, 5.0, attempts)
+    assert not message.margin_converged

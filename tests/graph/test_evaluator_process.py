@@ -14,7 +14,7 @@ import pytest
 from common import new_domain, wait_until
 from graph_nodes import start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd
-from skd_evaluator.measure.doubt import DISBELIEF, DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 
 MODULES = {
     "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
@@ -64,8 +64,8 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
     ("graph", "begin", "said"),
     [
         ("remembering:Honest", "", ""),
-        ("remembering:ByLot", DISBELIEF, "drives, and a hit begins at"),
-        ("remembering:Counting", DOUBT, "went otherwise"),
+        ("remembering:Stands", NOT_CREDIBLE, "drives of 6 s, and a hit begins at"),
+        ("remembering:Counting", NOT_CREDIBLE, "went differently"),
     ],
     indirect=["graph"],
 )
@@ -75,8 +75,8 @@ def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph:
     node_of_it = node("evaluator", graph, **counts, controller="external", knowledge="nothing", out=tmp_path / "out")
     finished = node_of_it.finish()
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    against = [line for line in result["warnings"] if line.startswith((DISBELIEF, DOUBT))]
-    assert finished.code == (begin == DISBELIEF), finished.err
+    against = [line for line in result["warnings"] if line.startswith(NOT_CREDIBLE)]
+    assert finished.code == bool(begin), finished.err
     if not begin:
         assert against == []
         return

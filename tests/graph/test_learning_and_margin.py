@@ -22,7 +22,7 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.learning import lesson
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.controllers import BasicController
@@ -50,7 +50,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     assert walked["margin"] <= 1.1 * exact["margin"]
     assert walked["margin"] < walked["deformation"]  # they knew nothing of the car; the ways are planned
     assert "the car at most 0 m elsewhere" in walked["margin_how"]  # in lockstep it repeats itself
-    assert not in_doubt(walked["warnings"])  # also where it is run again, through another graph
+    assert not not_credible(walked["warnings"])  # also where it is run again, through another graph
 
     # The risk takes one crossing more for each run along φ, at each scale, and is that of the law to the last digit.
     assert [one["episodes"] for one in walked["risk"]["scales"]] == [RUNS] * 3

@@ -16,10 +16,10 @@ from common import run_skd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_evaluator.arrays import read_arrays
-from skd_evaluator.bags.completeness import doubts_beside
+from skd_evaluator.bags.completeness import not_credible_beside
 from skd_evaluator.bags.logs import _COLUMNS as COLUMNS
 from skd_evaluator.campaign.store.manifest import MANIFEST
-from skd_evaluator.measure.doubt import DOUBT
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_sim.errors import UsageError
 
 Arrays = dict[str, np.ndarray[Any, Any]]
@@ -89,19 +89,24 @@ def test_what_is_right_is_read(copy: Path, tmp_path: Path, capsys: pytest.Captur
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum())
 
 
-def test_what_is_in_doubt_is_so_for_who_learns_from_it(
+def test_what_is_not_credible_is_so_for_who_learns_from_it(
     copy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for path in (path for path in map(copy.joinpath, ("probe.json", "assessment.json")) if path.exists()):
-        path.write_text(json.dumps({**json.loads(path.read_text()), "warnings": [f"{DOUBT}it counts", "harmless"]}))
+        path.write_text(
+            json.dumps({**json.loads(path.read_text()), "warnings": [f"{NOT_CREDIBLE}it counts", "harmless"]})
+        )
     assert run_skd("fit", copy, "--json", "--out", tmp_path / "model") == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "it counts" in line or "harmless" in line]
-    assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {DOUBT}it counts"]
-    (tmp_path / "assessment.json").write_text(json.dumps({"warnings": [f"{DOUBT}it counts"]}))
-    assert doubts_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [f"{DOUBT}it counts"]
-    assert doubts_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
-    (tmp_path / "probe.json").write_text(json.dumps({"warnings": [f"{DOUBT}a probe"]}))  # of skd probe --graph
-    assert doubts_beside([tmp_path / "bags" / "a" / "0.mcap"]) == [f"{DOUBT}a probe", f"{DOUBT}it counts"]
+    assert said == [f"skd fit: warning: {copy / 'episodes.npz'}: {NOT_CREDIBLE}it counts"]
+    (tmp_path / "assessment.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}it counts"]}))
+    assert not_credible_beside([tmp_path / "bags" / name / "0.mcap" for name in "ab"]) == [f"{NOT_CREDIBLE}it counts"]
+    assert not_credible_beside([tmp_path / "0.mcap", tmp_path / "none" / "bags" / "0.mcap"]) == []
+    (tmp_path / "probe.json").write_text(json.dumps({"warnings": [f"{NOT_CREDIBLE}a probe"]}))  # of skd probe --graph
+    assert not_credible_beside([tmp_path / "bags" / "a" / "0.mcap"]) == [
+        f"{NOT_CREDIBLE}a probe",
+        f"{NOT_CREDIBLE}it counts",
+    ]
 
 
 @pytest.mark.parametrize("name", ["episodes.npz", "probe.json"])

@@ -25,12 +25,8 @@ class Counting(BasicController):
         return super().command(car, adversary) if Counting.episodes % 2 else 0.0
 
 
-class ByLot(BasicController):
-    """Stands in half of its episodes, by lot, whoever is there."""
-
-    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
-        super().reset(scenario, rng)
-        self._stands = rng.random() < 0.5
+class Stands(BasicController):
+    """Stands, whoever is there."""
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
-        return -3.0 if self._stands else super().command(car, adversary)
+        return -3.0

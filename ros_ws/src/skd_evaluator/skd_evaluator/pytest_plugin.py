@@ -134,13 +134,13 @@ class Skd:
             options: those of `skd_evaluator.assess`.
 
         Raises:
-            AssessmentError: its figures may be those of another car, or `skd assess` would end with exit code 1 for
+            AssessmentError: its figures are not credible, or `skd assess` would end with exit code 1 for
                 another reason, so that no test of them says anything.
         """
         from skd_evaluator.assessing.findings import undefined
         from skd_evaluator.assessing.library import assess
         from skd_evaluator.errors import AssessmentError
-        from skd_evaluator.measure.doubt import in_doubt
+        from skd_evaluator.measure.credibility import not_credible
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"
@@ -148,8 +148,8 @@ class Skd:
             folder = self._out / f"{len(self._kept)}"
             rating = assess(controller, out=folder, **options)
             self._kept[key] = Assessed(rating, folder)
-            doubted = in_doubt(self._kept[key].figures.get("warnings") or ())
-            self._failed[key] = "; ".join([*doubted, *filter(None, [undefined(rating)])])
+            lines = not_credible(self._kept[key].figures.get("warnings") or ())
+            self._failed[key] = "; ".join([*lines, *filter(None, [undefined(rating)])])
         if why := self._failed[key]:
             raise AssessmentError(f"{controller}: {why}. See {self._kept[key].folder}")
         return self._kept[key]

@@ -14,7 +14,7 @@ from skd_evaluator.campaign.judge.rating import Rating, hit_too_often
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.campaign.judge.struck import struck
 from skd_evaluator.measure import aborted
-from skd_evaluator.measure.doubt import DISBELIEF, disbelief, in_doubt
+from skd_evaluator.measure.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.measure.risks import Touch
 from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 
@@ -133,7 +133,7 @@ def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any
         figures: see `too_many_aborted`.
     """
     too_many = too_many_aborted(rating, maximum_aborted, figures)
-    return [why for why in (undefined(rating), too_many, *disbelief(rating.warnings)) if why]
+    return [why for why in (undefined(rating), too_many, *not_credible(rating.warnings)) if why]
 
 
 def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
@@ -146,7 +146,7 @@ def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
         maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
     """
     too_many = too_many_aborted(rating, maximum_aborted)
-    found = [undefined(rating), f"{DISBELIEF}{too_many}" if too_many else None]
+    found = [undefined(rating), f"{NOT_CREDIBLE}{too_many}" if too_many else None]
     return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
 
 
@@ -158,14 +158,9 @@ def warnings_of(rating: Rating, *, planned: bool = True, said: Collection[str] =
         planned: see `doubts`.
         said: lines that the reader was told already.
     """
-    disbelieved = disbelief(rating.warnings)
-    of_episodes = [line for line in rating.warnings if line not in disbelieved and line not in said]
+    failures = not_credible(rating.warnings)
+    of_episodes = [line for line in rating.warnings if line not in failures and line not in said]
     return [*of_episodes, *doubts(rating, planned=planned)]
-
-
-def doubted(rating: Rating) -> bool:
-    """Tell whether an assessment's figures may be those of another car, or of one that does not drive."""
-    return bool(in_doubt(rating.warnings))
 
 
 def episode_line(log: EpisodeLog) -> str:

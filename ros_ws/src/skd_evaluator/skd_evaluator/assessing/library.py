@@ -33,10 +33,10 @@ from skd_evaluator.campaign.plan.options import (
 )
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.risk.asked import risk_asked
 
@@ -118,7 +118,7 @@ def assess(
         risk = risk_asked(behaviour)
         folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
         runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
-        runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
+        runners = Runners.in_process(runner)
         told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
         rating = assess_in_process(
             plan, objectives, runners, told, further, lambda known: origin(known.car, car_model=known.car_model)
@@ -127,7 +127,7 @@ def assess(
         rating = replace(failed, seconds=seconds)
         if folder is not None:
             folder.write(lambda where: fill(where, rating))
-    said = [*in_doubt(rating.warnings), *why_failed(rating, 1.0), *aborted_lines(rating)]
+    said = [*not_credible(rating.warnings), *why_failed(rating, 1.0), *aborted_lines(rating)]
     for line in dict.fromkeys(said):
         warnings.warn(line, stacklevel=2)
     return rating

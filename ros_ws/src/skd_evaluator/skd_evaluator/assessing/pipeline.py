@@ -13,24 +13,21 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.assessing.again import DoubtsOfLearning, Fresh, doubts_of_the_controller
 from skd_evaluator.assessing.findings import aborted_lines
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessing.simulated import with_simulation
-from skd_evaluator.campaign.judge.alone import FEW_DRIVES, MANY_DRIVES, doubts_of_driving, doubts_of_standing_off
 from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
 from skd_evaluator.campaign.judge.rating import Rating, rate
+from skd_evaluator.campaign.judge.repeatability import Fresh, driving, fresh_process, repeatability, standing
 from skd_evaluator.campaign.judge.static_tests import with_static_tests
 from skd_evaluator.campaign.judge.until_width import rate_until_width
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.learning.kept_models import folder_of, forget_model
-from skd_evaluator.learning.lesson import Believed, learned, needs_learning
+from skd_evaluator.learning.lesson import learned, needs_learning
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
 from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
 
@@ -70,7 +67,6 @@ def learned_plan(
     progress: Progress,
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
-    believed: Believed = lambda _logs, keep: keep(),
 ) -> Plan:
     """Return the plan after its adversary has learned the car, if it has to, and say what it learned; see `learned`.
 
@@ -80,44 +76,11 @@ def learned_plan(
         progress: called with how far the work is.
         say: called with one line about what was done.
         graph: how the node graph is run; None: episodes run in process.
-        believed: keeps the model if the car always is the same in episodes from which it was learned; see `learned`.
     """
-    command, how = _how(graph)
-    return learned(plan, runner, progress, say=say, command=command, graph=how, believed=believed)
-
-
-def keep_or_forget(
-    plan: Plan,
-    warnings: Sequence[str],
-    say: Callable[[str], None],
-    graph: GraphOptions | None = None,
-    keep: Callable[[], bool] = lambda: False,
-) -> None:
-    """Keep the model of a car that was learned for a plan, or remove it if the car's figures are in doubt.
-
-    Args:
-        plan: what was to be rated.
-        warnings: what a reader should know of the figures.
-        say: called with one line about what was done.
-        graph: how the node graph was run; None: episodes were run in process.
-        keep: keeps a model that nobody has kept so far, and tells whether it did.
-    """
-    if not in_doubt(warnings):
-        if keep():
-            say("the model of the car is kept, for the car always went as before")
-        return
-    folder = folder_of(plan, *_how(graph))
-    if folder is not None and folder.is_dir():
-        forget_model(folder)
-        say("no model of the car is kept, for its figures are in doubt")
-
-
-def _how(graph: GraphOptions | None) -> tuple[str | None, dict[str, Any] | None]:
-    """Return the command that starts the car's own node, and how the graph is run, as plain data."""
     if graph is None:
-        return None, None
+        return learned(plan, runner, progress, say=say)
     how = {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
-    return graph.controller_command, how
+    return learned(plan, runner, progress, say=say, command=graph.controller_command, graph=how)
 
 
 @dataclass(frozen=True)
@@ -130,9 +93,7 @@ class Runners:
         here: computes margins from the logs, in processes of this machine.
         ways: runs whole episodes of a car that is a node, or in another simulator than SKD's own world, for its margin;
             None: such a car has no margin.
-        fresh: makes a runner with a process of its own, to see whether a user's controller is the car that its
-            episodes show; None: nobody looks.
-        alone: runs drives with nobody near, to see whether the car drives; None: nobody looks.
+        fresh: makes the runner that runs a sample of the episodes again; None: nobody does.
     """
 
     rated: EpisodeRunner
@@ -140,35 +101,21 @@ class Runners:
     here: ExecutorRunner
     ways: EpisodeRunner | None = None
     fresh: Fresh | None = None
-    alone: EpisodeRunner | None = None
 
     @classmethod
     def in_process(
         cls,
         runner: ExecutorRunner,
-        fresh: Fresh,
         rated: EpisodeRunner | None = None,
         others: EpisodeRunner | None = None,
+        fresh: Fresh = fresh_process,
     ) -> Runners:
-        """Return the runners of an assessment in process, whose work all is `runner`'s, by whoever keeps some of it.
-
-        Args:
-            runner: does the work.
-            fresh: see `Runners`.
-            rated: by default `runner`.
-            others: by default `runner`.
-        """
-        return cls(rated or runner, others or runner, runner, fresh=fresh, alone=runner)
+        """Return the runners of an assessment in process: `runner` does all, or whoever keeps some of the episodes."""
+        return cls(rated or runner, others or runner, runner, fresh=fresh)
 
     @classmethod
     def of_graph(
-        cls,
-        plan: Plan,
-        evaluator: EpisodeRunner,
-        alone: EpisodeRunner,
-        *,
-        ways: EpisodeRunner | None = None,
-        fresh: Fresh | None = None,
+        cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None = None, fresh: Fresh | None = None
     ) -> Runners:
         """Return the runners of an assessment through the node graph.
 
@@ -176,7 +123,7 @@ class Runners:
         are computed in this process: the graph's threads make it unsafe to fork.
         """
         here = InProcessRunner(1)
-        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh, alone)
+        return cls(evaluator, evaluator if plan.safe == OWN else here, here, ways, fresh)
 
 
 @dataclass(frozen=True)
@@ -227,25 +174,30 @@ def assessed(
     rating = with_static_tests(rating, runners.others)
     if further.curve:
         rating = with_budgets(rating, runners.others, progress)
-    doubts = _doubts_of_the_car(rating, plan, runners)
-    return replace(rating, warnings=(*rating.warnings, *aborted_lines(rating), *doubts))
+    rating = replace(rating, warnings=(*rating.warnings, *aborted_lines(rating), *_drives(rating, runners.rated)))
+    return rating if runners.fresh is None else with_repeatability(rating, runners.fresh)
 
 
-def _doubts_of_the_car(rating: Rating, plan: Plan, runners: Runners) -> tuple[str, ...]:
-    """Return, a line each, why a user's car is not the one that its episodes show, or hardly drives; empty if neither.
-
-    SKD's own cars are known. A car whose episodes were all aborted is not asked to drive: there is nothing else to say.
-    """
+def _drives(rating: Rating, runner: EpisodeRunner) -> tuple[str, ...]:
+    """Return, a line each, that a user's car hardly drives; of one whose episodes were all aborted there is no more."""
+    plan = rating.plan
     if plan.car.is_own:
         return ()
-    found: tuple[str, ...] = doubts_of_standing_off(plan.controller, rating.replays)
-    if runners.fresh is not None and not plan.car.is_external:
-        found += doubts_of_the_controller(rating, runners.fresh)
-    if runners.alone is not None and is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes:
-        # A graph that walks no ways drives in real time, or nobody says whether it does.
-        slow = runners.alone is not runners.here and runners.ways is None
-        found += doubts_of_driving(plan, runners.alone, FEW_DRIVES if slow else MANY_DRIVES)
-    return found
+    drives = is_own_world(plan.simulator) and len(rating.reasons) < rating.episodes
+    return (*standing(plan.controller, rating.replays), *(driving(plan, runner) if drives else ()))
+
+
+def with_repeatability(rating: Rating, fresh: Fresh) -> Rating:
+    """Return the rating with a warning if a user's car does not repeat itself in a sample of its episodes.
+
+    Args:
+        rating: the rating, whose episodes have been run.
+        fresh: makes the runner that runs the sample again.
+    """
+    if rating.plan.car.is_own:
+        return rating
+    found = repeatability(rating.plan.controller, [*rating.kamikaze_logs, *rating.replays], fresh)
+    return replace(rating, warnings=(*rating.warnings, *found))
 
 
 def assess_in_process(
@@ -274,11 +226,7 @@ def assess_in_process(
             if further.risk.behaviour is not None:
                 warm_up_risk(plan)
             runner.start(planners_of(plan, objectives), inherited=load_margins)
-        doubts, asked = DoubtsOfLearning(plan.car, runners.fresh), plan
-        plan = learned_plan(plan, runner, progress, say, believed=doubts.believed)
+        plan = learned_plan(plan, runner, progress, say)
         known = origin(plan)
         rating = assessed(plan, objectives, runners, progress, further, safe)
-        warnings = (*rating.warnings, *doubts.found)
-        if doubts.seen:
-            keep_or_forget(asked, warnings, say)
-        return replace(rating, provenance=known, warnings=warnings)
+        return replace(rating, provenance=known)

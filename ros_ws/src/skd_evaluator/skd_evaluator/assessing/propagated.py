@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,9 +24,8 @@ from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
-from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.measure.aborted import too_many_aborted
-from skd_evaluator.measure.doubt import DISBELIEF, in_doubt
+from skd_evaluator.measure.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.measure.margins import stopped_at
 from skd_evaluator.risk.asked import risk_asked
 
@@ -98,7 +96,7 @@ def assessed_draws(
             knowledge=None if car.is_own and car.has_multiplier else Knowledge.NOTHING,
         )
         runner = make_runner(None, workers, isolated=not car.is_own)
-        runners = Runners.in_process(runner, partial(InProcessRunner, 1, isolated=True))
+        runners = Runners.in_process(runner)
         ways = [Trajectory(positions, scenario.time_step, name) for name, positions in safe.items()]
         further = Further(DEFAULT_MARGIN_LIMIT, risk=risk_asked(WALKERS))
         rating = assess_in_process(plan, [plan.objective], runners, _silent, further, _nowhere, safe=ways)
@@ -128,7 +126,7 @@ def propagated(figures: Sequence[Mapping[str, Any]], key: str, limits: tuple[flo
     return Propagated(key, float(values.mean()), interval, float(np.ptp(ends, axis=1).mean()), tuple(values.tolist()))
 
 
-def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) -> list[str]:
+def draw_warnings(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) -> list[str]:
     """Return what a reader should know of figures over draws, a line each, as of those of one assessment.
 
     Args:
@@ -136,7 +134,7 @@ def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) ->
         maximum_aborted: share of a draw's episodes that may be aborted.
     """
     count = len(figures)
-    found = list(dict.fromkeys(line for one in figures for line in in_doubt(one["warnings"])))
+    found = list(dict.fromkeys(line for one in figures for line in not_credible(one["warnings"])))
     for what, key, note in (("margin", "margin", "margin_note"), ("risk", "risk_1", "risk_note")):
         if unknown := [one for one in figures if one[key] is None]:
             why = unknown[0][note] or "no reason is given"
@@ -160,7 +158,9 @@ def draw_doubts(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) ->
             f"{sum(one['aborted'] for one in aborted)} episodes in {len(aborted)} of {count} draws were aborted "
             f"({reasons.get('first') or kind}); they count in no figure"
         )
-        found.append(f"{DISBELIEF}{line}" if any(too_many_aborted(one, maximum_aborted) for one in aborted) else line)
+        found.append(
+            f"{NOT_CREDIBLE}{line}" if any(too_many_aborted(one, maximum_aborted) for one in aborted) else line
+        )
     return [" ".join(line.split()) for line in found]
 
 

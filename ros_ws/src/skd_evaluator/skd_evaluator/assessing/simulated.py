@@ -13,7 +13,6 @@ from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.measure.doubt import DOUBT
 
 _STRAYED: Final = 0.01
 """m: far more than another simulator rounds, and less than any figure shows."""
@@ -42,16 +41,16 @@ def with_simulation(rating: Rating, runner: ExecutorRunner) -> Rating:
     if is_own_world(plan.simulator):
         return rating
     said = next(iter(runner.map(described, [(plan.simulator, plan.scenario)])))
-    return replace(rating, simulation=said, warnings=(*rating.warnings, *_doubts(rating, plan.simulator)))
+    return replace(rating, simulation=said, warnings=(*rating.warnings, *_warnings(rating, plan.simulator)))
 
 
-def _doubts(rating: Rating, simulator: str) -> tuple[str, ...]:
+def _warnings(rating: Rating, simulator: str) -> tuple[str, ...]:
     """Return what a reader should know of what a simulator said in the episodes of a rating, a line each."""
     found = []
     refuted = [one for one in rating.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
     if refuted:
         found.append(
-            f"{DOUBT}{len(refuted)} of {rating.episodes} episodes in simulator {simulator} cannot have happened, and "
+            f"{len(refuted)} of {rating.episodes} episodes in simulator {simulator} cannot have happened, and "
             f"count for nothing ({refuted[0]})"
         )
     logs = [*rating.kamikaze_logs, *rating.replays]

@@ -12,7 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 
 SUMMARIES = ("probe.json", "assessment.json")
 """Files that say of which car the episodes beside them are."""
@@ -115,13 +115,13 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
     return lines
 
 
-def doubts_beside(files: Iterable[Path]) -> list[str]:
-    """Return why assessments and probes beside recordings say that theirs may be of another car, a line each."""
+def not_credible_beside(files: Iterable[Path]) -> list[str]:
+    """Return why assessments and probes beside recordings say that they are not credible, a line each."""
     found: list[str] = []
     for folder in _folders_of_results(files):
         for name in SUMMARIES:
             try:
-                found += in_doubt(read_json(folder / name)["warnings"])
+                found += not_credible(read_json(folder / name)["warnings"])
             except (UsageError, TypeError, KeyError):
                 continue
     return found

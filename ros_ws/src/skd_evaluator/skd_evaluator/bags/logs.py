@@ -21,14 +21,14 @@ from skd_sim.inputs.outside import folders_in, read_json
 
 from skd_evaluator.arrays import Array, Column, read_arrays
 from skd_evaluator.bags.acceptance import Damage, Found, accept
-from skd_evaluator.bags.completeness import SUMMARIES, doubts_beside
+from skd_evaluator.bags.completeness import SUMMARIES, not_credible_beside
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
 from skd_evaluator.campaign.store.manifest import check_as_written
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 
 EPISODES = "episodes.npz"
 _PER_EPISODE = {
@@ -100,7 +100,7 @@ def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
         if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
             raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
     if bags:
-        for line in doubts_beside(path.rglob("*.mcap*") if path.is_dir() else [path]):
+        for line in not_credible_beside(path.rglob("*.mcap*") if path.is_dir() else [path]):
             damage.warn(f"{path}: {line}")
         for episode in read_episodes([path], damage):
             log = episode.log
@@ -129,7 +129,7 @@ class _Beside:
     seed: int
     by_objective: bool
     knowledge: Knowledge | None = None
-    doubts: tuple[str, ...] = ()
+    not_credible: tuple[str, ...] = ()
 
 
 def _said_beside(path: Path) -> _Beside:
@@ -150,7 +150,7 @@ def _said_beside(path: Path) -> _Beside:
                     int(content["seed"]),
                     "objectives" in content,
                     Knowledge(options["knowledge"]) if options.get("knowledge") else None,
-                    tuple(in_doubt(content.get("warnings") or ())),
+                    tuple(not_credible(content.get("warnings") or ())),
                 )
             except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
@@ -163,7 +163,7 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
         for file in (path, *(path.with_name(name) for name in SUMMARIES if (path.parent / name).exists())):
             check_as_written(file)
         logs = _logs_in(path)
-        for line in _said_beside(path).doubts:
+        for line in _said_beside(path).not_credible:
             damage.warn(f"{path}: {line}")
     except UsageError as error:
         damage.leave_out(str(error))

@@ -14,15 +14,15 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.completeness import (
     aborted_episodes,
-    doubts_beside,
     fewer_than_said,
     missing_episodes,
+    not_credible_beside,
     unfinished_episodes,
 )
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
-from skd_evaluator.campaign.judge.alone import doubts_of_standing_off
 from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
+from skd_evaluator.campaign.judge.repeatability import standing
 from skd_evaluator.campaign.plan.options import RECORDED
 from skd_evaluator.campaign.plan.plan import (
     ATTEMPTS_PER_WANTED,
@@ -160,10 +160,10 @@ def rating_from(
         },
     )
     rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
-    standing = doubts_of_standing_off(plan.controller, replays)
+    stands = standing(plan.controller, replays)
     lost = aborted_lines(rating.as_dict()) if rating.reasons else []
     if damage is None:
-        return replace(rating, warnings=(*lost, *standing))
+        return replace(rating, warnings=(*lost, *stands))
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
@@ -177,7 +177,7 @@ def rating_from(
     lines += aborted_episodes([episode.log for episode in chosen])
     lines += lost
     lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
-    lines += doubts_beside(recorded.files)
+    lines += not_credible_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)
-    return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *standing))
+    return replace(rating, left_out=tuple(damage.left_out), warnings=(*damage.warnings, *stands))

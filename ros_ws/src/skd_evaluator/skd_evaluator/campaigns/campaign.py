@@ -16,14 +16,13 @@ from typing import Any
 from skd_sim.choices.options import further_options
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.again import DoubtsOfLearning
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, keep_or_forget, learned_plan
+from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.campaign.judge.repeatability import fresh_process
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import (
@@ -44,7 +43,6 @@ from skd_evaluator.provenance import controller_revision, provenance, surroundin
 from skd_evaluator.ros.rated import rated_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
-_FRESH = partial(InProcessRunner, 1, isolated=True)
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
 
 
@@ -232,15 +230,12 @@ class Campaign:
         self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
-        doubts, asked = DoubtsOfLearning(cell.plan.car, _FRESH), cell.plan
-        cell = self._informed(cell, runner, doubts)
+        plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph)
+        cell = replace(cell, plan=plan)  # its identity stays the same
         origin = self._provenance(cell)
         storing = self._storing(cell, runner)
-        runners = Runners.in_process(runner, _FRESH, storing, storing)
+        runners = Runners.in_process(runner, storing, storing, partial(fresh_process, cell.answer_limit))
         rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
-        rating = replace(rating, warnings=(*rating.warnings, *doubts.found))
-        if doubts.seen:
-            keep_or_forget(asked, rating.warnings, partial(_say, cell))
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
@@ -265,11 +260,6 @@ class Campaign:
                 raise AssessmentError(f"its graph cannot run: {error}") from error
             origin = self._provenance(replace(cell, plan=rating.plan))
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
-
-    def _informed(self, cell: Cell, runner: EpisodeRunner, doubts: DoubtsOfLearning) -> Cell:
-        """Return the cell after its adversary has learned the car, if it has to; the cell's identity stays the same."""
-        plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph, doubts.believed)
-        return replace(cell, plan=plan)
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None

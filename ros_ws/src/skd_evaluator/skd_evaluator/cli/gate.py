@@ -101,12 +101,11 @@ class Gate:
         """
         from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
         from skd_evaluator.measure.aborted import aborted_lines
-        from skd_evaluator.measure.doubt import in_doubt
+        from skd_evaluator.measure.credibility import not_credible
 
         kinds = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
         aborted = "; ".join([*filter(None, [kinds]), *aborted_lines(result)])
-        doubts = in_doubt(result["warnings"])  # by which nothing can be said of the car, either
-        why = "; ".join([*errors, *(line for line in doubts if line not in errors)])
+        why = "; ".join(dict.fromkeys([*errors, *not_credible(result["warnings"])]))
         first = Check("assessment", why or aborted or "complete", error=bool(why))
         found = [first, *check_limits(result, self.limits)]
         if self.earlier is not None:

@@ -22,7 +22,6 @@ from skd_evaluator.fusion.pairs import GAP_TOLERANCE
 from skd_evaluator.fusion.recording import read_tracks
 from skd_evaluator.fusion.track import Frame, Track
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
-from skd_evaluator.measure.doubt import DOUBT
 from skd_evaluator.measure.surrogate.clearance import clearances
 from skd_evaluator.measure.surrogate.scene import Scene
 
@@ -238,7 +237,7 @@ def overruled(trials: Sequence[Trial]) -> list[str]:
         return []
     seen = sum(bool(one.seen_hit) for one in trials)
     return [
-        f"{DOUBT}in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
+        f"in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
         f"it does, less than {_MARGIN:g} m deep, which may be noise: the table counts; by the recordings it hits in "
         f"{seen} (first: {other[0].where})"
     ]

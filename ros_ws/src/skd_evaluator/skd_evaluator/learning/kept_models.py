@@ -103,13 +103,3 @@ def keep_model(folder: Path, car: FittedCar) -> bool:
     except OSError:
         return folder.is_dir()
     return True
-
-
-def forget_model(folder: Path) -> None:
-    """Remove a model that is kept, by one rename, so that nobody reads half of it."""
-    with suppress(OSError):
-        made = make_temporary(folder.parent)
-        try:
-            folder.rename(made / folder.name)
-        finally:
-            shutil.rmtree(made, ignore_errors=True)

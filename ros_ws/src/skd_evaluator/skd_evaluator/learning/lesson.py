@@ -18,7 +18,7 @@ from skd_adversary.car_model_file import car_model_text
 from skd_adversary.fitted_car import FittedCar
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -38,9 +38,6 @@ ATTEMPTS: Final = 150
 """Episodes of kamikazes who plan with what the probes showed, in order to learn where they will go."""
 SAFE: Final = 15
 """Number of φ from which they start."""
-
-_ONE_IN: Final = 15  # episodes of which one is kept, to be run again
-Believed = Callable[[Sequence[EpisodeLog], Callable[[], bool]], bool]
 
 _LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
 
@@ -85,7 +82,6 @@ def learned(
     say: Callable[[str], None] = lambda _line: None,
     command: str | None = None,
     graph: Mapping[str, Any] | None = None,
-    believed: Believed = lambda _logs, keep: keep(),
 ) -> Plan:
     """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
@@ -96,8 +92,6 @@ def learned(
         say: called with one line: what was done, and how to do without it.
         command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
-        believed: is given some of the episodes from which it was learned, and what keeps the model for later, to be
-            called if the car always is the same in them; tells whether the model is kept.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -105,7 +99,7 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        lesson = _lesson(plan, runner, progress, believed, command, graph)
+        lesson = _lesson(plan, runner, progress, command, graph)
     say(lesson.line())
     return replace(plan, car_model=lesson.text)
 
@@ -114,7 +108,6 @@ def _lesson(
     plan: Plan,
     runner: EpisodeRunner,
     progress: Progress,
-    believed: Believed,
     command: str | None,
     graph: Mapping[str, Any] | None,
 ) -> Lesson:
@@ -125,14 +118,10 @@ def _lesson(
         same = f"on {day_of(folder)} with the same {_counted(len(files.all))}" if folder else ""
         same += " (all that its command names)" if plan.car.is_external else ""
         return Lesson(known, folder, fresh=False, seconds=0.0, compared=same)
-    seen: list[EpisodeLog] = []
-    car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1), seen)
-
-    def keep() -> bool:
-        """Keep the model, unless files of the car have changed since it began to be learned."""
-        return folder is not None and folder_of(plan, command, graph) == folder and keep_model(folder, car)
-
-    kept, seconds = believed(seen, keep), time.perf_counter() - begin
+    car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1))
+    # Unless files of the car have changed since it began to be learned.
+    kept = folder is not None and folder_of(plan, command, graph) == folder and keep_model(folder, car)
+    seconds = time.perf_counter() - begin
     why_not = files.why_not and f"and keeps no model of it because {files.why_not}"
     return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=seconds, compared=why_not)
 
@@ -146,7 +135,6 @@ def lesson_of(
     runner: EpisodeRunner,
     progress: Progress = lambda *_told: None,
     of_reference: EpisodeRunner | None = None,
-    seen: list[EpisodeLog] | None = None,
 ) -> FittedCar:
     """Return what probes and own attempts show of a plan's car; neither its seed nor its φ matter.
 
@@ -155,7 +143,6 @@ def lesson_of(
         runner: runs the episodes; it has been started.
         progress: called with how far the work is.
         of_reference: runs episodes of the reference car, in process; by default the same runner.
-        seen: what happened in some of the episodes is put at its end.
 
     Raises:
         AssessmentError: none of the probes could be run to its end.
@@ -166,12 +153,11 @@ def lesson_of(
             plan.scenario, PROBES, seed=SEED, controller=plan.controller, multiplier=plan.multiplier
         )
     ]
-    seen = [] if seen is None else seen
-    recordings = _recordings(runner, probes, "probes", progress, seen)
+    recordings = _recordings(runner, probes, "probes", progress)
     first = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     attempts = own_attempts(plan, car_model_text(first), safe, ATTEMPTS)
-    recordings += _recordings(runner, attempts, "attempts to learn from", progress, seen)
+    recordings += _recordings(runner, attempts, "attempts to learn from", progress)
     car = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 
@@ -186,9 +172,5 @@ def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
         ) from error
 
 
-def _recordings(
-    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress, seen: list[EpisodeLog]
-) -> list[Recording]:
-    logs = finished(runner, episodes, label, progress)
-    seen += logs[::_ONE_IN]
-    return [recording_of(log) for log in logs]
+def _recordings(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[Recording]:
+    return [recording_of(log) for log in finished(runner, episodes, label, progress)]

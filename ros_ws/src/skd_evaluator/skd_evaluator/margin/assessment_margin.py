@@ -20,27 +20,26 @@ from skd_sim.errors import UsageError
 from skd_sim.simulation.named_simulator import repeats_itself
 
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.lot import SampledRunner
+from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.attempts import LIMIT, searched_margins
 from skd_evaluator.margin.search.episode_search import LIMIT as WALKED_LIMIT
-from skd_evaluator.margin.search.episode_search import walked_margins, why_not_walked
+from skd_evaluator.margin.search.episode_search import WalkedMargins, walked_margins, why_not_walked
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
-from skd_evaluator.margin.walked_doubts import doubts_of_walking
 from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.doubt import DISBELIEF
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.measure.margins import Margins
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m
+_APART = 0.01  # m that a car may be elsewhere after the same ways: more than a rounding, less than any figure shows
 WALKED_ATTEMPTS = 5
 """Attempts on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
@@ -129,14 +128,12 @@ class LeastWays:
         budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
         converged: whether twice as many changed the mean by less than 2 %; exact ones are.
         unfound: attempts in which the search found no hit, and had not tried everything.
-        led: some of the ways that the search tried.
     """
 
     ways: list[LeastWay | None]
     budget: int | None = None
     converged: bool = True
     unfound: int = 0
-    led: tuple[LedWay, ...] = ()
 
 
 def least_ways(
@@ -162,8 +159,7 @@ def least_ways(
     if foretold(first.car, first.scenario):
         return LeastWays(exact_margins(episodes, runner, progress))
     searched = searched_margins(episodes, planned(), runner, progress, min(DEFAULT_BUDGET, limit), limit)
-    led = tuple(way for one in searched.results for way in one.led)
-    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, searched.unfound, led)
+    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, searched.unfound)
 
 
 def with_planned_hits(
@@ -203,7 +199,7 @@ def _without_noise(episode: Episode) -> Episode:
 
 def _otherwise(plan: Plan, number: int, attempts: int) -> str:
     return (
-        f"{DISBELIEF}in {number} of {attempts} attempts a planned kamikaze was hit on a way on which the search for "
+        f"{NOT_CREDIBLE}in {number} of {attempts} attempts a planned kamikaze was hit on a way on which the search for "
         f"the margin was not: {plan.controller} answers the search otherwise than an episode; these hits count"
     )
 
@@ -221,6 +217,27 @@ def _hardly_found(unfound: int, attempts: int, eta_max: float) -> tuple[str, ...
         f"in them: each counts as {eta_max:g} m, so that the mean hardly changed says little of how well was searched, "
         "and the margin may be less",
     )
+
+
+def _walked_warnings(walked: WalkedMargins, plan: Plan) -> tuple[str, ...]:
+    """Return what a reader should know of a margin that another simulator's episodes have given, a line each.
+
+    Raises:
+        AssessmentError: more of the ways were aborted than may be: on such a way nobody was hit.
+    """
+    lost = f"of {walked.episodes} ways that were walked {walked.aborted} were aborted"
+    if walked.aborted > MAXIMUM_ABORTED * walked.episodes:
+        raise AssessmentError(f"{lost} ({walked.reasons[0]})")
+    found = []
+    if walked.aborted:
+        found.append(f"in the search for the margin, {lost} ({walked.reasons[0]}): the margin may be less")
+    if walked.repeated < walked.hits or walked.apart > _APART:
+        found.append(
+            f"{NOT_CREDIBLE}simulator {plan.simulator}, or controller {plan.controller}, does not repeat itself: of "
+            f"{walked.hits} ways of the margin {walked.repeated} hit again when walked once more, and the car was up "
+            f"to {walked.apart:.2g} m elsewhere after the same commands"
+        )
+    return tuple(found)
 
 
 def with_margins(
@@ -253,15 +270,13 @@ def with_margins(
         if walks:
             assert graph is not None
             most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
-            led = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            sampled = SampledRunner(graph)
-            walked = walked_margins(led, logs_of(rating), sampled, progress, limit=most)
+            walks_in = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
+            walked = walked_margins(walks_in, logs_of(rating), graph, progress, limit=most)
             ways = walked.ways
-            rating = replace(rating, besides=(*rating.besides, *sampled.kept.logs))
             settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
             unfound = walked.unfound
             if not is_own_world(plan.simulator):
-                rating = replace(rating, warnings=(*rating.warnings, *doubts_of_walking(walked, plan)))
+                rating = replace(rating, warnings=(*rating.warnings, *_walked_warnings(walked, plan)))
         else:
             planned = planned_ways(rating)
             found = least_ways(
@@ -269,7 +284,6 @@ def with_margins(
             )
             ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
             unfound = found.unfound
-            rating = replace(rating, led=found.led)
             if found.budget is not None:
                 ways, shorter = with_planned_hits(episodes, ways, logs_of(rating))
                 if shorter and limit >= DEFAULT_BUDGET:  # else it may not have come to all of these ways
@@ -279,8 +293,8 @@ def with_margins(
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(rating, margin_note=f"its search ended: {error}")
     if settings["converged"]:
-        doubt = _hardly_found(unfound, len(episodes), plan.scenario.eta_max)
-        rating = replace(rating, warnings=(*rating.warnings, *doubt))
+        warning = _hardly_found(unfound, len(episodes), plan.scenario.eta_max)
+        rating = replace(rating, warnings=(*rating.warnings, *warning))
     sizes = [len(group) for group in per_phi]
     starts = [sum(sizes[:index]) for index in range(len(sizes))]
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))

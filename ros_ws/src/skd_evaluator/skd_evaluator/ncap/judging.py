@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
+from skd_sim.dynamics.limits import clipped_line, command_limits
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.campaign.judge.alone import FEW_DRIVES, drives_with_nobody_near
 from skd_evaluator.campaign.judge.assessment import judge
+from skd_evaluator.campaign.judge.repeatability import undisturbed_drives
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.led import led_again
 from skd_evaluator.campaign.run.static_test import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
@@ -27,7 +27,6 @@ from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
 from skd_evaluator.margin.reference import Asked as ReferenceAsked
 from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.measure.margins import Margins
-from skd_evaluator.ncap.doubts import SHARES, Seen, has_noise, shaken
 from skd_evaluator.ncap.matrices import Matrix, MatrixPoint
 from skd_evaluator.ncap.result import Cell, Grid
 from skd_evaluator.ncap.tested import in_matrix, with_test
@@ -55,6 +54,35 @@ class Asked:
     equivalent: bool = False
 
 
+@dataclass
+class Seen:
+    """What a car has done in all encounters.
+
+    Attributes:
+        tests: its static tests.
+        kamikazes: episodes in which somebody planned to be hit.
+    """
+
+    tests: list[EpisodeLog] = field(default_factory=list)
+    kamikazes: list[EpisodeLog] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> list[str]:
+        """How many episodes were aborted, and how often the car asked for more than it can do, a line each."""
+        found = []
+        for what, logs, follows in (
+            ("static tests", self.tests, "their cells have no colour"),
+            ("kamikazes", self.kamikazes, "they count for nothing"),
+        ):
+            if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
+                found.append(f"{lost} of {len(logs)} {what} were aborted, and {follows}")
+        clipped = [log for log in (*self.tests, *self.kamikazes) if log.clipped]
+        if clipped:
+            lows, highs = zip(*(command_limits(log.episode.scenario) for log in clipped), strict=True)
+            found.append(clipped_line([log.clipped for log in clipped], min(lows), max(highs)))
+        return found
+
+
 def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, seen: Seen) -> Grid:
     """Return the cells of an encounter.
 
@@ -77,8 +105,6 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
     except UsageError as error:  # what a car cannot drive it says when its first episode begins
         refused = str(error)
     seen.tests += done_tests
-    if not asked.plan.car.is_own:
-        _shake(done_tests, runner, seen)
     logs = iter(done_tests)
     cells: list[Cell] = []
     for done, ((cell, plan, _), one) in enumerate(zip(begun, wanted, strict=True), start=1):
@@ -119,7 +145,7 @@ def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | Non
 def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
     """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
     try:
-        slowest, *_ = drives_with_nobody_near(plan, runner, FEW_DRIVES)
+        slowest, *_ = undisturbed_drives(plan, runner)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # it has a static test all the same
@@ -127,20 +153,6 @@ def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
     if not slowest.slows:
         return ""
     return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
-
-
-def _shake(tests: Sequence[EpisodeLog], runner: ExecutorRunner, seen: Seen) -> None:
-    """Drive static tests once more with shares of the noise that the car has elsewhere."""
-    noisy = [log for log in tests if has_noise(log.episode)]
-    for share in SHARES:
-        try:
-            again = list(runner.run([shaken(log.episode, share) for log in noisy]))
-        except OutOfReachError:
-            raise
-        except AssessmentError as error:  # it has its static tests all the same
-            seen.failed = str(error)
-            return
-        seen.shaken.setdefault(share, []).extend(zip(noisy, again, strict=True))
 
 
 def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, seen: Seen) -> Cell:
@@ -163,17 +175,11 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
             return [[log.trajectory.positions for log in found] for found in hits]
 
         found = least_ways(episodes, planned, runner, lambda *_told: None, asked.margin_limit)
-        otherwise = sum(one.otherwise for one in runner.map(led_again, found.led))
         ways, _ = with_planned_hits(episodes, found.ways, by_id)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
-    seen.led += found.led
-    if otherwise:
-        seen.otherwise += 1
-        why = "the car answered otherwise when nobody made copies of it: the margin would be that of another car"
-        return replace(cell, margin_why=f"on {otherwise} of {len(found.led)} ways that the search tried, {why}")
     margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
     if asked.equivalent:
         cell = _with_equivalent(cell, plan, margins, phi, asked, runner)

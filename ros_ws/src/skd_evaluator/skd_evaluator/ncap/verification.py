@@ -11,7 +11,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json, read_text
 
 from skd_evaluator.campaign.store.verification import Verified
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.ncap.points import points_of, with_calculator
 from skd_evaluator.ncap.result import AT_LEAST, AT_MOST, RESULT, TABLE, Ncap, checked, ncap_of, table_of
 
@@ -38,7 +38,7 @@ def with_regulator(found: Verified) -> Verified:
     elif said.points:
         remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
     problems += _beyond(said, path)
-    remarks += in_doubt(said.warnings)
+    remarks += not_credible(said.warnings)
     remarks += _bounds(said)
     remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
     return replace(found, problems=tuple(problems), remarks=tuple(remarks))

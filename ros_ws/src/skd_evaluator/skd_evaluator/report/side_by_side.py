@@ -10,10 +10,9 @@ from rich.table import Table
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
-from skd_evaluator.report.terminal import counted, in_short, narrow_table, one_line_cells
+from skd_evaluator.report.terminal import counted, credibility, narrow_table, one_line_cells
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
-_IN_DOUBT = ", [red]in doubt[/]"
 _HEAD_AND_FOOT = 7  # lines of a table beside its rows
 _BARS = 6  # lines that are left for bars
 
@@ -24,7 +23,7 @@ def _doubt(row: Mapping[str, Any]) -> str:
 
 
 def _worth(row: Mapping[str, Any]) -> str:
-    return in_short([*(row.get("warnings") or ()), *(row.get("problems") or ())])
+    return credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -164,7 +163,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
         )
         table.add_row(
             escape(entry["car"]),
-            f"[bold]{entry['verdict']}[/]{_IN_DOUBT if entry['in_doubt'] else ''}",
+            f"[bold]{entry['verdict']}[/]",
             *figures,
             entry["design"],
         )

@@ -18,7 +18,7 @@ from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Object
 from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
-from skd_evaluator.measure.doubt import disbelief, in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.margins import CLOSENESS_WARNING, unit_of_search
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
@@ -45,16 +45,15 @@ def car_name(result: Mapping[str, Any]) -> str:
     return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
-def in_short(warnings: Iterable[object]) -> str:
-    """Return in a few words that figures may be those of another car, by warnings about them; empty if not."""
-    doubted = in_doubt(warnings)
-    return "" if not doubted else "not to be believed" if disbelief(doubted) else "in doubt"
+def credibility(warnings: Iterable[object]) -> str:
+    """Return that figures are not credible, by warnings about them; empty if they are."""
+    return "not credible" if not_credible(warnings) else ""
 
 
 def headline(result: Mapping[str, Any]) -> str:
-    """Return what was found, in a sentence or two; first that it is in doubt, if it is."""
-    doubted = in_short(result.get("warnings") or ())
-    return f"{doubted.capitalize()} (the warnings say why): {_found(result)}" if doubted else _found(result)
+    """Return what was found, in a sentence or two; first that it is not credible, if so."""
+    said = credibility(result.get("warnings") or ())
+    return f"{said.capitalize()} (the warnings say why): {_found(result)}" if said else _found(result)
 
 
 def _found(result: Mapping[str, Any]) -> str:

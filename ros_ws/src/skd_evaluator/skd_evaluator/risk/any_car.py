@@ -16,7 +16,6 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.state import AdversaryState
 
 from skd_evaluator.campaign.judge.struck import ADVERSARY, struck
-from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.measure.behaviour.walking import walked
 from skd_evaluator.measure.contact_place import Pose, car_at_contact, goes_straight
@@ -33,7 +32,6 @@ class AnyCar:
 
     Attributes:
         hits: logs of those that were run last in which the car hit.
-        kept: some of all.
     """
 
     car_normals = 0
@@ -42,7 +40,6 @@ class AnyCar:
         """Run episodes by `runner`; without one they can only be asked for."""
         self._encounter, self._runner = encounter, runner
         self.hits: list[EpisodeLog] = []
-        self.kept = Kept()
         self._specs: list[Episode] = []
         scenarios: dict[float, Scenario] = {}
         for index, phi in enumerate(encounter.safe):
@@ -70,7 +67,6 @@ class AnyCar:
         logs = list(self._runner.run(self.episodes(crossings, scale)))
         ends = [end_of(log) for log in logs]
         self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
-        self.kept.add(logs[row] for row in self.kept.wants(len(logs)))
         touch = np.array([one for one, _ in ends], np.int64)
         ticks = np.array([len(log.adversary) - 1 for log in logs], np.int64)
         return Ends(touch, np.array([near for _, near in ends], np.float64), ticks)

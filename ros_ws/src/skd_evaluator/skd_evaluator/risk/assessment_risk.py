@@ -164,9 +164,8 @@ def with_risks(
     by_whom: EpisodeRunner = graph if external and graph is not None else runner
     try:
         hits: dict[float, dict[int, EpisodeLog]] = {}
-        kept: list[EpisodeLog] = []
         confidence = rating.assessments[0].confidence
-        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits, kept))
+        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits))
         failures, failing = _failures(encounter, scales, hits, runner)
     except OutOfReachError:
         raise
@@ -174,7 +173,7 @@ def with_risks(
         return replace(rating, risk_note=f"its crossings ended: {error}")
     seconds = rating.seconds + time.perf_counter() - begin
     risks = Risks(asked.behaviour.as_dict(), scales, failures, failing)
-    return replace(rating, risks=risks, seconds=seconds, besides=(*rating.besides, *kept))
+    return replace(rating, risks=risks, seconds=seconds)
 
 
 def _scales(
@@ -186,12 +185,8 @@ def _scales(
     confidence: float,
     progress: Progress,
     hits: dict[float, dict[int, EpisodeLog]],
-    kept: list[EpisodeLog],
 ) -> Iterator[ScaleRisk]:
-    """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit.
-
-    At its end some of all crossings of a car that is not known are put into `kept`.
-    """
+    """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
     plan = encounter.plan
     known = KnownCar(encounter) if _foretold(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
@@ -222,7 +217,6 @@ def _scales(
             except AbortedCrossingsError as error:
                 lost = error.count
         yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks, lost)
-    kept += [*other.kept.logs, *(together.kept.logs if together is not None else ())]
 
 
 def _failures(

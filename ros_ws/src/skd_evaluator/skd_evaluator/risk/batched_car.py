@@ -8,9 +8,7 @@ from typing import Final
 import numpy as np
 from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.encounter.road import road_pose
-from skd_sim.episode.episode import EpisodeLog, Outcome
 
-from skd_evaluator.campaign.plan.lot import Kept
 from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.side_by_side import answers_batches, replayed, why_not_side_by_side
 from skd_evaluator.measure.contact_place import goes_straight, pose_at_contact
@@ -29,7 +27,6 @@ class _Job:
     encounter: Encounter
     crossings: Crossings
     scale: float
-    wanted: list[int]
 
 
 def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | None:
@@ -45,47 +42,37 @@ def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | No
 
 
 class BatchedCar:
-    """Runs crossings side by side, a block at a time.
-
-    Attributes:
-        kept: some of all crossings.
-    """
+    """Runs crossings side by side, a block at a time."""
 
     car_normals = 0
 
     def __init__(self, encounter: Encounter, runner: ExecutorRunner) -> None:
         """Run blocks by `runner`."""
         self._encounter, self._runner = encounter, runner
-        self.kept = Kept()
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings; those of a block that a worker has died of, one by one."""
         rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
-        jobs = [_Job(self._encounter, crossings.of(one), scale, self.kept.wants(len(one))) for one in rows]
+        jobs = [_Job(self._encounter, crossings.of(one), scale) for one in rows]
         parts = []
         for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
-            if found is None:
-                parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale))
-                continue
-            ends, logs = found
-            parts.append(ends)
-            self.kept.add(logs)
+            parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale) if found is None else found)
         return Ends.together(parts)
 
 
-def _not_crossed(_job: _Job, _reason: str) -> tuple[Ends, list[EpisodeLog]] | None:
+def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
     return None
 
 
-def _crossed(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
+def _crossed(job: _Job) -> Ends | None:
     try:
         return isolated(job.encounter.plan.car.user_code, _crossed_here, job)
     except LostProcessError as error:
         return _not_crossed(job, error.reason)
 
 
-def _crossed_here(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
-    """Run crossings side by side, and judge each; return some of them besides."""
+def _crossed_here(job: _Job) -> Ends:
+    """Run crossings side by side, and judge each."""
     encounter = job.encounter
     episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
 
@@ -107,9 +94,4 @@ def _crossed_here(job: _Job) -> tuple[Ends, list[EpisodeLog]] | None:
             footprint_of(scenario), scenario.adversary.reach, impact, scenario.collision.hit_speed, SAME,
             scenario.time_step,
         )  # fmt: skip
-    logs = []
-    for row in job.wanted:
-        until, hit = int(found.ticks[row]) + 1, bool(found.shares[row] <= 1.0)
-        outcome = Outcome.COLLISION if hit else Outcome.ARRIVED
-        logs.append(EpisodeLog(episodes[row], outcome, found.users[row, :until], found.cars[row, :until]))
-    return Ends(touch, missed, found.ticks), logs
+    return Ends(touch, missed, found.ticks)

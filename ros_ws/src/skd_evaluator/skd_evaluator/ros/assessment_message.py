@@ -9,7 +9,6 @@ from typing import Any
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_sim.messages.to_messages import to_stamp
 
-from skd_evaluator.assessing.findings import doubted
 from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.store.figure_names import figure
@@ -36,10 +35,10 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
 def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
     """Return the message of an assessment published at simulation time `stamp` (ns).
 
-    A field has the figure of its name. Figures that may be those of another car are not defined: whoever reads a
-    message sees no warning beside it.
+    A field has the figure of its name. Figures that are not credible are not defined: whoever reads a message sees no
+    warning beside it.
     """
-    settings, unsaid = keys_of(Of.SETTING), doubted(rating)
+    settings, unsaid = keys_of(Of.SETTING), not rating.credible
     result = rating.as_dict()
     name = "equivalent_multiplier"
     text, interval = result[f"{name}_text"], result[f"{name}_ci95_text"]

@@ -17,19 +17,16 @@ from rclpy.executors import ExternalShutdownException
 from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.objective import objectives_named
 from skd_sim.choices.options import options_of, values_of
-from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.nodes.support import Setting, declare, run_node, settings_of
 from skd_sim.program.interruption import SIGNALS
 
-from skd_evaluator.assessing.again_graph import TimedRunner, doubts_of_the_stack, groups_of
 from skd_evaluator.assessing.asked import default_folder, plan_of, scenario_for, with_asked_period
 from skd_evaluator.assessing.findings import episode_line, warnings_of, why_failed
 from skd_evaluator.assessing.graph_options import EvaluatorOptions, managed_nodes
 from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
 from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph
 from skd_evaluator.assessing.written import fill, fill_episode, write_with_scratch
-from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.single import single_episode
@@ -129,10 +126,8 @@ class EvaluatorProcess(Evaluator):
         begin = time.perf_counter()
         plan = self._learned()
         origin = provenance(sys.argv, plan.car, car_model=plan.car_model)
-        timed = TimedRunner(self)
-        runners = Runners.of_graph(plan, timed, timed)  # nobody says whether its nodes wait for one another
+        runners = Runners.of_graph(plan, self, fresh=lambda: nullcontext(self))
         rating = assessed(plan, self._objectives, runners, self._say_progress, Further())
-        rating = replace(rating, warnings=(*rating.warnings, *self._doubts_of_the_stack(rating, timed)))
         self.publish_assessment(rating)
         rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
@@ -155,24 +150,6 @@ class EvaluatorProcess(Evaluator):
             f"{self._out.path}"
         )
         return 0
-
-    def _doubts_of_the_stack(self, rating: Rating, runner: TimedRunner) -> tuple[str, ...]:
-        """Return, a line each, why a user's car is not the one that its episodes show: some are run again.
-
-        That is in the graph that there is, which goes on with the same stack, and may drive in real time.
-        """
-        plan = rating.plan
-        if plan.car.is_own or not is_own_world(plan.simulator):
-            return ()
-        return doubts_of_the_stack(
-            plan.controller,
-            groups_of(rating),
-            lambda: nullcontext(runner),
-            self._say_progress,
-            anew=False,
-            limit=runner.limit(rating.episodes),
-            repeats=False,
-        )
 
     def _run_one(self, scratch: Path) -> int:
         mode = Mode[self._settings["mode"].upper()]

@@ -22,12 +22,10 @@ from skd_evaluator.campaign.compare.unlike_results import (
     shared,
     unlike_behaviours,
     warnings,
-    warnings_of,
 )
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.margins import stopped_at
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
@@ -132,11 +130,6 @@ class Comparison:
         return self.judged_by if undecided or self.judged_by in told else told[0]
 
     @property
-    def in_doubt(self) -> bool:
-        """Whether one of the results says of itself that its figures may be those of another car."""
-        return any(in_doubt(warnings_of(one)) for one in (self.first, self.second))
-
-    @property
     def design(self) -> str:
         """How the cars were compared, in a few words."""
         judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
@@ -157,7 +150,6 @@ class Comparison:
             "first": str(self.first.folder),
             "second": str(self.second.folder),
             "verdict": self.verdict,
-            "in_doubt": self.in_doubt,
             "judged_by": self.decided_by,
             "opposed_by": list(self.opposed),
             "design": self.design,
@@ -169,18 +161,18 @@ class Comparison:
 
 def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95) -> Comparison:
     """Compare one assessment with another, on the φ that both have if there are any."""
-    refused, doubts, unlike = refusals(first, second), warnings(first, second), planned_refusal([first, second])
+    refused, remarks, unlike = refusals(first, second), warnings(first, second), planned_refusal([first, second])
     if refused:
         count = (len(first.safe), len(second.safe))
-        return Comparison(first, second, {}, count, tuple(refused), unlike, tuple(doubts))
-    doubts = [*different_phi(first, second), *different_roads(first, second), *doubts]
+        return Comparison(first, second, {}, count, tuple(refused), unlike, tuple(remarks))
+    remarks = [*different_phi(first, second), *different_roads(first, second), *remarks]
     both = shared(first, second)
     # By chance a few φ are the same for different seeds too: then the others are not thrown away.
     paired = len(both) == min(len(first.safe), len(second.safe))
     ours = [one for one, _ in both] if paired else list(range(len(first.safe)))
     theirs = [other for _, other in both] if paired else list(range(len(second.safe)))
     if paired and (len(ours) < len(first.safe) or len(theirs) < len(second.safe)):
-        doubts.append(
+        remarks.append(
             f"{first.folder} and {second.folder} have {len(ours)} of {len(first.safe)} and {len(second.safe)} φ in "
             "common: the difference is of these alone"
         )
@@ -199,7 +191,7 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
     differences = {name: one for name, one in found.items() if one is not None}
     held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
     return Comparison(
-        first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *doubts)
+        first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *remarks)
     )
 
 

@@ -106,9 +106,8 @@ def _at_worst(result: Mapping[str, Any], limit: Limit, check: Check) -> Check:
 def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     """Compare an assessment with an earlier one: it fails if a figure is surely worse, and none is surely better.
 
-    A verdict that the car is less safe waits until no estimate points the other way; a gate does not. Figures in doubt,
-    of either, are an error where they would pass; so is a car that would fall behind had it hit in every episode of its
-    own that was aborted.
+    A verdict that the car is less safe waits until no estimate points the other way; a gate does not. A car
+    that would fall behind had it hit in every episode of its own that was aborted is an error.
 
     Args:
         folder: folder of the assessment.
@@ -130,7 +129,7 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     failed = found.behind_by is not None
     if not failed and (why := _may_be_behind(earlier, mine)):
         return Check(name, f"not judged: {text}; {why}", error=True)
-    return Check(name, text, failed=failed, error=found.in_doubt and not failed)
+    return Check(name, text, failed=failed)
 
 
 def _may_be_behind(earlier: StoredResult, mine: StoredResult) -> str:

@@ -16,7 +16,7 @@ from skd_evaluator.campaign.compare.encounter_difference import (
 from skd_evaluator.campaign.judge.planned_figures import hit_speed
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.doubt import DOUBT, HARDLY_DRIVES, disbelief
+from skd_evaluator.measure.credibility import UNDISTURBED, not_credible
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
@@ -49,7 +49,7 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
     found = [
         f"{one.folder} is not compared, for its own assessment failed: {line}"
         for one in (first, second)
-        for line in disbelief(warnings_of(one))
+        for line in not_credible(warnings_of(one))
     ]
     if ours["eta_max"] != theirs["eta_max"]:
         found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
@@ -84,10 +84,7 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
         if ours.get(name) != theirs.get(name):
             found.append(f"{between} have different {what}, {ours.get(name)} and {theirs.get(name)}")
     return found + [
-        f"{one.folder}: {line}"
-        for one in (first, second)
-        for line in warnings_of(one)
-        if line.startswith((HARDLY_DRIVES, DOUBT))
+        f"{one.folder}: {line}" for one in (first, second) for line in warnings_of(one) if line.startswith(UNDISTURBED)
     ]
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.episode.episode import Episode, Mode, Outcome
 
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.lot import one_of
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.vulnerability_curve import BudgetPoint, budget_points
@@ -25,24 +24,20 @@ def held_attempts(plan: Plan) -> int:
     return max(1, -(-plan.kamikaze_count // _PART))
 
 
-def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner, kept: list[EpisodeLog]) -> BudgetPoint:
+def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> BudgetPoint:
     """Run kamikazes that plan for a deformation of at most η; return how many were hit within it, and of how many.
 
-    Their number is fixed beforehand: to go on until enough have collided would make the share too high. One on each φ,
-    by lot, is put into `kept`.
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
     """
     plan = replace(assessment.plan, maximum_distance=eta)
     each = held_attempts(plan)
-    looked_at = {index * each + one_of(each) for index in range(len(assessment.safe))}
     episodes: list[Episode] = [
         plan.episode(Mode.KAMIKAZE, index, attempt, phi)
         for index, phi in enumerate(assessment.safe)
         for attempt in range(each)
     ]
     successes = aborted = 0
-    for number, log in enumerate(runner.run(episodes)):
-        if number in looked_at:
-            kept.append(log)
+    for log in runner.run(episodes):
         aborted += log.outcome == Outcome.ABORTED
         if log.hit:
             phi = log.episode.safe_trajectory
@@ -62,13 +57,11 @@ def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> R
     if not assessment.plan.limits_deformation or not assessment.attempts:
         return rating
     points: list[BudgetPoint] = []
-    kept: list[EpisodeLog] = []
     for number, eta in enumerate(BUDGETS, start=1):
-        points.append(held_to(assessment, eta, runner, kept))
+        points.append(held_to(assessment, eta, runner))
         progress("kamikazes held to η", number, len(BUDGETS))
     return replace(
         rating,
         budgets=tuple(budget_points(points)),
-        besides=(*rating.besides, *kept),
         seconds=rating.seconds + time.perf_counter() - begin,
     )

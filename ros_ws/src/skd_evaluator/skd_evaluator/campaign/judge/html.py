@@ -9,19 +9,19 @@ from typing import Any
 from skd_evaluator.campaign.judge.figure_table import Figure, shown_in
 
 
-def figures_html(figures: Mapping[str, Any], doubts: Sequence[str] = ()) -> str:
+def figures_html(figures: Mapping[str, Any], warnings: Sequence[str] = ()) -> str:
     """Return the figures that are looked at first, with their intervals, as a table.
 
     Args:
         figures: content of assessment.json.
-        doubts: why they may be those of another car, a line each.
+        warnings: why they are not credible, a line each.
     """
     known = [one for one in shown_in("summary") if isinstance(figures.get(one.key), (int, float))]
     rows = "".join(_row(one, figures) for one in known)
     what = f"{figures['controller']} in {figures['scenario']['name']}"
     head = "<tr><th></th><th>value</th><th>95 % interval</th></tr>"
-    doubted = "".join(f"<br>{html.escape(line)}" for line in doubts)
-    return f"<table><caption>{html.escape(what)}{doubted}</caption>{head}{rows}</table>"
+    said = "".join(f"<br>{html.escape(line)}" for line in warnings)
+    return f"<table><caption>{html.escape(what)}{said}</caption>{head}{rows}</table>"
 
 
 def _row(one: Figure, figures: Mapping[str, Any]) -> str:

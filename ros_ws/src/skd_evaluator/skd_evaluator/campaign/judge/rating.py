@@ -27,15 +27,12 @@ from skd_evaluator.campaign.plan.plan import (
     KamikazeSet,
     Plan,
     Progress,
-    ShuffledRunner,
     collision_runs,
-    first_episodes,
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.campaign.run.led import LedWay
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.distances.measures import load_measures
-from skd_evaluator.measure.doubt import in_doubt
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.measure.margins import Margins, closeness
 from skd_evaluator.measure.risks import Risks
@@ -71,8 +68,6 @@ class Rating:
         provenance: what ran, when and where (`skd_evaluator.provenance`).
         static_tests: what came of the protocol's static tests, an entry of assessment.json each.
         simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
-        led: some of the ways on which the search for the margin has led the car; in no file.
-        besides: some of the episodes of which the risk, the curve and static tests are; in no file.
     """
 
     assessments: tuple[Assessment, ...]
@@ -90,8 +85,6 @@ class Rating:
     provenance: Mapping[str, Any] | None = None
     static_tests: tuple[Mapping[str, Any], ...] = ()
     simulation: Mapping[str, Any] | None = None
-    led: tuple[LedWay, ...] = ()
-    besides: tuple[EpisodeLog, ...] = ()
 
     @property
     def plan(self) -> Plan:
@@ -243,8 +236,13 @@ class Rating:
         """Share of the runs along φ that ended in a collision."""
         return self.collisions / self.completed_replays if self.completed_replays else None
 
+    @property
+    def credible(self) -> bool:
+        """Whether no warning says that the figures are not."""
+        return not not_credible(self.warnings)
+
     def _repr_html_(self) -> str:
-        return figures_html(self.as_dict(), in_doubt(self.warnings))
+        return figures_html(self.as_dict(), not_credible(self.warnings))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.
@@ -387,10 +385,6 @@ def rate(
     begin = time.perf_counter()
     load_measures()  # one that cannot be loaded is said before anything is run
     plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
-    if not plan.car.is_own:
-        # A node of a user's knows what it likes, the seed too; nothing here can be kept from it but what nobody knows.
-        lots = None if plan.car.is_external else plan.seed
-        runner = ShuffledRunner(runner, first_episodes(plans, safe), lots)
     kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
     replays = collision_runs(plans[0], safe, runner, progress)
     return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)

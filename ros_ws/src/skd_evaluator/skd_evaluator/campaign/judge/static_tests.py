@@ -102,7 +102,6 @@ def with_static_tests(rating: Rating, runner: EpisodeRunner) -> Rating:
     except AssessmentError as error:  # a car that fails here alone has its figures all the same
         tests = tuple(Tested(place=place, aborted=str(error)) for place, _ in wanted)
     else:
-        rating = dataclasses.replace(rating, besides=(*rating.besides, *logs))
         tests = tuple(Tested.of(place, log) for (place, _), log in zip(wanted, logs, strict=True))
     return dataclasses.replace(rating, static_tests=tuple(one.as_dict() for one in tests))
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
 
-import numpy as np
 from skd_adversary.model.objective.safe import REFERENCE_MULTIPLIER
 from skd_adversary.model.objectives import objective_named
 from skd_adversary.model.road_users import check_kind
@@ -22,7 +21,6 @@ from skd_sim.choices.simulators import is_own_world
 from skd_sim.controllers import with_control_period
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
@@ -215,35 +213,6 @@ class Recorder:
             yield log
 
 
-class ShuffledRunner:
-    """A runner that begins with some episodes by lot, so that their order tells a controller nothing of them."""
-
-    def __init__(self, runner: EpisodeRunner, episodes: Sequence[Episode], seed: int | None) -> None:
-        """Let `runner` do the work, the first time with `episodes`; without a seed nobody can foretell the order."""
-        rng = np.random.default_rng() if seed is None else generator(seed, 0, Role.ORDER)
-        lots = rng.permutation(len(episodes))
-        self._runner, self._first = runner, [episodes[number] for number in lots.tolist()]
-        self._known: dict[tuple[str, int], EpisodeLog] = {}
-
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`, or give what is known of them; see `EpisodeRunner`."""
-        first, self._first = self._first, []
-        begun = iter(self._runner.run(first)) if first else iter(())
-        if not first:
-            missing = [one for one in episodes if _key(one) not in self._known]
-            begun = iter(self._runner.run(missing)) if missing else begun
-        for episode in episodes:
-            while _key(episode) not in self._known:
-                log = next(begun)
-                self._known[_key(log.episode)] = log
-            yield self._known.pop(_key(episode))
-        self._known.update((_key(log.episode), log) for log in begun)
-
-
-def _key(episode: Episode) -> tuple[str, int]:
-    return str(episode.objective), episode.episode_id
-
-
 Progress = Callable[[str, int, int], None]
 """Called with (what is being done, done, of how many)."""
 
@@ -359,14 +328,3 @@ def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[Episode]:
         plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
         for run in range(plan.collision_runs)
     ]
-
-
-def first_episodes(plans: Sequence[Plan], safe: Sequence[Trajectory]) -> list[Episode]:
-    """Return all episodes that some plans, of different objectives, are sure to run."""
-    kamikazes = [
-        plan.episode(Mode.KAMIKAZE, index, attempt, trajectory)
-        for plan in plans
-        for index, trajectory in enumerate(safe)
-        for attempt in range(plan.kamikaze_count)
-    ]
-    return [*kamikazes, *runs_along(plans[0], safe)]

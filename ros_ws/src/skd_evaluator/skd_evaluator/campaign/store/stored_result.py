@@ -21,7 +21,7 @@ from skd_evaluator.campaign.store.checked import check_files, check_result
 from skd_evaluator.campaign.store.rebuilt import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.risks import Risks, Touch
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics.statistics import mean
@@ -62,7 +62,7 @@ class StoredResult:
     worst: Mapping[str, tuple[FloatArray, ...]] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
-        return figures_html(self.figures, in_doubt(self.figures.get("warnings") or ()))
+        return figures_html(self.figures, not_credible(self.figures.get("warnings") or ()))
 
     @cached_property
     def encounter(self) -> dict[str, Any]:
@@ -140,8 +140,8 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     if lost.any():
         more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
         worst["deformation"] = tuple(np.concatenate(pair) for pair in zip(groups["deformation"], more, strict=True))
-    doubted = (f"{folder}: {line}" for line in in_doubt(figures.get("warnings") or ()))
-    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *doubted), worst), stored
+    lines = (f"{folder}: {line}" for line in not_credible(figures.get("warnings") or ()))
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *lines), worst), stored
 
 
 def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:

@@ -21,7 +21,7 @@ from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebu
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 from skd_evaluator.measure.aborted import aborted_lines
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 
 _CAMPAIGN, _CELLS, _TABLE, _SWEEP = "campaign.json", "cells.json", "campaign.csv", "sweep.json"
 _AGREE = 1e-7
@@ -124,7 +124,7 @@ def verify(folder: Path) -> Verified:
     try:
         figures = read_figures(folder)
         stored = read_episodes(folder)
-        remarks += in_doubt(figures.get("warnings") or ())
+        remarks += not_credible(figures.get("warnings") or ())
         if not can_be_rebuilt(stored):
             remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
             read = figures, stored

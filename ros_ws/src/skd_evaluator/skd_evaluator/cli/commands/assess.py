@@ -30,8 +30,8 @@ from skd_evaluator.assessing.pipeline import (
 )
 from skd_evaluator.assessing.written import fill, save_with_scratch
 from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.plan.plan import Plan, Recorder, kamikaze_set, split_episode_id
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.judge.repeatability import fresh_process
+from skd_evaluator.campaign.plan.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
 from skd_evaluator.campaign.store.results import ResultFolder, write_assessment
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
@@ -155,7 +155,8 @@ def print_what_there_is(
         objective: [kamikaze_set(one, tried.get((objective, index), ())) for index, one in enumerate(safe)]
         for objective in objectives
     }
-    replays = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
+    along = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
+    replays = [log for log in along if split_episode_id(log.episode.episode_id)[0] == Stage.COLLISION_RATE]
     rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
     rating = replace(rating, margin_note="interrupted before it was searched")
     result = rating.as_dict()
@@ -205,9 +206,8 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         return print_result(rating, out, arguments, gate, problem)
     safe: list[Trajectory] = []
     runner = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=arguments.startup_timeout)
-    fresh = partial(InProcessRunner, 1, isolated=True, answer_limit=arguments.startup_timeout)
     recorder = Recorder(runner)
-    runners = Runners.in_process(runner, fresh, rated=recorder)
+    runners = Runners.in_process(runner, recorder, fresh=partial(fresh_process, arguments.startup_timeout))
     origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:

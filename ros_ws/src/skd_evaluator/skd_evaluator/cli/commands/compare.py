@@ -26,7 +26,7 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.report import repeat
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car
@@ -54,7 +54,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
             "car": name,
             "folder": str(result.folder),
             **{key: result.figures.get(key) for key in columns("compare")},
-            "warnings": in_doubt(result.figures.get("warnings") or ()),
+            "warnings": not_credible(result.figures.get("warnings") or ()),
         }
         for name, result in zip(names, results, strict=True)
     ]

@@ -7,27 +7,24 @@ import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.options import options_of, values_of
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.again import doubts_of_episodes
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.campaign.judge.repeatability import fresh_process, repeatability
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.measure.doubt import disbelief
-from skd_evaluator.ncap.doubts import Seen, aborted, clipped, doubts_of
-from skd_evaluator.ncap.judging import Asked, judged_grid
+from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.ncap.judging import Asked, Seen, judged_grid
 from skd_evaluator.ncap.points import HOW, points_of, with_calculator
 from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
 from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
@@ -64,11 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return _INTERRUPTED
-    warnings = (*aborted(seen), *clipped(seen))
+    warnings = tuple(seen.warnings)
     if not (car := asked.plan.car).is_own:
-        fresh = partial(InProcessRunner, 1, isolated=True)
-        again = doubts_of_episodes(car, seen.kamikazes, seen.led, fresh, seen.tests)
-        warnings = (*again, *doubts_of(car, seen), *warnings)
+        warnings = (*repeatability(car.controller, [*seen.tests, *seen.kamikazes], fresh_process), *warnings)
     found = replace(_found(arguments, asked, grids), warnings=warnings)
     content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
 
@@ -91,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     failures = [problem, None if any(_is_judged(grid) for grid in grids) else "no test could be judged"]
     for why in (*(f"warning: {line}" for line in found.warnings), *filter(None, failures)):
         print(f"skd ncap: {why}", file=sys.stderr)
-    return 1 if any(failures) or disbelief(found.warnings) else 0
+    return 1 if any(failures) or not_credible(found.warnings) else 0
 
 
 def names_in(text: str) -> list[str]:

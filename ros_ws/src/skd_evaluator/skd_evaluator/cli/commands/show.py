@@ -71,7 +71,7 @@ def _show(subject: Subject, arguments: argparse.Namespace) -> int:
         write_json(folder / "show.json", content)
 
     out.write(write)
-    for line in subject.doubts:
+    for line in subject.warnings:
         print(f"skd show: warning: {line}", file=sys.stderr)
     if arguments.json:
         print_json(content)

@@ -24,7 +24,6 @@ from skd_sim.episode.randomness import Role, generator
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.branching import Branch, ControllerFactory
 
-from skd_evaluator.campaign.run.led import LedWay
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.local import LocalSearch
 from skd_evaluator.margin.search.picture import Picture
@@ -42,7 +41,6 @@ _PLANS_FIRST = 4
 _WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
 _MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
 _IN_VAIN = 0, 1, 8  # ticks that a turn counts as, beyond its own, in which nothing new was simulated
-_REMEMBERED = 8  # of the ways that were tried, beside the best: as many as are gone again where attempts are few
 _MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
 
 
@@ -58,7 +56,6 @@ class SearchResult:
         simulated_ticks: how many ticks of the car were simulated.
         exhausted: whether everything with less deformation than the way was tried: a longer budget finds nothing else.
         samples: what was learned of the controller, n × 7; see `picture`.
-        led: of a user's car, some of the ways that were tried, drawn by lot, and the best up to the contact.
     """
 
     way: LeastWay | None
@@ -66,7 +63,6 @@ class SearchResult:
     simulated_ticks: int
     exhausted: bool
     samples: FloatArray
-    led: tuple[LedWay, ...] = ()
 
 
 def search_margin(
@@ -108,7 +104,7 @@ def search_margin(
             gap, enough = 0.0 if exhausted else math.inf, ENOUGH if walks is None else FORMS_DIFFER
             way = _walked(episode, tree, tree.found, walks or controller, gap, enough)
         if tree.found is None or way is not None:
-            return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered, _remembered(tree))
+            return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered)
         if walks is not None:
             raise AssessmentError(
                 f"controller {episode.controller}: on a way that the search found with commands, command answers "
@@ -175,24 +171,6 @@ def _trace(tree: Tree, budget: int) -> FloatArray:
     found = math.inf if tree.found is None else tree.least
     length = budget.bit_length()
     return np.array([*tree.trace, *[found] * length][:length])
-
-
-def _remembered(tree: Tree) -> tuple[LedWay, ...]:
-    """Return some ways on which a user's car was led; see `SearchResult.led`."""
-    episode = tree.episode
-    if episode.car.is_own:
-        return ()
-    rng = generator(episode.seed, episode.episode_id, Role.FLOOR, 2)
-    ends = [tree.nodes[number] for number in rng.integers(len(tree.nodes), size=_REMEMBERED).tolist()]
-    if tree.best is not None and tree.best.parent is not None:
-        ends.append(tree.best.parent)
-    found = []
-    for end in ends:
-        chain = end.chain
-        velocities = [tree.choices(before)[after.way] for before, after in itertools.pairwise(chain)]
-        if velocities:
-            found.append(LedWay(episode, np.array(velocities), np.array([one.branch.world.car for one in chain[1:]])))
-    return tuple(found)
 
 
 def _walked(

@@ -37,11 +37,7 @@ def save_trends(path: Path, trends: Sequence[Trend], kind: Kind) -> None:
             label=f"{trend.label}, with its 95 % interval by φ",
         )  # fmt: skip
         for verdict, colour, marker in (("less safe", palette.VERMILLION, "v"), ("safer", palette.GREEN, "^")):
-            told = [
-                (place, scale * float(step.value or 0.0))
-                for place, step in known
-                if step.verdict == verdict and not step.in_doubt
-            ]
+            told = [(place, scale * float(step.value or 0.0)) for place, step in known if step.verdict == verdict]
             if told:
                 label = f"{verdict} than the one before"
                 axes.plot(*zip(*told, strict=True), marker, color=colour, ms=10, ls="", zorder=3, label=label)

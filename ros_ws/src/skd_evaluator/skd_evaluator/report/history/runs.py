@@ -13,7 +13,7 @@ from skd_sim.inputs.outside import folders_in, read_json, real_path
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.files import PREFIX
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.terminal import car_name
 
@@ -58,9 +58,9 @@ class Run:
         return "" if not git else f"{git['revision'][:SHORT]}{'+' if git['modified'] else ''}"
 
     @property
-    def doubts(self) -> list[str]:
-        """Why its figures may be those of another car, a line each."""
-        return in_doubt(self.figures.get("warnings") or ())
+    def not_credible(self) -> list[str]:
+        """Why its figures are not credible, a line each."""
+        return not_credible(self.figures.get("warnings") or ())
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
@@ -75,7 +75,7 @@ class Run:
             "attempts": self.figures.get("margin_attempts"),
             **{key: self.figures.get(key) for key in keys},
             "remark": self.remark,
-            "in_doubt": bool(self.doubts),
+            "credible": not self.not_credible,
         }
 
 

@@ -33,7 +33,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
     table.add_column("date\n(UTC)")
     for run in runs:
         table.add_row(
-            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.doubts else ''}",
+            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.not_credible else ''}",
             escape(run.car),
             escape(run.encounter),
             _number(run.figures["margin"]),
@@ -87,7 +87,7 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
             step.run.revision or _UNKNOWN,
             _number(None if step.value is None else scale * step.value),
             _interval(scaled(step.interval, scale), 2),
-            f"[bold]{step.verdict}[/]{'[red] in doubt[/]' if step.in_doubt else ''}",
+            f"[bold]{step.verdict}[/]{'[red] not credible[/]' if step.run.not_credible else ''}",
             *change,
             escape(os.path.relpath(step.run.folder, parent)),
         )

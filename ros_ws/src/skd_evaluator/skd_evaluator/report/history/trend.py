@@ -44,7 +44,6 @@ class Step:
             whichever figure is followed, and is *not compared* where that figure is not.
         difference: of the figure from the one before; None where it is not compared.
         difference_interval: interval of the difference.
-        in_doubt: whether it says of itself that its figures may be those of another car, or the one before does.
         lines: what has to be said beside the verdict, a line each.
     """
 
@@ -54,7 +53,6 @@ class Step:
     verdict: str = ""
     difference: float | None = None
     difference_interval: Interval | None = None
-    in_doubt: bool = False
     lines: tuple[str, ...] = ()
 
 
@@ -96,7 +94,7 @@ class Trend:
                     "value": step.value,
                     "ci95": step.interval,
                     "verdict": step.verdict,
-                    "in_doubt": step.in_doubt,
+                    "credible": not step.run.not_credible,
                     "difference": step.difference,
                     "difference_interval": step.difference_interval,
                     "lines": list(step.lines),
@@ -124,14 +122,13 @@ def trends_of(
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
         steps = [_step(mine[0], figure)]
         for before, run in itertools.pairwise(mine):
-            step = _step(run, figure, None if compare is None else compare(before, run, confidence))
-            steps.append(replace(step, in_doubt=step.in_doubt or bool(before.doubts)))
+            steps.append(_step(run, figure, None if compare is None else compare(before, run, confidence)))
         found.append(Trend(car, encounter, figure, tuple(steps), confidence))
     return found
 
 
 def _step(run: Run, figure: str, compared: Compared | None = None) -> Step:
-    step = Step(run, run.figures.get(figure), run.figures.get(f"{figure}_ci95"), in_doubt=bool(run.doubts))
+    step = Step(run, run.figures.get(figure), run.figures.get(f"{figure}_ci95"))
     if compared is None:
         return step
     step = replace(step, verdict=compared.verdict_beside(figure), lines=tuple(compared.lines()))

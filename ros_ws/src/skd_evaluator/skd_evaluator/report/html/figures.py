@@ -16,7 +16,7 @@ from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
-from skd_evaluator.report.terminal import headline, in_short
+from skd_evaluator.report.terminal import credibility, headline
 
 _FEW = 3
 _FILES = 10  # of a car, whose digests are shown
@@ -103,7 +103,7 @@ def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
             groups.setdefault((one.safe_key, one.figures["eta_max"], *of), []).append(one)
     found = [_ranking(members, key) for members in groups.values() if len(members) > 1]
     for one in subjects if len(subjects) > 1 else ():  # of a single one that stands in the sentence about it
-        if said := in_short(one.figures["warnings"]):
+        if said := credibility(one.figures["warnings"]):
             found.append(f"What is said of {one.label} is {said}: its warnings say why.")
     left = [one.label for one in subjects if one.figures[key] is None]
     if key == "margin" and left:

@@ -21,7 +21,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, u
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
 from skd_evaluator.campaign.store.stored_failures import failing_episodes
 from skd_evaluator.files import tails
-from skd_evaluator.measure.doubt import in_doubt
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.ncap.colours import ROOM
@@ -66,9 +66,9 @@ class Subject:
         return found
 
     @property
-    def doubts(self) -> list[str]:
-        """Remarks on its figures, and why they may be those of another car, a line each."""
-        return [*self.remarks, *in_doubt(self.figures["warnings"] or ())]
+    def warnings(self) -> list[str]:
+        """Remarks on its figures, and why they are not credible, a line each."""
+        return [*self.remarks, *not_credible(self.figures["warnings"] or ())]
 
     @property
     def skd_objective(self) -> str:

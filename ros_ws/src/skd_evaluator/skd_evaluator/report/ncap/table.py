@@ -16,7 +16,7 @@ from skd_evaluator.report.ncap.layout import (
     points_lines,
     reasons,
 )
-from skd_evaluator.report.terminal import in_short, narrow_table, print_table
+from skd_evaluator.report.terminal import credibility, narrow_table, print_table
 
 _STYLES = {"green": "green", "yellow": "yellow", "orange": "dark_orange", "brown": "orange4", "red": "red"}
 
@@ -25,8 +25,8 @@ def print_ncap(found: Ncap) -> None:
     """Print all grids, each with what is to be said of it."""
     compared = any(cell.equivalent_text for grid in found.grids for cell in grid.cells)
     same = ", C of the basic car with the same margin" if compared else ""
-    doubted = in_short(found.warnings)
-    first = f"{doubted.capitalize()} (the warnings say why): {found.car}" if doubted else found.car
+    said = credibility(found.warnings)
+    first = f"{said.capitalize()} (the warnings say why): {found.car}" if said else found.car
     print(f"{first}. Each cell: {LEGEND}{same}; ! green with less than {found.room:g} m of room")
     for grid in found.grids:
         beside = f" ({grid.test})" if grid.test else ""

@@ -61,7 +61,7 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
         print_json(content)
     elif not problem:
         print(_said(going, arguments.format, out.path))
-    for line in subject.doubts:
+    for line in subject.warnings:
         print(f"skd export: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd export: {problem}", file=sys.stderr)

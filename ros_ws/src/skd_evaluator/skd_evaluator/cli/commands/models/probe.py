@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,10 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.simulation.named_simulator import make_simulator
 
-from skd_evaluator.assessing.again import doubts_of_episodes
-from skd_evaluator.assessing.again_graph import TimedRunner
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.bags.logs import EPISODES, write_logs
+from skd_evaluator.campaign.judge.repeatability import fresh_process, repeatability
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Recorder
 from skd_evaluator.campaign.plan.probe import probe_episodes
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
@@ -30,9 +28,9 @@ from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.doubt import disbelief
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.ros.rated import RunAgain, fresh_process
+from skd_evaluator.ros.rated import fresh_graph
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
 from skd_evaluator.version import version
 
@@ -55,9 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
     problem: str | None = None
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     if arguments.graph:
-        logs, doubts = _through_graph(arguments, episodes, out)
+        logs, warnings = _through_graph(arguments, episodes, out)
     else:
         car = _car(arguments)
         workers = arguments.workers or available_workers()
@@ -74,10 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"skd probe: interrupted after {done}; nothing was written", file=sys.stderr)
             return EXIT_INTERRUPTED
         if not car.is_own:
-            doubts = doubts_of_episodes(car, logs, (), partial(InProcessRunner, 1, isolated=True))
-        problem = out.save(lambda folder: _fill(folder, arguments, logs, doubts))
+            warnings = repeatability(car.controller, logs, fresh_process)
+        problem = out.save(lambda folder: _fill(folder, arguments, logs, warnings))
     aborted = [log for log in logs if log.outcome == Outcome.ABORTED]
-    summary = _summary(arguments, logs, doubts)
+    summary = _summary(arguments, logs, warnings)
     if arguments.json:
         print_json(summary)
     else:
@@ -85,11 +83,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"episodes: {len(logs)} ({ends}), ticks: {summary['ticks']}")
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; logs in {out.path}; next: skd fit {out.path}")
-    for line in doubts:
-        print(f"skd probe: {'' if disbelief([line]) else 'warning: '}{line}", file=sys.stderr)
+    for line in warnings:
+        print(f"skd probe: {'' if not_credible([line]) else 'warning: '}{line}", file=sys.stderr)
     if problem:
         print(f"skd probe: {problem}", file=sys.stderr)
-    if problem or disbelief(doubts):
+    if problem or not_credible(warnings):
         return 1
     say_aborted("probe", [log.reason for log in aborted], len(logs), out)
     if len(aborted) == len(logs):
@@ -114,10 +112,8 @@ def _through_graph(
     arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder
 ) -> tuple[list[EpisodeLog], tuple[str, ...]]:
     car, simulator, options = _car(arguments), arguments.simulator, graph_options(arguments)
-    fresh = fresh_process(car, simulator, options)
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     with out.scratch() as scratch, progress_bar(quiet=arguments.quiet) as progress:
-        run_again = RunAgain(car, simulator, options, scratch.logs)
         session = graphs_session(
             options,
             controller=car.controller,
@@ -127,20 +123,16 @@ def _through_graph(
             record_to=scratch.folder / "bags",
         )
         with session as evaluator:
-            timed = TimedRunner(evaluator)
-            logs = _collect(timed, episodes, progress)
-            limit = timed.limit(len(logs))
-            if run_again.here:
-                doubts = run_again.doubts([logs], limit, progress, evaluator)
-        if fresh is not None:
-            doubts = doubts_of_episodes(car, logs, (), fresh)
-        elif run_again.anew:
-            doubts = run_again.doubts([logs], limit, progress)
-        write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs, doubts))
-    return logs, doubts
+            logs = _collect(evaluator, episodes, progress)
+            if (fresh := fresh_graph(evaluator, car, simulator, options, scratch.logs)) is not None:
+                warnings = repeatability(car.controller, logs, fresh)
+        if (fresh := fresh_graph(None, car, simulator, options, scratch.logs)) is not None:
+            warnings = repeatability(car.controller, logs, fresh)
+        write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs, warnings))
+    return logs, warnings
 
 
-def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: Sequence[str] = ()) -> dict[str, Any]:
+def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], warnings: Sequence[str] = ()) -> dict[str, Any]:
     return {
         "episodes": len(logs),
         "ticks": sum(len(log.adversary) - 1 for log in logs),
@@ -150,11 +142,13 @@ def _summary(arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: 
         "seed": arguments.seed,
         "scenario": logs[0].episode.scenario.as_dict(),
         "version": version(),
-        "warnings": list(doubts),
+        "warnings": list(warnings),
     }
 
 
-def _fill(folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog], doubts: Sequence[str] = ()) -> None:
-    write_json(folder / "probe.json", _summary(arguments, logs, doubts))
+def _fill(
+    folder: Path, arguments: argparse.Namespace, logs: Sequence[EpisodeLog], warnings: Sequence[str] = ()
+) -> None:
+    write_json(folder / "probe.json", _summary(arguments, logs, warnings))
     if not arguments.graph:  # the graph leaves bags
         write_logs(folder / EPISODES, logs)

@@ -17,7 +17,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import to_yaml
 
-from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_doubts, propagated
+from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_warnings, propagated
 from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.campaign.store.results import write_json
@@ -31,7 +31,7 @@ from skd_evaluator.fusion.measured import PATH_TOLERANCE, track_of
 from skd_evaluator.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.fusion.table import read_trials, table_in
 from skd_evaluator.fusion.trial import Trial
-from skd_evaluator.measure.doubt import disbelief
+from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd fit: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)
-    return 1 if problem or disbelief(doubted) else 0
+    return 1 if problem or not_credible(doubted) else 0
 
 
 def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
@@ -175,7 +175,7 @@ def _with_draws(
     with progress_bar(quiet=arguments.quiet) as progress:
         found = assessed_draws(worlds, car, safe, seed, workers, progress)
     every = [propagated(found, key, (0.0, eta_max if key == "margin" else 1.0)) for key in _KEYS]
-    return [one for one in every if one is not None], draw_doubts(found, MAXIMUM_ABORTED)
+    return [one for one in every if one is not None], draw_warnings(found, MAXIMUM_ABORTED)
 
 
 def doubts(calibration: Calibration) -> list[str]:

@@ -1,0 +1,349 @@
+"""Whether a car repeats itself and drives: what does not is named, what does is not."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_support import skd
+from skd_evaluator.campaign.judge.repeatability import (
+    DRIVES,
+    SAMPLE,
+    Drive,
+    driving,
+    is_same,
+    repeatability,
+    sample_of,
+    standing,
+    undisturbed_drives,
+)
+from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
+from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.measure.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_sim.controllers import Controller, make_controller
+from skd_sim.encounter.known_scenarios import shipped_scenarios
+from skd_sim.encounter.road_user import Other, Waypoint
+from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.episode.command_ages import Timing
+from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.errors import AssessmentError
+from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.state import AdversaryState, CarState
+
+CROSSING = load_scenario("crossing")
+STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed
+PLAN = Plan(CROSSING, safe_count=2, controller="a.b:C", simulations=20)
+PHI = safe_trajectories(Plan(CROSSING, safe_count=2), InProcessRunner(1))
+EPISODES = [
+    *(PLAN.episode(Mode.KAMIKAZE, number % 2, number // 2, PHI[number % 2]) for number in range(4)),
+    *(PLAN.episode(Mode.REPLAY, number % 2, number // 2, PHI[number % 2]) for number in range(20)),
+]
+
+
+class Runner:
+    """Runs episodes of one controller in this process."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.logs: list[EpisodeLog] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for episode in episodes:
+            self.logs.append(run_episode(episode, self._controller))
+            yield self.logs[-1]
+
+
+# --- the same again
+
+
+class Car:
+    """Slows down in some of its episodes, counted from 0, and asks a little more of its brake in some others."""
+
+    def __init__(
+        self, slows: Callable[[int], bool] = lambda _number: False, more: Callable[[int], float] = lambda _number: 0.0
+    ) -> None:
+        self._when, self._much, self._number = slows, more, -1
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        self._number += 1
+        self._slows, self._more, self._rng = self._when(self._number), self._much(self._number), rng
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        brake = 6.0 if self._slows and car.speed > 1.0 else 0.0
+        return 0.1 * self._rng.random() - brake - self._more
+
+
+def warnings(make: Callable[[], Controller], episodes: Sequence[Episode] = EPISODES) -> tuple[str, ...]:
+    """Return what is said of a car of which each process has an object of its own."""
+
+    def fresh() -> AbstractContextManager[Runner]:
+        return nullcontext(Runner(make()))
+
+    return repeatability("a.b:C", list(Runner(make()).run(episodes)), fresh)
+
+
+def test_a_car_that_draws_from_the_generator_of_reset_repeats_itself() -> None:
+    assert warnings(Car) == ()
+
+
+def test_a_car_that_counts_its_episodes_is_not_credible() -> None:
+    (line,) = warnings(lambda: Car(lambda number: number % 2 == 0))
+    assert line.startswith(f"{NOT_CREDIBLE}")
+    assert "its figures depend on the order of the episodes" in line
+
+
+def test_a_difference_that_changes_no_hit_is_a_warning() -> None:
+    (line,) = warnings(lambda: Car(more=lambda number: 1e-4 * number), EPISODES[4:])
+    assert re.match(r"20 of 20 episodes went differently .*, 0 of them with a hit", line)
+
+
+def test_rounding_is_no_difference() -> None:
+    assert warnings(lambda: Car(more=lambda number: 1e-9 * number), EPISODES[4:]) == ()
+
+
+def test_a_car_that_fails_when_it_is_run_again_is_not_credible() -> None:
+    class Failing:
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            raise AssessmentError("controller a.b:C: command failed")
+            yield
+
+    class Lost(Runner):
+        def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+            yield from (aborted(one, "the process ended") for one in episodes)
+
+    logs = list(Runner(Car()).run(EPISODES[4:]))
+    (line,) = repeatability("a.b:C", logs, lambda: nullcontext(Failing()))
+    assert line == f"{NOT_CREDIBLE}a.b:C failed when 20 episodes were run again: controller a.b:C: command failed"
+    (line,) = repeatability("a.b:C", logs, lambda: nullcontext(Lost(Car())))
+    assert line.startswith(NOT_CREDIBLE)
+    assert "aborted then: the process ended" in line
+
+
+def test_the_sample_is_spread_over_what_can_be_repeated() -> None:
+    log = run_episode(EPISODES[4], Car())
+    logs = [replace(log, clipped=number) for number in range(100)]
+    assert [one.clipped for one in sample_of(logs)] == [number * 100 // SAMPLE for number in range(SAMPLE)]
+    assert sample_of(logs[:5]) == logs[:5]
+    late, elsewhere = replace(log, timing=Timing(delay=0.01)), replace(log.episode, simulator="metadrive")
+    assert sample_of([aborted(log.episode, "x"), late, replace(log, episode=elsewhere)]) == []
+    assert repeatability("a.b:C", [], nullcontext) == ()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"outcome": Outcome.TIMEOUT},
+        {"impact_speed": 2.0},
+        {"car": np.full((3, 3), 1e-5)},
+        {"adversary": np.zeros((2, 2)), "car": np.zeros((2, 3))},
+    ],
+)
+def test_logs_that_differ(other: dict[str, object]) -> None:
+    log = EpisodeLog(EPISODES[4], Outcome.MISSED, np.zeros((3, 2)), np.zeros((3, 3)))
+    assert is_same(log, replace(log, car=np.full((3, 3), 1e-7)))
+    assert not is_same(log, replace(log, **other))
+
+
+# --- whether it drives
+
+
+class Towards:
+    """Drives at one speed, whoever is there; at most 2 m/s² of change."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+
+    def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
+        pass
+
+    def command(self, car: CarState, adversary: AdversaryState) -> float:
+        return float(np.clip((self._speed - car.speed) / 0.3, -2.0, 2.0))
+
+
+class Driven:
+    """Runs no car: each drive ends at a speed that is given, or is aborted where that is not a number."""
+
+    def __init__(self, *speeds: float) -> None:
+        self._speeds = speeds
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        for episode, last in zip(episodes, self._speeds, strict=True):
+            assert episode.safe_trajectory is not None
+            way = episode.safe_trajectory.positions
+            speeds = np.linspace(STARTS, last, len(way))
+            car = np.column_stack([np.zeros(len(way)), np.cumsum(speeds), speeds])
+            outcome = Outcome.ABORTED if math.isnan(last) else Outcome.TIMEOUT
+            yield EpisodeLog(episode, outcome, way, car, reason="controller ended")
+
+
+@pytest.mark.parametrize(
+    ("speeds", "begins", "often"),
+    [
+        ([0.51 * STARTS] * 5, None, ""),
+        ([0.49 * STARTS] + [STARTS] * 4, UNDISTURBED, " in 1 of 5 drives"),
+        ([0.0] * 2 + [STARTS] * 3, UNDISTURBED, " in 2 of 5 drives"),
+        ([0.0] * 3 + [STARTS] * 2, NOT_CREDIBLE + UNDISTURBED, " in 3 of 5 drives"),
+        ([1.01 * LIMIT] * 5, UNDISTURBED, " in 5 of 5 drives"),
+        ([0.99 * LIMIT] * 5, NOT_CREDIBLE + UNDISTURBED, " in 5 of 5 drives"),
+        ([STARTS] * 4 + [math.nan], NOT_CREDIBLE + UNDISTURBED, "failed: controller ended"),
+    ],
+)
+def test_when_a_car_hardly_drives(speeds: list[float], begins: str | None, often: str) -> None:
+    lines = driving(PLAN, Driven(*speeds))
+    assert len(lines) == (begins is not None)
+    for line in lines:
+        assert line.startswith(f"{begins}a.b:C ")
+        assert often in line
+
+
+def test_how_much_it_slows_down_is_said() -> None:
+    (line,) = driving(PLAN, Runner(Towards(3.0)))
+    first, last = map(float, re.findall(r"from (\S+) to (\S+) m/s", line)[0])
+    assert first == pytest.approx(STARTS, abs=0.05)
+    assert last == pytest.approx(3.0, rel=CROSSING.car.speed_noise, abs=0.05)  # at 2 m/s² it is there within 6 s
+
+
+def test_a_car_that_begins_standing_slows_down_for_nobody() -> None:
+    assert not Drive(0.0, 0.0).slows
+    assert [Drive(8.0, last).slows for last in (3.9, 4.1)] == [True, False]
+
+
+@pytest.mark.parametrize("name", shipped_scenarios())
+def test_cars_that_avoid_people_drive_undisturbed_in_every_scenario(name: str) -> None:
+    plan = replace(PLAN, scenario=load_scenario(name), multiplier=2.0)
+    for car in ("basic", "carla"):
+        runner = Runner(make_controller(car, 2.0))
+        assert driving(plan, runner) == ()
+        for log in runner.logs:
+            assert log.episode.scenario.others == ()
+            assert np.hypot(*(log.adversary - log.car[:, :2]).T).min() > 1000.0
+
+
+def test_drives_differ_in_noise() -> None:
+    assert len({drive.last for drive in undisturbed_drives(PLAN, Runner(Towards(STARTS)))}) == DRIVES
+
+
+def run(speeds: list[float], away: float, scenario: Scenario = CROSSING, outcome: Outcome = Outcome.MISSED):
+    """A run in which the front of the car is so far from the adversary, aside and ahead, all the time."""
+    car = np.column_stack([np.full(len(speeds), 1.5), np.linspace(-40.0, -30.0, len(speeds)), speeds])
+    adversary = car[:, :2] + (away + scenario.car.front + scenario.adversary.reach) * np.array([0.6, 0.8])
+    episode = Episode(scenario, Mode.REPLAY, 1, 1, safe_trajectory=Trajectory(adversary, scenario.time_step))
+    return EpisodeLog(episode, outcome, adversary, car, 1.0, 4.0, reason="failed: x")
+
+
+FAR = STARTS * (0.5 * STARTS / 2.0) + 5.0
+"""m: it stops at 2 m/s² in v/2 s at half of its speed in the mean, 5 m before the adversary."""
+
+
+@pytest.mark.parametrize(
+    ("log", "found"),
+    [
+        (run([0.0, 0.0, 0.0], FAR + 0.1), True),  # never drives
+        (run([STARTS, 4.0, 0.0], FAR + 0.1), True),
+        (run([STARTS, 4.0, 0.0], FAR - 0.1), False),  # the adversary may have made it stop
+        (run([STARTS, LIMIT, LIMIT], FAR + 0.1), False),  # a hit begins at this speed
+        (run([STARTS, 0.0, 4.0], FAR + 0.1), False),  # it went on
+        (run([STARTS, 4.0, 0.0], FAR + 0.1, outcome=Outcome.COLLISION), False),  # it hit somebody
+    ],
+)
+def test_when_a_car_stands_far_off(log: EpisodeLog, found: bool) -> None:
+    assert len(standing("a.b:C", [log])) == found
+
+
+def test_a_car_may_have_to_stand_for_others() -> None:
+    lorry = Other(kind="lorry", length=6.0, width=2.0, way=(Waypoint(0.0, 1.5, -20.0), Waypoint(9.0, 1.5, -20.0)))
+    assert standing("a.b:C", [run([STARTS, 4.0, 0.0], 100.0, replace(CROSSING, others=(lorry,)))]) == ()
+
+
+def test_nearly_all_runs_have_to_be_such_and_aborted_ones_say_nothing() -> None:
+    stands, drives = run([STARTS, 4.0, 0.0], 100.0), run([STARTS, 4.0, 4.0], 100.0)
+    lost = replace(stands, outcome=Outcome.ABORTED)
+    assert standing("a.b:C", [drives] * 3 + [stands] * 17) == standing("a.b:C", [lost] * 9) == ()
+    (line,) = standing("a.b:C", [drives] * 2 + [stands] * 18 + [lost] * 9)
+    assert line.startswith(f"{NOT_CREDIBLE}in 18 of 20 runs along φ a.b:C stood")
+
+
+# --- by the command line
+
+
+CARS = """
+import numpy as np
+
+class Honest:
+    "Brakes for who is ahead and near the lane; keeps something from call to call, which its reset leaves as it is."
+    asked = 0
+    def reset(self, scenario, rng):
+        self.front = scenario.car.front
+    def command(self, car, adversary):
+        self.asked += 1
+        gap = adversary.y - car.y - self.front
+        near = 0.0 <= gap <= car.speed**2 / 12.0 + 1.0 and abs(adversary.x - car.x) < 2.5
+        return -6.0 if near else 0.001 * self.asked
+
+class Counting(Honest):
+    "Brakes for nobody in every other episode, whichever that is."
+    episodes = 0
+    def reset(self, scenario, rng):
+        super().reset(scenario, rng)
+        Counting.episodes += 1
+    def command(self, car, adversary):
+        return super().command(car, adversary) if Counting.episodes % 3 else 0.0
+
+class Stands(Honest):
+    def command(self, car, adversary):
+        return -3.0
+"""
+
+
+@pytest.fixture
+def cars(tmp_path: Path) -> Path:
+    (tmp_path / "some_cars.py").write_text(CARS)
+    return tmp_path
+
+
+SMALL = (
+    "--safe-count", "3", "--kamikaze-count", "4", "--collision-runs", "12", "--simulations", "200", "--quiet",
+    "--behaviour", "none", "--knowledge", "nothing", "--margin-limit", "0",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Honest", []),
+        ("Counting", ["episodes went differently when they were run again"]),
+        ("Stands", ["with nobody near, some_cars:Stands slows from"]),
+    ],
+)
+def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str, said: list[str]) -> None:
+    done = skd(
+        "assess", "--controller", f"some_cars:{name}", *SMALL, "--fail-below", "deformation=0", "--out", "out", cwd=cars
+    )
+    lines = json.loads((cars / "out" / "assessment.json").read_text())["warnings"]
+    found = [line for line in lines if line.startswith(NOT_CREDIBLE)]
+    assert (done.returncode == 0) == (not said), done.stderr
+    for line, part in zip(found[-1:], said, strict=True):
+        assert part in line
+        assert line in done.stderr
+        assert "deformation ≥ 0: error, not judged" in done.stderr
+
+
+def test_a_campaign_fails_by_such_a_car_and_again_when_it_is_read_back(cars: Path) -> None:
+    counts = "{safe_count: 2, kamikaze_count: 3, collision_runs: 6, simulations: 100, margin_limit: 16"
+    names = ", ".join(f"{{controller: some_cars:{name}}}" for name in ("Honest", "Counting"))
+    text = f"defaults: {counts}, knowledge: nothing, behaviour: none}}\ncars: [{names}]\n"
+    (cars / "campaign.yaml").write_text(text)
+    for further in ([], ["--resume"]):
+        done = skd("campaign", "campaign.yaml", "--workers", "1", "--out", "cells", "--quiet", *further, cwd=cars)
+        assert done.returncode == 1
+        (line,) = [line for line in done.stderr.splitlines() if NOT_CREDIBLE in line]
+        assert "Counting" in line
