@@ -34,7 +34,7 @@ ROOMS = {  # of the evaluator: which others each may import
 }
 ORDERS = {  # from above to below: a room imports from those behind it alone
     "skd_sim": (
-        "nodes messages hazard_training lockstep simulation apart controllers hazard sensors episode dynamics "
+        "nodes messages lockstep simulation apart controllers hazard sensors episode dynamics "
         "encounter choices geometry kernels inputs program"
     ),
     "skd_adversary": "nodes model planning",

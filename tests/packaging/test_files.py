@@ -18,7 +18,7 @@ from packaging_support import ROOT, SOURCE, check_command
 
 TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
-SCRIPTS = ("run-node", "assess-controller", "replay-logs", "train_hazard_network")
+SCRIPTS = ("run-node", "assess-controller", "replay-logs")
 ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--"], "replay-logs": [""]}
 
 

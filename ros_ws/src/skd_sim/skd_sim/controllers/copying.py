@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import copy
 import enum
-import gc
-import random
 import types
 from collections import deque
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from skd_sim.encounter.scenario import Scenario
-from skd_sim.errors import UsageError
 
 _SHARED: Final = frozenset(
     {
@@ -44,12 +40,9 @@ _SHARED: Final = frozenset(
         np.bool_,
     }
 )
-"""Types whose objects nobody changes, or whose state is nobody's own: what hides in a function or a module is found by
-`skd_adversary.itself.fidelity`."""
+"""Types whose objects nobody changes, or whose state is nobody's own."""
 
 _OWN_WAY = ("__deepcopy__", "__setstate__", "__getnewargs__", "__getnewargs_ex__")
-_DRAWING = (np.random.Generator, np.random.RandomState, np.random.BitGenerator, random.Random)
-_LARGEST = 2**63 - 1
 
 Memo = dict[int, Any]
 
@@ -69,17 +62,6 @@ class Copier:
     def copy(self, original: Any) -> Any:
         """Return a copy that goes on as the original would, its generators included."""
         return self._copy(original, dict(self._memo))
-
-    def afresh(self, original: Any, rng: np.random.Generator) -> Any:
-        """Return a copy whose generators, wherever it keeps them, are seeded anew from `rng`.
-
-        Raises:
-            UsageError: it keeps one that cannot be seeded.
-        """
-        made = self.copy(original)
-        for one in drawing(made):
-            seed_anew(one, int(rng.integers(_LARGEST)))
-        return made
 
     def _copy(self, one: Any, memo: Memo) -> Any:
         kind = type(one)
@@ -149,45 +131,3 @@ class Copier:
             builtin = any(base is not object and not base.__flags__ & 1 << 9 for base in kind.__mro__)  # no heap type
             found = self._plain[kind] = not (slots or own_way or builtin)
         return found
-
-
-def drawing(one: object) -> Iterator[Any]:
-    """Yield the random generators that an object keeps, each once, in an order that depends on the object alone."""
-    seen: set[int] = set()
-    waiting: deque[Any] = deque([one])
-    while waiting:
-        item = waiting.popleft()
-        if id(item) in seen or isinstance(item, (type, types.ModuleType, types.FunctionType, Scenario)):
-            continue
-        seen.add(id(item))
-        if isinstance(item, _DRAWING):
-            if isinstance(item, np.random.Generator):
-                seen.add(id(item.bit_generator))
-            yield item
-            continue
-        if type(item) in _SHARED or (isinstance(item, np.ndarray) and not item.dtype.hasobject):
-            continue
-        if isinstance(item, (set, frozenset)):
-            continue  # its order is nobody's; what is hashed in one is no generator that anybody draws from
-        waiting.extend(gc.get_referents(item))
-
-
-def seed_anew(one: Any, seed: int) -> None:
-    """Have a random generator go on from another seed.
-
-    Raises:
-        UsageError: it cannot be seeded.
-    """
-    try:
-        if isinstance(one, random.Random):
-            one.seed(seed)
-            return
-        bits = one if isinstance(one, np.random.BitGenerator) else getattr(one, "bit_generator", None)
-        if bits is None:  # RandomState
-            bits = one._bit_generator
-        bits.state = type(bits)(seed).state
-    except Exception as error:
-        raise UsageError(
-            f"the car keeps a generator of {type(one).__name__} that cannot be seeded anew ({type(error).__name__}): "
-            "knowledge itself would foresee its draws"
-        ) from None

@@ -1,1 +1,0 @@
-"""Training of the hazard network: a tool, which no episode uses."""
