@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
-from skd_evaluator.assessing.tracking import _tags
 from skd_evaluator.campaign.compare.comparison import Comparison
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
@@ -96,7 +95,6 @@ def test_the_commit_of_skd_says_nothing_of_a_users_car(
     assert [one["revision"] for one in trend.as_dict()["runs"]] == [shown] * 2
     print_table(trend_table(trend, AT_THE_TOP["margin"].kind))
     assert capsys.readouterr().out.count(f" {shown or 'unknown'} ") == 2
-    assert _tags({**figures, **mine}, tmp_path).get("mlflow.source.git.commit", "")[:7] == shown[:7]
 
 
 def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):

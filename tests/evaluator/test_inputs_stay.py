@@ -36,7 +36,7 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "controller": ["--controller", "cars_in_it:Fine"],
 }
 NOT_READ = {
-    *("out", "junit", "markdown", "csv", "mlflow", "scheduler", "controller_command"),
+    *("out", "junit", "markdown", "csv", "scheduler", "controller_command"),
     *("name", "description", "campaign", "objective", "road_user", "car", "kind", "map_frame"),
     *("lifecycle_nodes", "command_topic", "command_type", "command_field", "laser_frame", "base_frame", "odom_frame"),
 }

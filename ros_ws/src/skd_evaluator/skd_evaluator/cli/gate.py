@@ -67,12 +67,6 @@ def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
         ("csv", "write the car's figures to this file, one per line, with their intervals"),
     ):
         group.add_argument(f"--{name}", type=Path, metavar="FILE", help=text)
-    group.add_argument(
-        "--mlflow",
-        metavar="URI",
-        help="log figures, parameters and files as a run of the experiment SKD in MLflow: a server's address, or "
-        "file:/// and a folder",
-    )
 
 
 @dataclass(frozen=True)
@@ -83,13 +77,11 @@ class Gate:
         limits: the limits that figures have to keep.
         earlier: result that the car must not fall behind.
         files: the files to write, by kind: junit, markdown, csv.
-        mlflow: where MLflow is to have it; empty: nowhere.
     """
 
     limits: tuple[Limit, ...]
     earlier: StoredResult | None
     files: Mapping[str, Path]
-    mlflow: str = ""
 
     def checks(self, result: Mapping[str, Any], folder: Path | None, errors: list[str]) -> list[Check]:
         """Return what became of each condition.
@@ -139,18 +131,6 @@ class Gate:
                 write_file(path, texts[name]())
         except OSError as error:
             return f"--{name} {path}: cannot be written ({error.strerror})"
-        return None
-
-    def log(self, result: Mapping[str, Any], folder: Path) -> str | None:
-        """Log a result that is on disk, and return why that failed, in one line; none where all is well."""
-        if not self.mlflow:
-            return None
-        from skd_evaluator.assessing.tracking import log_to_mlflow
-
-        try:
-            log_to_mlflow(self.mlflow, result, folder)
-        except AssessmentError as error:
-            return str(error)
         return None
 
     @contextmanager
@@ -206,11 +186,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
             refuse_to_replace(path, inputs, f"--{name}")
             if inside := [one for one in inputs if one.is_dir() and lies_in(path, one)]:
                 raise UsageError(f"--{name} {path}: lies in {inside[0]}, which this command reads; give another file")
-    if arguments.mlflow:
-        from skd_evaluator.assessing.tracking import require_mlflow
-
-        require_mlflow()  # before any work
-    return Gate(limits, earlier, files, arguments.mlflow or "")
+    return Gate(limits, earlier, files)
 
 
 def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:

@@ -96,8 +96,6 @@ def print_result(
             failures.append(f"gate: {one.name}: {'error' if one.error else 'failed'}, {one.text}")
     if unwritten := gate.write(result, checks):
         failures.append(unwritten)
-    if problem is None and (unlogged := gate.log(result, out.path)):
-        failures.append(unlogged)
     for why in failures:
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
     # How many of which is among the warnings, and the reason among the failures, if they are too many.

@@ -30,7 +30,6 @@ _TOOLS = {
 }
 _EXTRAS = {
     "dask": ("dask", "runs on a cluster (--scheduler)"),
-    "mlflow": ("mlflow", "figures in MLflow (--mlflow)"),
     "notebook": ("xarray", "tables and arrays of results in a notebook"),
     "exchange": ("osi_utilities", "ASAM OSI (skd export --format osi, skd import)"),
 }
