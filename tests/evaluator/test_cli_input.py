@@ -89,7 +89,7 @@ WHOLE = ["--safe-count", "--kamikaze-count", "--collision-runs", "--simulations"
     ("option", "value"),
     [(option, value) for option in WHOLE for value in ("-1", "1.5", "many", "", "nan", "1" + 30 * "0")]
     + [(option, "0") for option in WHOLE if option != "--seed"]
-    + [("--max-distance", value) for value in ("-1", "0", "nan", "inf", "far", "")],
+    + [("--maximum-distance", value) for value in ("-1", "0", "nan", "inf", "far", "")],
 )
 def test_bad_number(capsys, command, option, value):
     with pytest.raises(SystemExit) as stop:

@@ -37,7 +37,7 @@ def test_it_gives_what_the_command_gives(tmp_path):
 
 
 def test_wrong_options_are_refused_in_one_line(tmp_path):
-    with pytest.raises(UsageError, match="assess has no option 'kamikaze_cuont'; did you mean 'kamikaze_count'"):
+    with pytest.raises(UsageError, match=r"assess: unknown key kamikaze_cuont; .*; did you mean 'kamikaze_count'"):
         assess("basic", kamikaze_cuont=3)
     with pytest.raises(UsageError, match="safe_count"):
         assess("basic", safe_count="many")
@@ -54,19 +54,16 @@ def test_wrong_options_are_refused_in_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("argument", "right"),
     [
-        ({"controller": dict}, "of type str"),
-        ({"scenario": 5}, "of type str"),
-        ({"out": 5}, "the path of a folder"),
-        ({"workers": -3}, "a number from 1 to 1024"),
-        ({"workers": 0}, "a number from 1 to 1024"),
-        ({"margin_limit": -1}, "a number from 0 to 10000000"),
-        ({"margin_limit": 10**400}, "a number from 0 to 10000000"),
-        ({"margin_limit": "8"}, "of type int"),
-        ({"max_aborted": math.nan}, "a number from 0.0 to 100.0"),
-        ({"curve": "x"}, "of type bool"),
-        ({"behaviour": None}, "of type str"),
-        ({"max_aborted": 101}, "a number from 0.0 to 100.0"),
-        ({"progress": 5}, "a function"),
+        ({"controller": dict}, "text"),
+        ({"scenario": 5}, "text"),
+        ({"workers": -3}, "a whole number from 1 to 1024"),
+        ({"workers": 0}, "a whole number from 1 to 1024"),
+        ({"margin_limit": -1}, "a whole number from 0 to 10000000"),
+        ({"margin_limit": 10**400}, "a whole number from 0 to 10000000"),
+        ({"margin_limit": "8"}, "a whole number from 0 to 10000000"),
+        ({"max_aborted": math.nan}, "a number from 0 to 100"),
+        ({"curve": "x"}, "true or false"),
+        ({"max_aborted": 101}, "a number from 0 to 100"),
     ],
 )
 def test_wrong_arguments_are_named_with_what_would_be_right(argument, right):

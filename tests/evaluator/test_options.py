@@ -20,7 +20,7 @@ from skd_evaluator.cli.options import add_commands
 from skd_sim.choices import options as table
 from skd_sim.choices.graph_options import SimulatorOptions
 from skd_sim.choices.objective import BOTH, Objective
-from skd_sim.choices.options import EpisodeOptions, option, options_from_text, options_of, options_to_text
+from skd_sim.choices.options import FIELDS, EpisodeOptions, option, options_from_text, options_of, options_to_text
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
@@ -36,7 +36,7 @@ class More(EpisodeOptions):
     """The table with an entry more of every kind."""
 
     depth: int = option(7, "how deep to look", low=1, high=90, metavar="N", planning=True)
-    pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, absent=0.0, unset="as it likes")
+    pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, unset="as it likes")
     bold: bool = option(False, "whether it dares")
     word: str = option("calm", "what it is like")
 
@@ -50,7 +50,7 @@ def more(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def message_of(episode: Any) -> SimpleNamespace:
     """What a message of an episode says, by the table."""
-    said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(Episode) if one.field}
+    said = {one.name: one.plain(getattr(episode, one.name)) for one in options_of(Episode) if one.name in FIELDS}
     points = [SimpleNamespace(x=x, y=y) for x, y in ACROSS.positions.tolist()]
     return SimpleNamespace(
         scenario=json.dumps(CROSSING.as_dict()),
@@ -68,7 +68,9 @@ def test_every_option_is_an_argument_of_an_episode_and_of_a_plan():
     names = {one.name for one in options_of(EpisodeOptions)}
     assert names == {one.name for one in options_of(Episode)}
     assert names < {one.name for one in options_of(CampaignOptions)}
-    assert all(one.text and one.name and one.kind in (bool, int, float, str) for one in options_of(CampaignOptions))
+    assert all(
+        one.text and one.name and one.plain_kind in (bool, int, float, str) for one in options_of(CampaignOptions)
+    )
     for one in options_of(CampaignOptions):
         assert one.value(one.plain(one.default)) == one.default
         assert one.value(None) == one.default
@@ -98,14 +100,14 @@ def test_options_without_a_field_go_by_text(more: None):
     ("text", "said"),
     [
         ("{", "not JSON"),
-        ("[1]", "no mapping"),
-        ('{"height": 3}', "unknown option height"),
-        ('{"depth": 0}', "depth must be a number from 1 to 90, got 0"),
-        ('{"depth": 1.5}', "depth must be of type int"),
-        ('{"depth": true}', "depth must be of type int"),
-        ('{"bold": 1}', "bold must be of type bool"),
+        ("[1]", "must be a mapping, got list"),
+        ('{"height": 3}', "unknown key height"),
+        ('{"depth": 0}', "depth must be a whole number from 1 to 90, got 0"),
+        ('{"depth": 1.5}', "depth must be a whole number"),
+        ('{"depth": true}', "depth must be a whole number"),
+        ('{"bold": 1}', "bold must be true or false"),
         ('{"pace": NaN}', "NaN is no number"),
-        ('{"controller": "cal"}', "unknown option controller"),
+        ('{"controller": "cal"}', "controller has a field of its own"),
     ],
 )
 def test_bad_text_is_one_line(more: None, text: str, said: str):

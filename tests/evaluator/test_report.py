@@ -315,7 +315,7 @@ def test_commands_name_what_the_results_alone_hold(subjects):
     pairs = dict(itertools.pairwise(words))
     assert pairs["--scenario"] == "scenario.yaml"
     assert pairs["--car-model"] == "car_model.yaml"
-    assert (pairs["--max-distance"], pairs["--particles"], pairs["--seed"]) == ("2.5", "50", "7")
+    assert (pairs["--maximum-distance"], pairs["--particles"], pairs["--seed"]) == ("2.5", "50", "7")
     assert (pairs["--safe-number"], pairs["--attempt"], pairs["--objective"]) == ("3", "9", "frechet")
 
 

@@ -255,7 +255,7 @@ def test_two_campaigns_and_the_choice_between_them(
 def test_a_maximum_distance_chosen_afterwards(
     campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    finished = skd_here(capsys, "replay", campaign.bags, "--max-distance", 3.0, "--out", tmp_path / "x", "--json")
+    finished = skd_here(capsys, "replay", campaign.bags, "--maximum-distance", 3.0, "--out", tmp_path / "x", "--json")
     result = json.loads(finished.out)
     live = json.loads((campaign.graph / "assessment.json").read_text())
     assert result["pairs"] + result["discarded_by_distance"] == live["pairs"]

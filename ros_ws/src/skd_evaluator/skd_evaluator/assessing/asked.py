@@ -67,7 +67,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
     if not graph:
         for one in options_of(GraphOptions):
             if one.graph_only and values[one.name] != one.unsaid:
-                raise UsageError(f"--{one.name.replace('_', '-')} is for the node graph: add --graph")
+                raise UsageError(f"{one.flag} is for the node graph: add --graph")
     car = CarUnderTest(values["controller"], values["multiplier"])
     if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
         raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
@@ -84,7 +84,7 @@ def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> 
         scenario = check_controller(car, scenario)
         for one in options_of(GraphOptions):
             if one.external_only and values[one.name] != one.unsaid:
-                raise UsageError(f"--{one.name.replace('_', '-')} goes with --controller external")
+                raise UsageError(f"{one.flag} goes with --controller external")
     elif not graph:
         raise UsageError("--controller external needs the node graph: add --graph")
     else:

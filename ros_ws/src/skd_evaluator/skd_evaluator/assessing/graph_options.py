@@ -30,7 +30,6 @@ class EvaluatorOptions(CommandOptions):
         low=0.0,
         high=10.0,
         metavar="S",
-        absent=0.0,
         external_only=True,
         unset="as the scenario says",
     )
@@ -52,7 +51,6 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         "the shell command that starts the controller's node",
         str,
         metavar="COMMAND",
-        absent="",
         external_only=True,
         unset="you start the controller yourself",
         launches=(),
@@ -61,9 +59,8 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         None,
         "folder with packages of message definitions (.msg files) that no sourced workspace has. They are built once. "
         "The option can be given several times",
-        str,
+        tuple,
         metavar="DIR",
-        many=True,
         unset="none",
         external_only=True,
         launches=(),

@@ -5,16 +5,13 @@ from __future__ import annotations
 import threading
 import time
 import warnings
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from skd_sim.choices.objective import objectives_named
-from skd_sim.choices.options import Option, options_of
-from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.choices.options import option, options_of, read_options
 
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.findings import aborted_lines, why_failed, with_failures
@@ -23,14 +20,7 @@ from skd_evaluator.assessing.notebook import Result, result_of
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.options import (
-    DEFAULT_MARGIN_LIMIT,
-    HIGHEST_MARGIN_LIMIT,
-    MAXIMUM_ABORTED,
-    MOST_WORKERS,
-    WALKERS,
-    CampaignOptions,
-)
+from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.executors import make_runner
 from skd_evaluator.campaign.run.workers import available_workers
@@ -43,16 +33,15 @@ from skd_evaluator.risk.asked import risk_asked
 _COMMAND = ("skd_evaluator.assess",)
 _ONE_AT_A_TIME = threading.RLock()
 """Held by the assessment that runs: one forks workers, which would inherit what another one is in the middle of."""
-_ALLOWED = {
-    "controller": Option("", kind=str),
-    "scenario": Option("", kind=str),
-    "workers": Option("", kind=int, low=1, high=MOST_WORKERS),
-    "margin_limit": Option("", kind=int, low=0, high=HIGHEST_MARGIN_LIMIT),
-    "curve": Option("", kind=bool),
-    "behaviour": Option("", kind=str),
-    "max_aborted": Option("", kind=float, low=0.0, high=100.0),
-}
-_MAY_BE_NONE = ("scenario", "out", "workers", "progress")
+
+
+@dataclass(frozen=True)
+class _CallOptions:
+    """The table of what a call has beside the options of an assessment."""
+
+    scenario: str | None = option(None, "name or file of the scenario", str)
+    workers: int | None = option(None, "number of processes", int, low=1, high=MOST_WORKERS)
+    max_aborted: float = option(100.0 * MAXIMUM_ABORTED, "percentage that may be aborted", low=0.0, high=100.0)
 
 
 def assess(
@@ -61,9 +50,6 @@ def assess(
     scenario: str | None = None,
     out: str | Path | None = None,
     workers: int | None = None,
-    margin_limit: int = DEFAULT_MARGIN_LIMIT,
-    curve: bool = False,
-    behaviour: str = WALKERS,
     max_aborted: float = 100.0 * MAXIMUM_ABORTED,
     progress: Progress | None = None,
     **options: Any,
@@ -78,15 +64,13 @@ def assess(
         scenario: a shipped one or a YAML file; by default the one that goes with the safe trajectories.
         out: folder for the results, which is not there yet; by default nothing is written.
         workers: number of processes; by default one for each core.
-        margin_limit: ticks of the car that the margin's search may simulate in an attempt, at most; 0: no margin.
-        curve: whether kamikazes are planned that are held to a budget, for the vulnerability curve.
-        behaviour: how people walk, for the risk: `walkers`, a file, or `none`.
         max_aborted: percentage of the episodes that may be aborted, of all and of those of each figure. An aborted
             episode says nothing about the car; if more are aborted, the figures are not to be believed.
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,
-            `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, …
+            `safe`, `safe_count`, `kamikaze_count`, `collision_runs`, `knowledge`, `seed`, `margin_limit`, `curve`,
+            `behaviour`, …
 
     Returns:
         The assessment; `as_dict()` has the figures of assessment.json under their names. Why these may be those of
@@ -97,33 +81,27 @@ def assess(
         UsageError: an argument is not allowed, or does not go with the others, or an option does not exist.
         AssessmentError: the car could not be assessed.
     """
-    _check(
-        controller=controller,
-        scenario=scenario,
-        out=out,
-        workers=workers,
-        margin_limit=margin_limit,
-        curve=curve,
-        behaviour=behaviour,
-        max_aborted=max_aborted,
-        progress=progress,
-    )
-    values = {**_values(options), "controller": controller}
+    given = {**options, "controller": controller, "scenario": scenario, "workers": workers, "max_aborted": max_aborted}
+    tables = (CampaignOptions, AssessmentOptions, _CallOptions)
+    read = read_options(given, "assess", *tables)
+    values = {one.name: one.unsaid for table in (*tables, GraphOptions) for one in options_of(table)}
+    values |= {name: value for name, value in read.items() if value is not None}
     with _ONE_AT_A_TIME:
         begin = time.perf_counter()
         plan = plan_of(values, scenario_for(scenario, values["safe"]))
         origin = partial(provenance, _COMMAND, surroundings=_surroundings(plan))
         plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
         objectives = objectives_named(values["objective"])
-        risk = risk_asked(behaviour)
+        risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
         folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
         runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
         runners = Runners.in_process(runner)
-        told, further = progress or (lambda *_told: None), Further(margin_limit, curve=curve, risk=risk)
+        told = progress or (lambda *_told: None)
+        further = Further(values["margin_limit"], curve=values["curve"], risk=risk)
         rating = assess_in_process(
             plan, objectives, runners, told, further, lambda known: origin(known.car, car_model=known.car_model)
         )
-        seconds, failed = time.perf_counter() - begin, with_failures(rating, max_aborted / 100.0)
+        seconds, failed = time.perf_counter() - begin, with_failures(rating, values["max_aborted"] / 100.0)
         rating = replace(failed, seconds=seconds)
         if folder is not None:
             folder.write(lambda where: fill(where, rating))
@@ -151,27 +129,3 @@ def _surroundings(plan: Plan) -> dict[str, Any]:
     """
     around = surroundings_of(_COMMAND)
     return {**around, "controller_git": controller_revision(plan.car, "", around["git"])}
-
-
-def _check(**arguments: Any) -> None:
-    """Refuse arguments of `assess` that cannot be; None is one of those that have it as their default."""
-    for name, value in arguments.items():
-        if value is None and name in _MAY_BE_NONE:
-            continue
-        if name in _ALLOWED:
-            _ALLOWED[name].check(value, f"assess: {name}")
-        elif name == "out" and not isinstance(value, (str, Path)):
-            raise UsageError(f"assess: out must be the path of a folder, got {value!r:.60}")
-        elif name == "progress" and not callable(value):
-            raise UsageError(f"assess: progress must be a function, got {value!r:.60}")
-
-
-def _values(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the options that are given, and return the values of all."""
-    table = {one.name: one for one in options_of(CampaignOptions) if "assess" in one.commands}
-    values = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
-    for name, value in options.items():
-        if name not in table:
-            raise UsageError(f"assess has no option {name!r}{did_you_mean(name, list(table))}")
-        values[name] = table[name].read(value, "assess")
-    return values

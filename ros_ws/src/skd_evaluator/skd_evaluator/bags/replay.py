@@ -35,7 +35,7 @@ from skd_evaluator.campaign.plan.plan import (
 )
 from skd_evaluator.measure.aborted import aborted_lines
 
-_OPTIONS = [one for one in options_of(Episode) if one.make is not Objective]  # a campaign may have several objectives
+_OPTIONS = [one for one in options_of(Episode) if one.name != "objective"]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))
 _OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in an episode that plans nothing
 

@@ -19,51 +19,71 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import Field
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.options import Option, options_of
+from skd_sim.choices.options import option, options_of, read_options
 from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
 from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Frozen, read_model
 from skd_sim.inputs.outside import is_there
 from skd_sim.inputs.suggestion import did_you_mean
-from skd_sim.inputs.yaml_file import name_of_key, parse_yaml, read_text, short
+from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import (
-    BEHAVIOUR_TEXT,
-    DEFAULT_MARGIN_LIMIT,
-    MARGIN_LIMIT_TEXT,
     NO_BEHAVIOUR,
     OWN,
-    RISK_RUNS_TEXT,
-    RISK_SUBSET_TEXT,
     SYNTHETIC,
     WALKERS,
+    AssessmentOptions,
     CampaignOptions,
 )
 
 MOST_CELLS = 10_000
-_CAMPAIGN = {one.name: one for one in options_of(CampaignOptions)}
-_GRAPH = {one.name: one for one in options_of(GraphOptions) if one.name != "graphs"}  # of the whole campaign
-_FURTHER = {
-    "graph": Option("whether episodes run through the node graph", kind=bool, name="graph", default=False),
-    "margin_limit": Option(
-        MARGIN_LIMIT_TEXT, low=0, high=10_000_000, kind=int, name="margin_limit", default=DEFAULT_MARGIN_LIMIT
-    ),
-    "behaviour": Option(BEHAVIOUR_TEXT, kind=str, name="behaviour", default=WALKERS),
-    "risk_runs": Option(RISK_RUNS_TEXT, low=1, high=10_000_000, kind=int, name="risk_runs", default=None),
-    "risk_subset": Option(RISK_SUBSET_TEXT, kind=bool, name="risk_subset", default=False),
-    "curve": Option("whether kamikazes are held to largest deformations too", kind=bool, name="curve", default=False),
-}
-_OPTIONS = {**_CAMPAIGN, **_GRAPH, **_FURTHER}
+_SCENARIO, _OF_WHOLE = "scenario", "graphs"
+
+
+@dataclass(frozen=True)
+class _CellOptions:
+    """The table of what a cell has beside the options of an assessment."""
+
+    graph: bool = option(False, "whether episodes run through the node graph")
+    scenario: str | None = option(None, "name or file of the scenario", str)
+
+
+_TABLES = (CampaignOptions, GraphOptions, AssessmentOptions, _CellOptions)
+_OPTIONS = {one.name: one for table in _TABLES for one in options_of(table)}
 _OF_FILES = ("safe", "car_model", "message_folder", "behaviour")
+_NAMED = ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
+"""Values of those that are no file."""
 _OF_CAR = ("controller", "multiplier")
-_SCENARIO = "scenario"
-_ENTRY, _SECTIONS = ("name", "sweep"), ("defaults", "cars", "encounters", "sweep")
+_Lists = dict[str, Annotated[list[Any], Field(min_length=1)]]
+_Entries = Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class _File(Frozen):
+    """The sections of a campaign's file."""
+
+    defaults: dict[str, Any] = field(default_factory=dict)
+    cars: _Entries = ({},)
+    encounters: _Entries | None = None
+    sweep: _Lists = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Entry(Frozen):
+    """What an entry has beside options."""
+
+    name: str = ""
+    sweep: _Lists = field(default_factory=dict)
+
+
 _UNSAFE = re.compile(r"[^\w.+=-]+", re.ASCII)
 _LONGEST_NAME = 150
 
@@ -110,12 +130,11 @@ def read_campaign(path: Path) -> list[Combination]:
     except OSError as error:
         raise UsageError(f"campaign {path}: cannot be read ({error.strerror or error})") from error
     reader = _Reader(path)
-    data = reader.mapping(parse_yaml(text, str(path)), "the file")
-    reader.known(data, _SECTIONS, "")
-    defaults = reader.values(reader.mapping(data.get("defaults", {}), "defaults"), "defaults")
-    cars = reader.entries(data.get("cars", [{}]), "cars", defaults)
-    encounters = reader.entries(data["encounters"], "encounters", {}) if "encounters" in data else [_Part({})]
-    sweeps = reader.sweeps(data.get("sweep", {}), "sweep")
+    file = read_model(_File, parse_yaml(text, str(path)), str(path))
+    defaults = reader.values(file.defaults, "defaults")
+    cars = reader.entries(file.cars, "cars")
+    encounters = [_Part({})] if file.encounters is None else reader.entries(file.encounters, "encounters")
+    sweeps = reader.sweeps(file.sweep, "sweep")
     reader.refuse_repeated({"cars": cars, "encounters": encounters, "sweep": sweeps})
     if (count := len(cars) * len(encounters) * len(sweeps)) > MOST_CELLS:
         raise UsageError(f"{path}: {count} cells; at most {MOST_CELLS} go into a campaign")
@@ -129,89 +148,72 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
 
-    def mapping(self, data: Any, where: str) -> Mapping[str, Any]:
-        if not isinstance(data, Mapping):
-            raise UsageError(f"{self._path}: {where} must be a mapping, got {type(data).__name__}")
-        return data
-
-    def known(self, data: Mapping[str, Any], allowed: Sequence[str], prefix: str) -> None:
-        for key in data:
-            if key not in allowed:
-                name = name_of_key(key)
-                raise UsageError(
-                    f"{self._path}: unknown key {prefix}{name}; allowed: {', '.join(allowed)}"
-                    f"{did_you_mean(name, allowed)}"
-                )
-
-    def entries(self, data: Any, section: str, defaults: Mapping[str, Any]) -> list[_Part]:
+    def entries(self, entries: Sequence[Mapping[str, Any]], section: str) -> list[_Part]:
         """Return the ways to go through all entries of a section."""
-        if not isinstance(data, Sequence) or isinstance(data, str) or not data:
-            raise UsageError(f"{self._path}: {section} must be a list of at least one entry")
         found = []
-        for index, item in enumerate(data):
+        for index, item in enumerate(entries):
             where = f"{section}[{index}]"
-            entry = self.mapping(item, where)
-            name = entry.get("name", "")
-            if not isinstance(name, str) or (name and not _UNSAFE.sub("", name)):
-                raise UsageError(f"{self._path}: {where}.name must be text, got {short(name)}")
-            own = {key: value for key, value in entry.items() if key not in _ENTRY}
-            values = self.values(own, where)
-            sweeps = self.sweeps(entry.get("sweep", {}), f"{where}.sweep")
+            own = {key: value for key, value in item.items() if key not in ("name", "sweep")}
+            entry = read_model(_Entry, {key: item[key] for key in item if key not in own}, str(self._path), where)
+            if entry.name and not _UNSAFE.sub("", entry.name):
+                raise UsageError(
+                    f"{self._path}: {where}.name has nothing that a folder can be called: {short(entry.name)}"
+                )
+            values, sweeps = self.values(own, where), self.sweeps(entry.sweep, f"{where}.sweep")
             self.refuse_repeated({where: [_Part(values)], f"{where}.sweep": sweeps})
-            for one in sweeps:
-                found.append(_Part({**values, **one.values}, one.swept, name, f"{self._path}: {where}"))
+            found += [
+                _Part({**values, **one.values}, one.swept, entry.name, f"{self._path}: {where}") for one in sweeps
+            ]
         return found
 
-    def sweeps(self, data: Any, where: str) -> list[_Part]:
+    def sweeps(self, data: Mapping[str, list[Any]], where: str) -> list[_Part]:
         """Return every combination of the values of some keys."""
-        lists: dict[str, list[Any]] = {}
-        for key, values in self.mapping(data, where).items():
-            if not isinstance(values, list) or not values:
-                raise UsageError(f"{self._path}: {where}.{name_of_key(key)} must be a list of values")
-            lists[key] = [self.values({key: value}, where, f"[{index}]")[key] for index, value in enumerate(values)]
-            texts = [repr(value) for value in lists[key]]
+        lists = self.values(data, where, listed=True)
+        for key, values in lists.items():
+            texts = [repr(value) for value in values]
             if len(set(texts)) < len(texts):
                 raise UsageError(f"{self._path}: {where}.{key}: a value is given twice")
         if math.prod(map(len, lists.values())) > MOST_CELLS:
             raise UsageError(f"{self._path}: {where}: more than {MOST_CELLS} combinations")
         return [_Part(dict(zip(lists, row, strict=True)), tuple(lists)) for row in itertools.product(*lists.values())]
 
-    def values(self, data: Mapping[str, Any], where: str, index: str = "") -> dict[str, Any]:
-        """Return options, with paths as seen from the current folder; `index` is that in a list of values."""
-        changes = [key for key in data if isinstance(key, str) and key.startswith(f"{_SCENARIO}.")]
-        self.known(data, (*_OPTIONS, _SCENARIO, *changes), f"{where}.")
-        found = dict(data)
-        for key, value in data.items():
-            what = f"{self._path}: {where}.{key}{index}"
-            if key in changes:
-                continue  # the scenario's own reader checks them
-            if key == _SCENARIO:
-                if not isinstance(value, str):
-                    raise UsageError(
-                        f"{what} must be the name or the file of a scenario; to set a key of it write scenario.KEY"
-                    )
-                is_file = is_there(self._beside(value)) and self._beside(value).is_file()
-                if not is_file and not is_named(value):
-                    raise UsageError(
-                        f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
-                        f"{did_you_mean(value, SCENARIOS.names())}"
-                    )
-                found[key] = self._path_of(value) if is_file else value
-            elif value is None:
-                found[key] = _OPTIONS[key].unsaid
-            elif _OPTIONS[key].many:
-                found[key] = tuple(self._path_of(one) for one in self._texts(value, what))
-            else:
-                _OPTIONS[key].check(value, what)
-                is_path = key in _OF_FILES and value not in ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
-                found[key] = self._path_of(value) if is_path else _OPTIONS[key].kind(value)
+    def values(self, data: Mapping[str, Any], where: str, *, listed: bool = False) -> dict[str, Any]:
+        """Return options, with paths as seen from the current folder; with `listed` there is a list of values of each.
+
+        Keys of the scenario are left to its own reader.
+        """
+        changes = {key for key in data if key.startswith(f"{_SCENARIO}.")}
+        options = {key: value for key, value in data.items() if key not in changes}
+        read = read_options(options, str(self._path), *_TABLES, path=where, listed=listed)
+        if _OF_WHOLE in read:
+            raise UsageError(f"{self._path}: {where}.{_OF_WHOLE} is of the whole campaign: skd campaign --{_OF_WHOLE}")
+        found = {key: data[key] if key in changes else read[key] for key in data}
+        for key in read:
+            what = f"{self._path}: {where}.{key}"
+            found[key] = (
+                [self._value(key, one, what) for one in read[key]] if listed else self._value(key, read[key], what)
+            )
         return found
 
-    def _texts(self, value: Any, what: str) -> list[str]:
-        texts = value if isinstance(value, list) else [value]
-        if not all(isinstance(one, str) for one in texts):
-            raise UsageError(f"{what} must be text, or a list of texts, got {short(value)}")
-        return texts
+    def _value(self, key: str, value: Any, what: str) -> Any:
+        if value is None:
+            return _OPTIONS[key].unsaid
+        if key == _SCENARIO:
+            return self._scenario(value, what)
+        if isinstance(value, tuple):
+            return tuple(map(self._path_of, value))
+        return self._path_of(value) if key in _OF_FILES and value not in _NAMED else value
+
+    def _scenario(self, value: str, what: str) -> str:
+        """Return the name of a scenario, or the path of its file, which may be beside the campaign's."""
+        if is_there(self._beside(value)) and self._beside(value).is_file():
+            return self._path_of(value)
+        if not is_named(value):
+            raise UsageError(
+                f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                f"{did_you_mean(value, SCENARIOS.names())}"
+            )
+        return value
 
     def _beside(self, name: str) -> Path:
         try:
@@ -235,7 +237,7 @@ class _Reader:
 def _cell(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part]) -> Combination:
     car, encounter, sweep = parts
     given = {**defaults, **car.values, **encounter.values, **sweep.values}
-    values = {one.name: one.unsaid for one in (*_OPTIONS.values(), *options_of(GraphOptions))}
+    values = {name: one.unsaid for name, one in _OPTIONS.items() if name != _SCENARIO}
     values |= {key: value for key, value in given.items() if key in values}
     changes = {key.partition(".")[2]: value for key, value in given.items() if key.startswith(f"{_SCENARIO}.")}
     scenario = given.get(_SCENARIO)

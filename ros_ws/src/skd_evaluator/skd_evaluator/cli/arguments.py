@@ -12,18 +12,7 @@ from skd_sim.choices.options import Option, options_of
 from skd_sim.inputs.numbers import real, whole
 
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import (
-    BEHAVIOUR_TEXT,
-    DEFAULT_MARGIN_LIMIT,
-    HIGHEST_MARGIN_LIMIT,
-    MARGIN_LIMIT_TEXT,
-    MAXIMUM_ABORTED,
-    MOST_WORKERS,
-    RISK_RUNS_TEXT,
-    RISK_SUBSET_TEXT,
-    WALKERS,
-    CampaignOptions,
-)
+from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
 
 if TYPE_CHECKING:
     from skd_evaluator.campaign.store.results import ResultFolder
@@ -119,7 +108,7 @@ def add_options(
     for one in options_of(table):
         if command in one.commands and title in ("", one.group):
             arguments = {**_argument(one), **changes.get(one.name, {})}
-            group.add_argument(one.flag or f"--{one.name.replace('_', '-')}", dest=one.name, **arguments)
+            group.add_argument(one.flag, **arguments)
 
 
 def _argument(one: Option) -> dict[str, Any]:
@@ -130,7 +119,7 @@ def _argument(one: Option) -> dict[str, Any]:
     default = one.unsaid
     said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
     found: dict[str, Any] = {"default": default, "metavar": one.metavar, "help": f"{text} (default: {said})"}
-    if one.many:
+    if one.kind is tuple:
         found["action"] = "append"
     if one.choices is not None:
         return {**found, "choices": one.choices, "metavar": one.metavar or f"{{{','.join(one.choices.own)}}}"}
@@ -157,8 +146,7 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     }
     add_options(group, command, group.title or "", **(paper if command == "sweep" else {}))
     add_max_aborted_argument(group)
-    add_margin_limit_argument(group)
-    add_risk_arguments(group)
+    add_options(group, command, table=AssessmentOptions)
     add_runner_arguments(group)
     add_output_arguments(parser)
 
@@ -217,23 +205,6 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         help="percentage of the episodes that may be aborted, of all kamikazes and runs along φ and of those of each "
         "figure. An aborted episode says nothing about the car; if more are aborted, the exit code is 1 (default: 5)",
     )
-
-
-def add_margin_limit_argument(group: argparse._ActionsContainer) -> None:
-    """Add --margin-limit."""
-    add_count(group, "--margin-limit", 0, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
-
-
-def add_behaviour_argument(group: argparse._ActionsContainer) -> None:
-    """Add --behaviour."""
-    group.add_argument("--behaviour", default=WALKERS, metavar="NAME", help=f"{BEHAVIOUR_TEXT} (default: {WALKERS})")
-
-
-def add_risk_arguments(group: argparse._ActionsContainer) -> None:
-    """Add --behaviour, --risk-runs and --risk-subset."""
-    add_behaviour_argument(group)
-    add_count(group, "--risk-runs", 1, 10_000_000, RISK_RUNS_TEXT)
-    group.add_argument("--risk-subset", action="store_true", help=RISK_SUBSET_TEXT)
 
 
 def add_details_argument(parser: argparse._ActionsContainer) -> None:

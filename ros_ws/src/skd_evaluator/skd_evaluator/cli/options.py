@@ -7,17 +7,15 @@ from pathlib import Path
 
 from skd_sim.choices.objective import OBJECTIVES
 
-from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.campaign.plan.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
-    add_behaviour_argument,
     add_campaign_arguments,
     add_car_arguments,
     add_count,
     add_damage_argument,
     add_details_argument,
     add_graph_arguments,
-    add_margin_limit_argument,
     add_max_aborted_argument,
     add_options,
     add_output_arguments,
@@ -57,12 +55,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     add_pictures_argument(
         assess,
         "draw no pictures beside the figures, which saves about a second; skd show and skd report still draw them",
-    )
-    assess.add_argument(
-        "--curve",
-        action="store_true",
-        help="also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the "
-        "picture of the vulnerability curve (vulnerability.png)",
     )
     assess.add_argument(
         "--until-width",
@@ -140,7 +132,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "risk (walk a safe trajectory as people do: a crossing of the risk, as --behaviour and --scale say) "
         "(default: kamikaze)",
     )
-    add_behaviour_argument(episode)
+    add_options(episode, "episode", table=AssessmentOptions)
     episode.add_argument(
         "--scale",
         type=positive_number,
@@ -182,14 +174,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     replay.add_argument("--campaign", metavar="NAME", help="which campaign to rate, if the bags hold several")
     replay.add_argument(
-        "--max-distance",
-        dest="maximum_distance",
+        "--maximum-distance",
         type=positive_number,
         metavar="M",
         help="leave out each kamikaze that ended up further than this many metres from its safe trajectory",
     )
     add_max_aborted_argument(replay)
-    add_margin_limit_argument(replay)
+    add_options(replay, "replay", table=AssessmentOptions)
     add_damage_argument(replay)
     add_details_argument(replay)
     add_gate_arguments(replay)

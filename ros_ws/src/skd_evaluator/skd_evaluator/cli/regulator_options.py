@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT
+from skd_evaluator.campaign.plan.options import AssessmentOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
     add_count,
@@ -47,7 +47,7 @@ def add_regulator_command(commands: Any) -> None:
         help="test speeds of the car, km/h, as 10:60:10 (default: those of each encounter's matrix)",
     )
     margins = ncap.add_argument_group("margins")
-    add_count(margins, "--margin-limit", 0, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    add_options(margins, "ncap", table=AssessmentOptions)
     attempts = f"how many attempts there are in each cell, each with draws of its own (default: {ATTEMPTS})"
     add_options(margins, "ncap", "campaign", kamikaze_count={"default": ATTEMPTS, "help": attempts})
     margins.add_argument(
@@ -84,6 +84,6 @@ def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
         help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
     )
     add_count(group, "--attempts", 1, 10_000, "attempts on each φ of an encounter", default=REFERENCE_ATTEMPTS)
-    add_count(group, "--margin-limit", 0, HIGHEST_MARGIN_LIMIT, MARGIN_LIMIT_TEXT, default=DEFAULT_MARGIN_LIMIT)
+    add_options(group, "reference", table=AssessmentOptions)
     add_options(group, "reference")
     add_runner_arguments(group)

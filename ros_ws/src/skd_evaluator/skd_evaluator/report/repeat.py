@@ -105,10 +105,9 @@ def _words(one: Option, value: Any) -> list[str]:
     """Return an option as it is given on the command line; nothing where the value is that of a single episode."""
     if value is None or value == one.default:
         return []
-    flag = one.flag or f"--{one.name.replace('_', '-')}"
     if one.kind is bool:
-        return [flag] if value else []
-    return [flag, repr(value) if one.kind is float else str(value)]
+        return [one.flag] if value else []
+    return [one.flag, repr(value) if one.kind is float else str(value)]
 
 
 def scenario_name(figures: Mapping[str, Any]) -> str:

@@ -105,7 +105,6 @@ class SimulatorOptions(CommandOptions, StateOptions):
         low=0.0,
         high=10.0,
         metavar="S",
-        absent=0.0,
         unset="the simulator waits until each state is answered",
         external_only=True,
         commands=_RATED,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, cast
@@ -23,10 +22,11 @@ from skd_sim.choices.registry import Registry
 from skd_sim.choices.simulators import SIMULATORS, WORLD
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import parse_json
-from skd_sim.inputs.suggestion import did_you_mean
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
+FIELDS: Final = {"controller", "multiplier", "car_model", "simulations", "objective", "maximum_distance"}
+"""Options for which the message `Episode`, and results, have a field; the others are in their field `options`."""
 GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
 """Those that can run their episodes through the node graph."""
 LAUNCHES: Final = ("assessment", "episode")
@@ -65,58 +65,60 @@ class Option:
 
     Attributes:
         text: what it means, with its unit; it stands in every --help and description.
+        kind: type of its value: bool, int, float, str, tuple (of texts: it can be given several times), or a class made
+            of a text.
+        default: its value where no other is given.
         low: least number allowed.
         high: greatest number allowed.
         choices: the texts that are allowed; any by default.
         metavar: name of its value on the command line.
-        flag: its name on the command line; by default made from its name.
         group: title of the group of options to which it belongs on the command line.
         commands: names of the commands that take it.
         launches: names of the launch files that take it.
         asked: its default for an assessment, where that differs from the default of a single episode.
-        absent: what a parameter, a launch argument or a message says for None, which then is the default.
-        implied: the value for which None stands in an episode, by its other options; messages leave out an implied
-            value.
         unset: what None, or an empty text, means.
-        make: turns plain data into its value.
-        field: whether the message `Episode`, and results, have a field of this name; otherwise it is in their field
-            `options`.
         planning: whether it matters only where somebody plans.
         graph_only: whether it has no effect on episodes that run in process.
         external_only: whether it is about a controller that is a node of somebody else.
-        many: whether it can be given several times; then its value is a tuple.
-        name: filled in from the field, as are the next two.
-        kind: type of its plain data: bool, int, float or str.
-        default: its value where no other is given.
+        name: filled in from the field.
     """
 
     text: str
+    kind: type[Any] = str
+    default: Any = None
     low: float | None = None
     high: float | None = None
     choices: Names | None = None
     metavar: str | None = None
-    flag: str | None = None
     group: str = "campaign"
     commands: tuple[str, ...] = COMMANDS
     launches: tuple[str, ...] = LAUNCHES
     asked: Any = None
-    absent: Any = None
-    implied: Callable[[Any], Any] | None = None
     unset: str = ""
-    make: Callable[[Any], Any] | None = None
-    field: bool = False
     planning: bool = False
     graph_only: bool = False
     external_only: bool = False
-    many: bool = False
     name: str = ""
-    kind: type[Any] = str
-    default: Any = None
+
+    @property
+    def flag(self) -> str:
+        """Its name on the command line."""
+        return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def plain_kind(self) -> type[Any]:
+        """Type of its value as plain data: bool, int, float, str or tuple."""
+        return next(kind for kind in (bool, int, float, tuple, str) if issubclass(self.kind, kind))
 
     @property
     def unsaid(self) -> Any:
         """Its value on the command line where it is not given."""
         return self.default if self.asked is None else self.asked
+
+    @property
+    def absent(self) -> Any:
+        """What messages and parameters, which have no None, say for it: 0 or an empty text; None: nothing."""
+        return self.plain_kind() if self.default is None and self.kind is not tuple else None
 
     @property
     def plain_default(self) -> Any:
@@ -128,54 +130,17 @@ class Option:
         """The texts that a parameter or a launch argument may have, if there are only a few; else empty."""
         if self.choices is None:
             return ()
-        return (*self.choices, *(() if self.absent is None else (str(self.absent),)))
+        return (*self.choices, *(() if self.absent is None else (self.absent,)))
 
     def plain(self, value: Any) -> Any:
         """Return a value as plain data, for messages, parameters and results."""
-        return self.absent if value is None else self.kind(value)
+        return self.absent if value is None else self.plain_kind(value)
 
     def value(self, plain: Any) -> Any:
         """Return the value that plain data stand for, the inverse of `plain`; None: the default."""
         if plain is None or (self.absent is not None and plain == self.absent):
             return self.default
-        if self.many:
-            return tuple(map(self.kind, plain))
-        return self.kind(plain) if self.make is None else self.make(self.kind(plain))
-
-    def read(self, plain: Any, where: str) -> Any:
-        """Return the value of plain data that somebody else has written.
-
-        Raises:
-            UsageError: it is of another type, out of range, or none of the choices.
-        """
-        self.check(plain, f"{where}: {self.name}")
-        return self.value(plain)
-
-    def check(self, plain: Any, what: str) -> None:
-        """Refuse plain data that somebody else has written.
-
-        Args:
-            plain: the plain data.
-            what: name of the data, for the error line.
-
-        Raises:
-            UsageError: they are of another type, out of range, or none of the choices.
-        """
-        numbers = (int, float) if self.kind is float else self.kind
-        if self.absent is not None and plain == self.absent and isinstance(plain, numbers):
-            return
-        if not isinstance(plain, numbers) or (isinstance(plain, bool) and self.kind is not bool):
-            raise UsageError(f"{what} must be of type {self.kind.__name__}, got {plain!r:.60}")
-        if self.kind in (int, float) and not self._in_range(plain):
-            raise UsageError(f"{what} must be a number from {self.low} to {self.high}, got {plain!r:.60}")
-        if self.choices is not None and plain not in self.choices:
-            near = did_you_mean(str(plain), self.choices)
-            raise UsageError(f"{what} must be one of {', '.join(self.choices)}; got {plain!r:.60}{near}")
-
-    def _in_range(self, number: float) -> bool:
-        low = -math.inf if self.low is None else self.low
-        high = math.inf if self.high is None else self.high
-        return low <= number <= high and abs(number) < math.inf  # unlike isfinite, of whatever whole number
+        return self.kind(plain)
 
 
 def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) -> Any:
@@ -184,11 +149,10 @@ def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) 
     Args:
         default: its value where no other is given.
         text: what it means, with its unit.
-        kind: bool, int, float or str; by default that of the default.
+        kind: type of its value; by default that of the default.
         more: further attributes of `Option`.
     """
-    entry = Option(text, kind=kind or type(default), default=default, **more)
-    return field(default=default, metadata={"option": entry})
+    return field(default=default, metadata={"option": Option(text, kind or type(default), default, **more)})
 
 
 @functools.cache
@@ -214,7 +178,6 @@ class EpisodeOptions:
         metavar="NAME",
         group="car and test",
         commands=("assess", "episode", "probe", "ncap", "drive"),
-        field=True,
     )
     multiplier: float = option(
         1.0,
@@ -225,7 +188,6 @@ class EpisodeOptions:
         metavar="C",
         group="car and test",
         commands=("assess", "episode", "probe", "ncap", "drive"),
-        field=True,
     )
     simulator: str = option(
         WORLD,
@@ -242,7 +204,6 @@ class EpisodeOptions:
         metavar="FILE",
         group="car and test",
         unset="none",
-        field=True,
     )
     knowledge: Knowledge | None = option(
         None,
@@ -250,15 +211,12 @@ class EpisodeOptions:
         "with the "
         "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
         "time), known (it knows C of the basic controller)",
-        str,
+        Knowledge,
         choices=Names(tuple(map(str, Knowledge))),
         metavar="{" + ",".join(Knowledge) + "}",
         group="car and test",
         commands=("assess", "episode"),
-        absent="",
-        implied=lambda source: implied_knowledge(source.car, source.car_model),
         unset="known for basic, learned for any other car",
-        make=Knowledge,
         planning=True,
     )
     simulations: int = option(
@@ -268,7 +226,6 @@ class EpisodeOptions:
         high=100_000,
         metavar="N",
         commands=(*COMMANDS, "ncap"),
-        field=True,
         planning=True,
     )
     objective: Objective = option(
@@ -276,11 +233,8 @@ class EpisodeOptions:
         "what kamikazes are rewarded for: deformation (bending the safe trajectory φ as little as possible: this one "
         "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
         "(deformation and then paper; where only a single episode is run, paper)",
-        str,
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
-        make=Objective,
-        field=True,
     )
     particles: int | None = option(
         None,
@@ -289,7 +243,6 @@ class EpisodeOptions:
         low=0,
         high=1_000_000,
         metavar="N",
-        absent=0,
         unset="the number for which the objective was tuned",
         planning=True,
     )
@@ -301,11 +254,8 @@ class EpisodeOptions:
         low=0.0,
         high=1e6,
         metavar="M",
-        flag="--max-distance",
         launches=("assessment",),
-        absent=0.0,
         unset="none is left out",
-        field=True,
     )
 
     @property
@@ -329,6 +279,43 @@ def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, 
     return {one.name: one.value(plain[one.name]) for one in options_of(table) if one.name in plain}
 
 
+def read_options(
+    data: Any, where: str, *tables: Callable[..., Any], path: str = "", listed: bool = False
+) -> dict[str, Any]:
+    """Return the options in plain data that somebody else has written, by name; None is one that is not given.
+
+    Args:
+        data: mapping from names of options to plain values.
+        where: file or other origin, for messages.
+        tables: dataclasses whose fields are the options that there are.
+        path: name of the section that the data are, for messages.
+        listed: whether there is a list of values of each.
+
+    Raises:
+        UsageError: there is no such option, or a value is of another type, out of range, or none of the choices.
+    """
+    from skd_sim.inputs.model import read_model  # every command begins with this module, and pydantic takes 30 ms
+
+    found: dict[str, Any] = read_model(_model_of(tables, listed), data, where, path).model_dump(exclude_unset=True)
+    return found
+
+
+@functools.cache
+def _model_of(tables: tuple[Callable[..., Any], ...], listed: bool) -> Any:
+    """Return the model of the plain data of options, or of lists of them."""
+    from pydantic import ConfigDict, create_model
+
+    from skd_sim.inputs.model import plain_type
+
+    known = {one.name: one for table in tables for one in options_of(table)}
+    several: Any = list
+    fields: dict[str, Any] = {}
+    for name, one in known.items():
+        kind = plain_type(one.plain_kind, one.low, one.high, one.choices)
+        fields[name] = (several[kind] if listed else kind | None, None)
+    return create_model("Options", __config__=ConfigDict(extra="forbid"), **fields)
+
+
 def shared_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return the options of an episode or a campaign by name, for the making of another."""
     return {one.name: getattr(source, one.name) for one in options_of(EpisodeOptions)}
@@ -336,12 +323,10 @@ def shared_options(source: EpisodeOptions) -> dict[str, Any]:
 
 def further_options(source: EpisodeOptions) -> dict[str, Any]:
     """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
-    chosen = {one.name: (getattr(source, one.name), one) for one in options_of(EpisodeOptions) if not one.field}
-    return {
-        name: one.plain(value)
-        for name, (value, one) in chosen.items()
-        if value != one.default and (one.implied is None or value != one.implied(source))
-    }
+    known = {one.name: (one, getattr(source, one.name)) for one in options_of(EpisodeOptions) if one.name not in FIELDS}
+    if source.knowledge == implied_knowledge(source.car, source.car_model):
+        del known["knowledge"]
+    return {name: one.plain(value) for name, (one, value) in known.items() if value != one.default}
 
 
 def options_to_text(source: EpisodeOptions) -> str:
@@ -358,9 +343,7 @@ def options_from_text(text: str, where: str) -> dict[str, Any]:
     """
     if not text:
         return {}
-    data = parse_json(text, where)
-    known = {one.name: one for one in options_of(EpisodeOptions) if not one.field}
-    if not isinstance(data, Mapping) or set(data) - set(known):
-        unknown = ", ".join(sorted(set(data) - set(known))) if isinstance(data, Mapping) else "no mapping"
-        raise UsageError(f"{where}: unknown option {unknown:.60}: of another version of SKD?")
-    return {name: known[name].read(plain, where) for name, plain in data.items()}
+    found = read_options(parse_json(text, where), where, EpisodeOptions)
+    if strange := set(found) & FIELDS:
+        raise UsageError(f"{where}: {min(strange)} has a field of its own")
+    return values_of(EpisodeOptions, found)

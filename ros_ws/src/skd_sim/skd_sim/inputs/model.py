@@ -65,6 +65,24 @@ class OneOf:
         return core_schema.literal_schema(self._names)
 
 
+def plain_type(kind: type[Any], low: float | None, high: float | None, names: Any) -> Any:
+    """Return the annotation of a plain value.
+
+    Args:
+        kind: bool, int, float, str, or tuple of texts.
+        low: least number allowed.
+        high: greatest number allowed.
+        names: texts that are allowed, of which each can be listed; None: any.
+    """
+    if kind is bool:
+        return YesNo
+    if kind in (int, float):
+        return Annotated[kind, limits(low, high)]
+    if kind is tuple:
+        return tuple[str, ...]
+    return str if names is None else Annotated[str, OneOf(names)]
+
+
 @functools.cache
 def _adapter(kind: Hashable) -> TypeAdapter[Any]:
     return TypeAdapter(cast(type[Any], kind))
@@ -99,9 +117,14 @@ def read_model(kind: type[Model], data: Any, where: str, path: str = "") -> Mode
     return model
 
 
+_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
+
+
 def _is_unknown(error: ErrorDetails) -> bool:
     """Return whether a key is none of those that there are."""
-    return error["type"] in ("unexpected_keyword_argument", "invalid_key") or error["loc"][-1:] == ("[key]",)
+    return error["type"] in ("unexpected_keyword_argument", "extra_forbidden", "invalid_key") or error["loc"][-1:] == (
+        "[key]",
+    )
 
 
 def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:
@@ -121,13 +144,14 @@ def _worded(error: ErrorDetails, schema: dict[str, Any], path: str) -> str:
     if kind == "missing":  # a list that is too short
         return f"{_joined(path, place[:-1])} must be {_right(_node(schema, place[:-1]))}, got {short(given)}"
     right = _right(_node(schema, place))
-    if right in (_LIST, _MAPPING):
+    if right in (_LIST, _MAPPING) or (right.startswith(_LIST) and not isinstance(given, list)):
         return f"{key or 'the file'} must be {right}, got {type(given).__name__}"
     known = _node(schema, place).get("enum", ())
     return f"{key} must be {right}, got {short(given)}{did_you_mean(given, known) if isinstance(given, str) else ''}"
 
 
 _LIST, _MAPPING = "a list", "a mapping"
+_ENDS = ("minimum", "maximum")
 
 
 def _right(node: dict[str, Any]) -> str:
@@ -136,12 +160,15 @@ def _right(node: dict[str, Any]) -> str:
     if "enum" in node or "const" in node:
         return f"one of {', '.join(map(str, node.get('enum', [node.get('const')])))}"
     if kind in ("number", "integer"):
-        low, high = node.get("minimum"), node.get("maximum")
-        span = "" if low is None else f" ≥ {low:g}" if high is None else f" from {low:g} to {high:g}"
-        number = "a whole number" if kind == "integer" else "a number" if span else "a finite number"
+        whole = kind == "integer"
+        low, high = (None if key not in node else int(node[key]) if whole else f"{node[key]:g}" for key in _ENDS)
+        span = "" if low is None else f" ≥ {low}" if high is None else f" from {low} to {high}"
+        number = "a whole number" if whole else "a number" if span else "a finite number"
         return f"{number}{span} ({node['unit']})" if "unit" in node else f"{number}{span}"
     if "prefixItems" in node:
         return f"a list of {len(node['prefixItems'])} numbers"
+    if "minItems" in node:
+        return f"{_LIST} of at least {node['minItems']}"
     return {"string": "text", "boolean": "true or false", "array": _LIST}.get(str(kind), _MAPPING)
 
 

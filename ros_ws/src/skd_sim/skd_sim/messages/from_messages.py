@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skd_sim.choices.options import options_from_text, options_of
+from skd_sim.choices.options import FIELDS, options_from_text, options_of
 from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.episode.randomness import controller_generator
@@ -101,6 +101,6 @@ def message_to_episode(message: Any) -> Episode:
         seed=int(message.seed),
         episode_id=int(message.episode_id),
         safe_trajectory=trajectory,
-        **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.field},
+        **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.name in FIELDS},
         **options_from_text(str(getattr(message, "options", "")), "options in /skd/episode"),  # old bags have none
     )

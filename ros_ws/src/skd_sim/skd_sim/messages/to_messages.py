@@ -16,7 +16,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from tf2_msgs.msg import TFMessage
 
 from skd_sim.choices.frames import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames
-from skd_sim.choices.options import options_of, options_to_text
+from skd_sim.choices.options import FIELDS, options_of, options_to_text
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode
 from skd_sim.episode.randomness import controller_seed
@@ -197,7 +197,7 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     if episode.shown is not None:
         message.public_scenario = scenario_text(episode.shown)
     for one in options_of(Episode):
-        if one.field:
+        if one.name in FIELDS:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))
     message.options = options_to_text(episode)
     if episode.safe_trajectory is not None:

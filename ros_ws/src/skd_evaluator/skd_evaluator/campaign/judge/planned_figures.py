@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
-from skd_sim.choices.options import EpisodeOptions, options_of
+from skd_sim.choices.options import FIELDS, EpisodeOptions, options_of
 
 from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 
@@ -15,9 +15,7 @@ PLANNED = keys_of(Of.RANKING, Of.SKD)
 OF_SKD = keys_of(Of.SKD)
 """Those of them that are of the kamikazes that SKD is of."""
 
-_PLANNING = tuple(
-    one for one in options_of(EpisodeOptions) if one.planning and not one.field and one.name != "knowledge"
-)
+_PLANNING = tuple(one for one in options_of(EpisodeOptions) if one.planning and one.name not in {*FIELDS, "knowledge"})
 
 
 def hit_speed(figures: Mapping[str, Any]) -> float:

@@ -17,27 +17,8 @@ RECORDED = "bags"
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
 MOST_WORKERS = 1024
-DEFAULT_MARGIN_LIMIT, HIGHEST_MARGIN_LIMIT = 1024, 10_000_000
-MARGIN_LIMIT_TEXT = (
-    "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "
-    "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car is "
-    "exact and needs no search"
-)
+DEFAULT_MARGIN_LIMIT = 1024
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
-BEHAVIOUR_TEXT = (
-    "how people walk who do not try to be hit; the risk R(s) says how likely the front of the moving "
-    "car hits them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd behaviour fit has "
-    "written, or none: then no risk is computed"
-)
-RISK_RUNS_TEXT = (
-    "how many crossings the risk is estimated from at each scale s (default: 2000 for the basic car, 500 for any "
-    "other, 100 through the node graph; but at most four times --collision-runs, and through the node graph at most "
-    "as many)"
-)
-RISK_SUBSET_TEXT = (
-    "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car. For the "
-    "basic car that is always done; for others it takes 16000 crossings or more at each scale"
-)
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
 
@@ -78,4 +59,51 @@ class CampaignOptions(EpisodeOptions):
         high=2**63 - 1,
         metavar="N",
         commands=("assess", "sweep", "episode", "probe", "ncap", "reference", "drive"),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssessmentOptions:
+    """The table of what an assessment computes beside planned kamikazes."""
+
+    margin_limit: int = option(
+        DEFAULT_MARGIN_LIMIT,
+        "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "
+        "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car "
+        "is exact and needs no search",
+        low=0,
+        high=10_000_000,
+        metavar="N",
+        commands=("assess", "sweep", "replay", "ncap", "reference"),
+    )
+    behaviour: str = option(
+        WALKERS,
+        "how people walk who do not try to be hit; the risk R(s) says how likely the front of the moving car hits "
+        "them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd behaviour fit has written, "
+        "or none: then no risk is computed",
+        metavar="NAME",
+        commands=("assess", "sweep", "episode"),
+    )
+    risk_runs: int | None = option(
+        None,
+        "how many crossings the risk is estimated from at each scale s",
+        int,
+        low=1,
+        high=10_000_000,
+        metavar="N",
+        commands=("assess", "sweep"),
+        unset="2000 for the basic car, 500 for any other, 100 through the node graph; but at most four times "
+        "--collision-runs, and through the node graph at most as many",
+    )
+    risk_subset: bool = option(
+        False,
+        "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car. For the basic car "
+        "that is always done; for others it takes 16000 crossings or more at each scale",
+        commands=("assess", "sweep"),
+    )
+    curve: bool = option(
+        False,
+        "also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the picture "
+        "of the vulnerability curve (vulnerability.png)",
+        commands=("assess",),
     )
