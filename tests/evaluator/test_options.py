@@ -19,6 +19,7 @@ from skd_evaluator.cli.commands.assess import graph_options
 from skd_evaluator.cli.options import add_commands
 from skd_sim.choices import options as table
 from skd_sim.choices.graph_options import SimulatorOptions
+from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import BOTH, Objective
 from skd_sim.choices.options import FIELDS, EpisodeOptions, option, options_from_text, options_of, options_to_text
 from skd_sim.encounter.scenario import load_scenario
@@ -39,13 +40,6 @@ class More(EpisodeOptions):
     pace: float | None = option(None, "how fast to go, m/s", float, low=0.0, high=9.0, unset="as it likes")
     bold: bool = option(False, "whether it dares")
     word: str = option("calm", "what it is like")
-
-
-@pytest.fixture
-def more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every use of the table finds the entries of `More` in it."""
-    plain = options_of
-    monkeypatch.setattr(table, "options_of", lambda kind: plain(More if kind is EpisodeOptions else kind))
 
 
 def message_of(episode: Any) -> SimpleNamespace:
@@ -88,11 +82,11 @@ def test_an_episode_survives_its_message():
     assert plain.maximum_distance is None
 
 
-def test_options_without_a_field_go_by_text(more: None):
-    chosen = More(depth=9, pace=1.5, bold=True)
-    assert json.loads(options_to_text(chosen)) == {"depth": 9, "pace": 1.5, "bold": True}
-    assert options_from_text(options_to_text(chosen), "here") == {"depth": 9, "pace": 1.5, "bold": True}
-    assert options_to_text(More(depth=7)) == ""
+def test_options_without_a_field_go_by_text():
+    chosen = EpisodeOptions(particles=9, knowledge=Knowledge.NOTHING, simulations=12)
+    assert json.loads(options_to_text(chosen)) == {"particles": 9, "knowledge": "nothing"}
+    assert options_from_text(options_to_text(chosen), "here") == {"particles": 9, "knowledge": Knowledge.NOTHING}
+    assert options_to_text(EpisodeOptions(knowledge=Knowledge.KNOWN)) == ""  # as it is implied of the basic car
     assert options_from_text("", "here") == {}
 
 
@@ -101,16 +95,17 @@ def test_options_without_a_field_go_by_text(more: None):
     [
         ("{", "not JSON"),
         ("[1]", "must be a mapping, got list"),
-        ('{"height": 3}', "unknown key height"),
-        ('{"depth": 0}', "depth must be a whole number from 1 to 90, got 0"),
-        ('{"depth": 1.5}', "depth must be a whole number"),
-        ('{"depth": true}', "depth must be a whole number"),
-        ('{"bold": 1}', "bold must be true or false"),
-        ('{"pace": NaN}', "NaN is no number"),
+        ('{"height": 3}', "unknown key height; allowed: controller"),
+        ('{"particles": -1}', "particles must be a whole number from 0 to 1000000, got -1"),
+        ('{"particles": 1.5}', "particles must be a whole number from 0 to 1000000, got 1.5"),
+        ('{"particles": true}', "particles must be a whole number from 0 to 1000000, got True"),
+        ('{"particles": NaN}', "NaN is no number"),
+        ('{"knowledge": "larned"}', "knowledge must be one of nothing, learned, known, got 'larned'; did you mean"),
+        ('{"simulator": 3}', "simulator must be one of world, metadrive"),
         ('{"controller": "cal"}', "controller has a field of its own"),
     ],
 )
-def test_bad_text_is_one_line(more: None, text: str, said: str):
+def test_bad_text_is_one_line(text: str, said: str):
     with pytest.raises(UsageError, match=said) as caught:
         options_from_text(text, "options in /skd/episode")
     assert str(caught.value).startswith("options in /skd/episode: ")
