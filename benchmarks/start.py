@@ -72,7 +72,7 @@ def main() -> None:
             say(name, [*skd, *words], arguments.repetitions if name != "skd assess" else 1, environment)
         ros = [sys.executable, "-m", "skd_sim.ros_environment", sys.executable, "-c"]
         for name, module in _NODES.items():
-            program = f"from skd_sim.program.lasting import import_lasting; import_lasting({module!r})"
+            program = f"from skd_sim.start import import_lasting; import_lasting({module!r})"
             say(f"node {name}", [*ros, program], arguments.repetitions, environment)
         if arguments.cold:
             cold = environment | {"SKD_CACHE_DIR": str(Path(folder, "cache"))}

@@ -6,8 +6,6 @@ import subprocess
 import sys
 
 import pytest
-from scipy import special
-from skd_sim.program.on_demand import on_demand
 
 
 @pytest.mark.parametrize(
@@ -23,14 +21,3 @@ def test_a_start_imports_no_library_that_it_does_not_need(program: str, without:
     said = f"import sys\n{program}\nprint([name for name in {without.split()} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-
-
-def test_a_library_on_demand_is_the_library() -> None:
-    held = on_demand("scipy.special")
-    assert "ndtr" not in vars(held)
-    assert held.ndtr is special.ndtr
-    assert vars(held)["ndtr"] is special.ndtr  # found at once from now on
-    with pytest.raises(AttributeError, match="no_such_function"):
-        _ = held.no_such_function
-    with pytest.raises(ModuleNotFoundError, match="no_such_library"):
-        _ = on_demand("no_such_library").anything

@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import importlib
+import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
+from types import ModuleType
 
 from skd_sim.errors import UsageError
-from skd_sim.program.bounded_end import END_LIMIT, end_within
-from skd_sim.program.closed import open_closed
+from skd_sim.program.ending import END_LIMIT, end_within
 from skd_sim.program.interruption import Interruption
-from skd_sim.program.lasting import import_lasting
-from skd_sim.program.places import places_put_off
 
 
 def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
@@ -27,8 +30,9 @@ def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
         interrupted: exit code when a signal comes before `main` answers to it; a node that ends then has not failed.
         cleaning: s after a signal in which another one does nothing, see `Interruption`.
     """
-    open_closed()
-    places_put_off()
+    _open_closed()
+    with contextlib.suppress(OSError):  # the working folder is gone
+        sys.path.append(str(Path.cwd()))  # where a user's class may be; behind all else, lest it hide a module
     interruption = Interruption(cleaning)
     interruption.listen()
     code = interrupted
@@ -49,6 +53,34 @@ def start(module: str, interrupted: int = 0, cleaning: float = 0.0) -> int:
     interruption.leave(code)
     _bound_the_end(code)
     return code
+
+
+def import_lasting(name: str) -> ModuleType:
+    """Import a module and return it; where it is new, nothing that is there by then is looked through for garbage.
+
+    Python would do so again and again while modules are imported: a sixth of the start of a node. A process that is
+    forked later copies less memory, as well.
+    """
+    if name in sys.modules or not gc.isenabled():
+        return importlib.import_module(name)
+    gc.disable()
+    try:
+        return importlib.import_module(name)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _open_closed() -> None:
+    """Have each standard stream that is closed, as by `2>&-`, lead nowhere, or the next file would get its number."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:  # Python's own sign of a closed one
+            stream = open(number, "w" if number else "r", encoding="utf-8", errors="replace", closefd=False)  # noqa: SIM115
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)
 
 
 def _bound_the_end(code: int) -> None:

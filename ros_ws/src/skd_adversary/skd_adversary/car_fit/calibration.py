@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import scipy
 from skd_sim.arrays import BoolArray, FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.families import Law, aside, nearness
 from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, distributions, moving
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 
 def braking_probability(law: Law, data: Observations) -> FloatArray:
@@ -26,9 +19,9 @@ def braking_probability(law: Law, data: Observations) -> FloatArray:
     if law.family.spread == "sharp" or law.spread <= 0.0:
         brakes = (distance >= 0.0).astype(np.float64)
     elif law.family.spread == "encounter":
-        brakes = special.ndtr(distance / law.spread)
+        brakes = scipy.special.ndtr(distance / law.spread)
     else:
-        brakes = special.expit(distance / law.spread)
+        brakes = scipy.special.expit(distance / law.spread)
     brakes = np.where(inside, brakes, 0.0)
     return np.asarray(law.lapse + (1.0 - 2.0 * law.lapse) * brakes)
 
@@ -53,4 +46,4 @@ def kolmogorov_smirnov(values: FloatArray) -> tuple[float, float]:
     steps = np.arange(1, n + 1) / n
     statistic = float(max((steps - ordered).max(), (ordered - steps + 1.0 / n).max()))
     root = np.sqrt(n)
-    return statistic, float(special.kolmogorov((root + 0.12 + 0.11 / root) * statistic))
+    return statistic, float(scipy.special.kolmogorov((root + 0.12 + 0.11 / root) * statistic))

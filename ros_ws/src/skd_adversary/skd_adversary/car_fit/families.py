@@ -9,21 +9,15 @@ where it will be when the car passes. The law is followed at once or some ticks 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.intervals import Estimate, step_estimate
 from skd_adversary.car_fit.observations import Observations
 from skd_adversary.car_fit.speed_change import SpeedChange, densities
-
-if TYPE_CHECKING:
-    from scipy import optimize, special
-else:
-    optimize = on_demand("scipy.optimize")
-    special = on_demand("scipy.special")
 
 MEASURES = ("distance", "time")
 GATES = ("none", "position", "predicted")
@@ -252,7 +246,9 @@ def _encounter_values(segments: _Segments, trigger: float, spread: float) -> Flo
     a, b = (lower - trigger) / spread, (upper - trigger) / spread
     flip = a > 0.0  # the tail on the near side keeps its digits
     with np.errstate(invalid="ignore"):
-        mass = np.where(flip, special.ndtr(-a) - special.ndtr(-b), special.ndtr(b) - special.ndtr(a))
+        mass = np.where(
+            flip, scipy.special.ndtr(-a) - scipy.special.ndtr(-b), scipy.special.ndtr(b) - scipy.special.ndtr(a)
+        )
     with np.errstate(divide="ignore"):
         terms = values + np.log(mass)
     tops = np.maximum.reduceat(terms, starts)
@@ -264,7 +260,7 @@ def _tick_values(e: Evidence, law: Law) -> FloatArray:
     """Return the log-likelihood of each tick when the trigger is blurred by a logistic distribution."""
     inside = (e.aside <= law.gate) & np.isfinite(e.nearness)
     near = np.where(inside, e.nearness, 0.0)
-    brakes = np.where(inside, special.expit((law.trigger - near) / law.spread), 0.0)
+    brakes = np.where(inside, scipy.special.expit((law.trigger - near) / law.spread), 0.0)
     brakes = law.lapse + (1.0 - 2.0 * law.lapse) * brakes
     return np.asarray(np.log(brakes * e.braking + (1.0 - brakes) * e.free))
 
@@ -326,7 +322,9 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
         share = max(share, 1e-4)
         start = np.array([law.trigger, np.log(share * scale)])
         simplex = start + np.array([[0.0, 0.0], [share * scale, 0.0], [0.0, 1.0]])
-        found = optimize.minimize(cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex})
+        found = scipy.optimize.minimize(
+            cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex}
+        )
         if best is None or found.fun < best.fun:
             best = found
     return replace(law, trigger=float(best.x[0]), spread=float(np.exp(best.x[1])), log_likelihood=-float(best.fun))

@@ -9,18 +9,13 @@ a = min(k·(ν_c − ν), a_max).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from skd_sim.arrays import BoolArray, FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_adversary.car_fit.observations import Observations
-
-if TYPE_CHECKING:
-    from scipy import optimize
-else:
-    optimize = on_demand("scipy.optimize")
 
 BACKGROUND = (-15.0, 10.0)
 """Accelerations (m/s²) over which a tick that no mode explains is thought to be uniform."""
@@ -197,7 +192,7 @@ def _refine_braking(p: SpeedChange, data: Observations, responsibility: FloatArr
     start = np.log([p.deceleration, min(max(p.deceleration_noise, 1e-3), 0.7 * LARGEST_NOISE)])
     simplex = start + np.array([[0.0, 0.0], [0.02, 0.0], [0.0, 0.3]])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-5, "maxiter": 200}
-    found = optimize.minimize(cost, start, method="Nelder-Mead", options=options)
+    found = scipy.optimize.minimize(cost, start, method="Nelder-Mead", options=options)
     return p._replace(deceleration=float(np.exp(found.x[0])), deceleration_noise=float(np.exp(found.x[1])))
 
 

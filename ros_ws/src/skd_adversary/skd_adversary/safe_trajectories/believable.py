@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
-from skd_sim.program.on_demand import on_demand
-
-if TYPE_CHECKING:
-    from scipy import spatial
-else:
-    spatial = on_demand("scipy.spatial")
 
 LONGEST_HOLE: Final = 0.6
 """s without a row, up to which a straight line says where somebody was."""
@@ -136,7 +131,7 @@ def _cut(ways: Sequence[FloatArray]) -> tuple[int, int] | None:
         return None
     of = np.concatenate([np.full(len(ways[index]), index) for index in long])
     row = np.concatenate([np.arange(len(ways[index])) for index in long])
-    tree = spatial.KDTree(np.concatenate([ways[index] for index in long]))
+    tree = scipy.spatial.KDTree(np.concatenate([ways[index] for index in long]))
     step = max(float(np.hypot(*np.diff(ways[index], axis=0).T).max()) for index in long)
     for index in long:
         middle = len(ways[index]) // 2

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
-from skd_sim.program.lasting import import_lasting
+from skd_sim.start import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json
 from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse

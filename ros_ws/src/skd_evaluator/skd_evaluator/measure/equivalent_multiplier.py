@@ -16,20 +16,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_evaluator.measure.statistics.statistics import Interval, mean
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 
 @dataclass(frozen=True)
@@ -138,7 +133,7 @@ def _within(groups: Sequence[FloatArray]) -> Interval | None:
     typical = math.fsum(variances) / len(variances)  # of a φ with a single attempt
     known = math.fsum(variance * one.size for variance, one in zip(variances, spread, strict=True))
     error = math.sqrt(known + typical * (len(filled) - len(spread))) / total
-    reach, centre = float(special.stdtrit(freedom, 0.975)) * error, mean(np.concatenate(filled))
+    reach, centre = float(scipy.special.stdtrit(freedom, 0.975)) * error, mean(np.concatenate(filled))
     return centre - reach, centre + reach
 
 

@@ -19,7 +19,7 @@ from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.choices.options import options_of
 from skd_sim.errors import AssessmentError, UsageError
 from skd_sim.inputs.suggestion import nearest
-from skd_sim.program.bounded_end import END_LIMIT, end_within
+from skd_sim.program.ending import END_LIMIT, end_within
 from skd_sim.program.interruption import Interruption
 
 CLOCK = "/clock"

@@ -18,24 +18,19 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.randomness import Role, generator
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
 from skd_evaluator.measure.behaviour.model import NAMES
 from skd_evaluator.measure.behaviour.walking import OF_PERSON, OF_TICK, normals_of, smooth, walked
 from skd_evaluator.measure.risks import ScaleRisk, Touch
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 NEAREST: Final = 3
 """Failures of a kind that are kept."""
@@ -79,7 +74,7 @@ class Failure:
     @property
     def people(self) -> float:
         """Share of people who deviate as much or more."""
-        return float(special.gammaincc(0.5 * _NORMALS, 0.5 * self.deviation**2))
+        return float(scipy.special.gammaincc(0.5 * _NORMALS, 0.5 * self.deviation**2))
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from typing import Final
 from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
-from skd_sim.program.places import users_first
 
 from skd_evaluator.campaign.plan.imports import imports_of, is_installed
 from skd_evaluator.files import MARKERS
@@ -107,7 +106,7 @@ def controller_files(car: CarUnderTest, command: str = "") -> list[Path]:
 def module_file(target: str) -> Path | None:
     """Return the file of the module in `package.module:Class`, if one can be read; nothing is imported."""
     module = target.partition(":")[0]
-    found = list(_modules(module, users_first()))
+    found = list(_modules(module, sys.path))
     return found[-1].file if found and found[-1].name == module else None
 
 
@@ -166,7 +165,7 @@ class _Starts:
 
     def add_module(self, name: str, search: Sequence[str] | None = None) -> bool:
         """Add a module, those above it and what belongs to them; tell whether there is one."""
-        search = users_first() if search is None else tuple(search)
+        search = sys.path if search is None else tuple(search)
         found = list(_modules(name, search))
         for one in reversed(found):  # the module itself first
             self._add(one.file, one.folder, search)
@@ -182,12 +181,12 @@ class _Starts:
                 launcher = path.name.rstrip("0123456789.") in _LAUNCHERS or Path(name).name in _LAUNCHERS
                 self.says_which |= not launcher
                 alone = launcher or path.parent.name == "bin" or is_installed(path) or not _is_script(path)
-                search = (str(path.parent), *users_first())
+                search = (str(path.parent), *sys.path)
                 self._add(path, None if alone else _top(path.parent), search)
 
     def add_program(self, path: Path) -> None:
         """Add a program in Python, and what lies beside it."""
-        self._add(path.resolve(), path.resolve().parent, (str(path.parent), *users_first()))
+        self._add(path.resolve(), path.resolve().parent, (str(path.parent), *sys.path))
 
     def _add(self, file: Path, folder: Path | None, search: tuple[str, ...]) -> None:
         self.files.setdefault(file)

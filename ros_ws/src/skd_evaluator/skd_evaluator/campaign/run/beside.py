@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from skd_sim.program.parent_death import end_with_parent
+from skd_sim.program.ending import end_with_parent
 
 
 class Beside:

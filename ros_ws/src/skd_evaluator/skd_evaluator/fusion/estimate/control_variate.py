@@ -25,20 +25,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.fusion.estimate.rehearsal import Reach
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, plain_numbers
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 LEAST_PAIRS = 5
 """φ with physical trials below which nothing is said: Student's quantile of two degrees of freedom is 4.3."""
@@ -112,7 +106,9 @@ def fitted_line(y: FloatArray, x: FloatArray) -> Line:
     left = max(0.0, own - slope * common)
     correlation = max(-1.0, min(1.0, common / math.sqrt(spread * own)))
     beyond = math.inf if left <= _rounding(y) else correlation * math.sqrt(freedom / (left / own))
-    chance = float(special.stdtr(freedom, -beyond)) if math.isfinite(beyond) else 0.0 if correlation > 0.0 else 1.0
+    chance = (
+        float(scipy.special.stdtr(freedom, -beyond)) if math.isfinite(beyond) else 0.0 if correlation > 0.0 else 1.0
+    )
     return Line(slope, correlation, chance, left / freedom, spread)
 
 
@@ -205,7 +201,7 @@ def stand_for_all(x: FloatArray, population: FloatArray) -> bool:
 def least_variance(count: int) -> float:
     """Return the share of the variance over all φ that so many φ drawn by lot have in all but `SELDOM` of the cases."""
     freedom = count - 1.0
-    return float(special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
+    return float(scipy.special.gammaincinv(0.5 * freedom, SELDOM)) * 2.0 / freedom
 
 
 def trials_saved(pairs: int, narrower: float, confidence: float) -> int:

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 
 @dataclass(frozen=True)
@@ -89,5 +84,5 @@ def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> T
     left = up - slope * off
     error = math.sqrt(float(left @ left) / freedom / spread)
     half = student_quantile(freedom, confidence) * error
-    chance = 0.0 if error == 0.0 else float(2.0 * special.stdtr(freedom, -abs(slope) / error))
+    chance = 0.0 if error == 0.0 else float(2.0 * scipy.special.stdtr(freedom, -abs(slope) / error))
     return Trend(slope, (slope - half, slope + half), chance)

@@ -14,20 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.prior import Prior
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 FEW = 5
 """Safe trajectories below which an interval over them is called one of few: Student's quantile then grows fast."""
@@ -98,7 +93,7 @@ class Clustered:
 
 def student_quantile(degrees_of_freedom: float, confidence: float) -> float:
     """Return how many standard errors a two-sided interval by Student's t reaches to each side."""
-    return float(special.stdtrit(degrees_of_freedom, 0.5 + checked_confidence(confidence) / 2.0))
+    return float(scipy.special.stdtrit(degrees_of_freedom, 0.5 + checked_confidence(confidence) / 2.0))
 
 
 def variance_components(groups: Sequence[npt.ArrayLike]) -> VarianceComponents:

@@ -10,19 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.program.on_demand import on_demand
+import scipy
 
 from skd_evaluator.measure.statistics.clustered import clustered_mean, group_notes, student_quantile
 from skd_evaluator.measure.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 Groups = Sequence[npt.ArrayLike]
 TIE: Final = 0.5
@@ -122,7 +117,7 @@ def difference(first: Groups, second: Groups, *, paired: bool, confidence: float
 def _chance(value: float, error: float, freedom: float) -> float:
     if error == 0.0:
         return 1.0 if value == 0.0 else 0.0
-    return float(2.0 * special.stdtr(freedom, -abs(value) / error))
+    return float(2.0 * scipy.special.stdtr(freedom, -abs(value) / error))
 
 
 def _paired(ours: Sequence[Any], theirs: Sequence[Any]) -> tuple[float | None, float | None, list[str]]:

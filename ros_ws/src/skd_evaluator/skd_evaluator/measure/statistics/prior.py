@@ -22,19 +22,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.statistics import Interval
-
-if TYPE_CHECKING:
-    from scipy import optimize, special
-else:
-    optimize = on_demand("scipy.optimize")
-    special = on_demand("scipy.special")
 
 FREEDOM = 3.0
 _PER_DECADE = 40
@@ -93,7 +86,7 @@ class Prior:
         if not self.can_tell(inside):
             return None
         half = _half_width(self, tuple(means.tolist()), tuple(counts.tolist()), inside, confidence, precision)
-        normal = float(special.ndtri(0.5 + confidence / 2.0))
+        normal = float(scipy.special.ndtri(0.5 + confidence / 2.0))
         skewness = self.skewness + sample_skewness(means)
         if skewness * self.skewness <= 0.0:  # not to the other side
             skewness = 0.0
@@ -119,14 +112,14 @@ class Prior:
         weights = counts / counts.sum()
         errors = np.sqrt(squares / freedom * (spreads @ weights**2))[kept]
         wanted, parts = 0.5 + confidence / 2.0, shares[kept] / shares[kept].sum()
-        low, high = special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
+        low, high = scipy.special.stdtrit(freedom, wanted) * np.array([0.5 * errors.min(), 2.0 * errors.max()])
 
         def beyond(reach: float) -> float:
-            return float(parts @ special.stdtr(freedom, reach / errors) - wanted)
+            return float(parts @ scipy.special.stdtr(freedom, reach / errors) - wanted)
 
         # brentq's own least tolerance, 2e-12 m, is the one of figures.
         return float(
-            optimize.brentq(beyond, low, high, xtol=max(2e-12, precision * low), rtol=max(_LEAST_RTOL, precision))
+            scipy.optimize.brentq(beyond, low, high, xtol=max(2e-12, precision * low), rtol=max(_LEAST_RTOL, precision))
         )
 
     def _posterior(

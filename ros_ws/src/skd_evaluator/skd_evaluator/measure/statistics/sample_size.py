@@ -10,18 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from skd_sim.program.on_demand import on_demand
+import scipy
 
 from skd_evaluator.measure.statistics.clustered import student_quantile
 from skd_evaluator.measure.statistics.prior import Prior
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 MOST = 10_000
 """φ beyond which nobody is advised."""
@@ -78,7 +72,7 @@ def expected_width(
     means = np.linspace(-1.0, 1.0, safe)
     means /= means.std(ddof=1)
     freedom = safe - 1.0
-    scales = np.sqrt(safe * special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
+    scales = np.sqrt(safe * scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
     reaches = [prior.interval(scale * means, counts, inside, confidence, _PRECISION) for scale in scales]
     widths = np.array([sum(reach) for reach in reaches if reach is not None])
     return float(0.5 * _FEW_WEIGHTS @ widths)
@@ -110,8 +104,8 @@ def power(
     freedom = samples * (safe - 1.0)
     bound, shift = student_quantile(freedom, 1.0 - level), abs(difference) / error
     # Over the quantiles of the estimated error, for scipy's noncentral t is undefined where the shift is large.
-    spread = bound * np.sqrt(special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _NODES) * 2.0 / freedom)
-    return float(0.5 * _WEIGHTS @ (special.ndtr(shift - spread) + special.ndtr(-shift - spread)))
+    spread = bound * np.sqrt(scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _NODES) * 2.0 / freedom)
+    return float(0.5 * _WEIGHTS @ (scipy.special.ndtr(shift - spread) + scipy.special.ndtr(-shift - spread)))
 
 
 def sizes_for_width(

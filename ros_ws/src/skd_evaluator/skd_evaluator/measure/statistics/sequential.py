@@ -13,19 +13,14 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.statistics.clustered import Clustered
 from skd_evaluator.measure.statistics.statistics import checked_confidence
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 MOST_LOOKS = 100
 """Looks for which the integral is right to ten digits. Its nodes are spread over ± bound·√looks, and from some 150 on
@@ -52,7 +47,7 @@ def nominal_confidence(looks: int, confidence: float = 0.95) -> float:
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _held(middle, looks) < confidence else (low, middle)
-    return float(special.ndtr(high) - special.ndtr(-high))
+    return float(scipy.special.ndtr(high) - scipy.special.ndtr(-high))
 
 
 def _held(bound: float, looks: int) -> float:

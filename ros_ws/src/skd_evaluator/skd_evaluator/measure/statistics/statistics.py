@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 Interval = tuple[float, float]
 
@@ -216,7 +210,7 @@ def checked_confidence(confidence: float) -> float:
 
 
 def _two_sided_quantile(confidence: float) -> float:
-    return float(special.ndtri(0.5 + checked_confidence(confidence) / 2.0))
+    return float(scipy.special.ndtri(0.5 + checked_confidence(confidence) / 2.0))
 
 
 def plain_numbers(values: npt.ArrayLike) -> FloatArray:

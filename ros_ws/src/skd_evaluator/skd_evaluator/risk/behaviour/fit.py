@@ -12,21 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+import scipy
 from skd_sim.arrays import FloatArray
-from skd_sim.program.on_demand import on_demand
 
 from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
 from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
 from skd_evaluator.risk.behaviour.inversion import inverted, ridge
 from skd_evaluator.risk.behaviour.residuals import padded, summary
-
-if TYPE_CHECKING:
-    from scipy import special
-else:
-    special = on_demand("scipy.special")
 
 LEAST_TRACKS: Final = 8
 FITTED: Final = tuple(name for name, one in MEANINGS.items() if one.fitted)
@@ -200,7 +195,7 @@ def fit_behaviour(tracks: Sequence[FloatArray], time_step: float, *, seed: int =
     weights = np.diag(1.0 / np.diag(chance))
     gain = np.linalg.pinv(jacobian.T @ weights @ jacobian) @ jacobian.T @ weights
     errors = np.sqrt(np.diag(gain @ chance @ gain.T))
-    reach = float(special.ndtri(0.975)) * errors
+    reach = float(scipy.special.ndtri(0.975)) * errors
     values, low, high = _values(free), _values(free - reach), _values(free + reach)
 
     places = [NAMES.index(name) for name in FITTED]

@@ -1,4 +1,4 @@
-"""An end of this process that comes in time and with its exit code, whatever hangs in it.
+"""Ends of a process: in time and with its exit code, whatever hangs in it; and with the process that started it.
 
 A middleware may hang while a node is taken down, in a loop that holds Python's global lock (eProsima/Fast-DDS issue
 6513): no Python thread and no signal handler of Python's runs then. A timer of the C library needs neither: its thread
@@ -11,11 +11,12 @@ import contextlib
 import ctypes
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 END_LIMIT = 1.5
 """Seconds that taking a node down may take, and Python's own end after it."""
 _CLOCK_MONOTONIC, _SIGEV_THREAD = 1, 2
+_PR_SET_PDEATHSIG = 1
 
 
 class _Event(ctypes.Structure):
@@ -66,16 +67,20 @@ def end_within(seconds: float, code: int) -> contextlib.AbstractContextManager[N
             raise OSError
         if libc.timer_settime(timer, 0, ctypes.byref(setting), None):
             raise OSError
-    except (OSError, AttributeError):  # another C library: the end comes in time, though by a signal
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.setitimer(signal.ITIMER_REAL, seconds)
-        return _taking_back(lambda: signal.setitimer(signal.ITIMER_REAL, 0.0))
-    return _taking_back(lambda: libc.timer_delete(timer))
+    except (OSError, AttributeError):  # another C library
+        return contextlib.nullcontext()
+    return _deleting(libc, timer)
 
 
 @contextlib.contextmanager
-def _taking_back(take_back: Callable[[], object]) -> Iterator[None]:
+def _deleting(libc: ctypes.CDLL, timer: ctypes.c_void_p) -> Iterator[None]:
     try:
         yield
     finally:
-        take_back()
+        libc.timer_delete(timer)
+
+
+def end_with_parent() -> None:
+    """Have the kernel kill this process when the thread that started it ends; on Linux alone (prctl(2))."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
