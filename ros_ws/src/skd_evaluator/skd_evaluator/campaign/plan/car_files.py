@@ -165,7 +165,7 @@ class _Starts:
 
     def add_module(self, name: str, search: Sequence[str] | None = None) -> bool:
         """Add a module, those above it and what belongs to them; tell whether there is one."""
-        search = sys.path if search is None else tuple(search)
+        search = tuple(sys.path if search is None else search)
         found = list(_modules(name, search))
         for one in reversed(found):  # the module itself first
             self._add(one.file, one.folder, search)
