@@ -1,6 +1,6 @@
 # Sourced by the scripts of this folder: makes the project's environment at the first run, and finds it at once later.
 # Sets SKD_ROOT and SKD_ENV (the environment's bin folder). Needs Python 3.11 to 3.13; SKD_PYTHON chooses one.
-# Where SKD_ENV is set already, that environment is used as it is. With SKD_LOCKED=1 it is made of the versions of requirements*.lock,
+# Where SKD_ENV is set already, that environment is used as it is. With SKD_LOCKED=1 it is made of the versions of requirements/*.lock,
 # and of nothing whose hash is another.
 
 SKD_ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -37,7 +37,7 @@ _skd_install() {
     elif [ -n "$constraint" ]; then
         echo "skd: SKD_LOCKED is for environments without a sourced ROS 2, which has its own numpy" && return 1
     else
-        "${pip[@]}" --require-hashes -r "$SKD_ROOT/requirements${extras:+-all}.lock" -r "$SKD_ROOT/requirements-build.lock" &&
+        "${pip[@]}" --require-hashes -r "$SKD_ROOT/requirements/$([ -n "$extras" ] && echo all || echo run).lock" -r "$SKD_ROOT/requirements/build.lock" &&
             "${pip[@]}" --no-deps --no-build-isolation -e "$SKD_ROOT"
     fi
 }
