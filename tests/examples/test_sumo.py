@@ -14,7 +14,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import Controller, with_control_period
-from skd_sim.controllers.copying import Copier
 from skd_sim.encounter.road import HEADING_NORTH
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
@@ -134,7 +133,7 @@ def test_copies_are_the_driver_whatever_others_are_asked_in_between(kind):
     driver = ready(kind)
     for one in zip(seen[0][:12], ways[0][:12], strict=True):
         driver.command(*one)
-    copies = [Copier().copy(driver), copy.deepcopy(driver), Copier().copy(driver), driver]
+    copies = [copy.deepcopy(driver), copy.deepcopy(driver), driver]
     for step in range(12, 30):
         for number, one in enumerate(copies):
             assert one.command(seen[number][step], ways[number][step]) == alone[number][step]

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import copy
-import enum
 import fractions
 import os
-import random
 import sys
-from collections import deque
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-from skd_sim.controllers import BasicController, make_controller
-from skd_sim.controllers.copying import Copier
+from skd_sim.controllers import make_controller
 from skd_sim.controllers.user_controller import user_controller
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
@@ -212,48 +208,3 @@ def test_what_cannot_be_copied_is_named() -> None:
     holds.answer = Path(os.devnull).open()  # noqa: SIM115
     with pytest.raises(AssessmentError, match="controller mine: a copy failed with TypeError"):
         copy.deepcopy(user_controller(holds, "mine"))
-
-
-class Point(NamedTuple):
-    x: float
-    trail: list[float]
-
-
-class Slotted:
-    __slots__ = ("value",)
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-
-class Colour(enum.Enum):
-    RED = 1
-
-
-def test_a_copier_copies_as_deepcopy_does() -> None:
-    class Plain:
-        pass
-
-    plain: Any = Plain()
-    plain.itself, plain.shared = plain, [1.0]
-    plain.all = {
-        "list": [1, plain.shared, (plain.shared, 2.0)], "deque": deque([1, 2], 5), "array": np.ones((2, 3)),
-        "point": Point(1.0, [2.0]), "slots": Slotted([1]), "set": {1, 2}, "colour": Colour.RED, "text": "x",
-        "draws": np.random.default_rng(3), "python draws": random.Random(3), "method": plain.shared.append,
-        "scenario": CROSSING, "inner": BasicController(1.0),
-    }  # fmt: skip
-    made, expected = Copier().copy(plain), copy.deepcopy(plain)
-    assert made.itself is made
-    assert made.all["list"][1] is made.shared is made.all["list"][2][0] is not plain.shared
-    for name in ("list", "deque", "point", "set", "colour", "text"):
-        assert made.all[name] == expected.all[name], name
-    assert made.all["deque"].maxlen == 5
-    assert made.all["point"].trail is not plain.all["point"].trail
-    assert made.all["slots"].value == [1]
-    assert made.all["slots"].value is not plain.all["slots"].value
-    np.testing.assert_array_equal(made.all["array"], plain.all["array"])
-    assert not np.shares_memory(made.all["array"], plain.all["array"])
-    assert made.all["draws"].random() == expected.all["draws"].random() == plain.all["draws"].random()
-    assert made.all["python draws"].random() == plain.all["python draws"].random()
-    assert made.all["scenario"] is CROSSING  # which nobody can change
-    assert made.all["inner"] is not plain.all["inner"]

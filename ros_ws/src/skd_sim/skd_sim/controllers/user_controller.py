@@ -5,17 +5,17 @@ Whatever goes wrong in it is an AssessmentError whose one line names the control
 
 from __future__ import annotations
 
+import copy
 import math
 import pickle
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers.copying import Copier
 from skd_sim.controllers.isolated import begin_call, end_call
 from skd_sim.controllers.protocol import (
     Controller,
@@ -31,7 +31,6 @@ from skd_sim.sensors import Scan
 from skd_sim.state import AdversaryState, CarState, Scene
 
 _Result = TypeVar("_Result")
-_COPIER: Final = Copier()
 
 
 def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
@@ -64,7 +63,7 @@ def _is_number(answer: Any) -> bool:
 class UserController:
     """A user's controller, whose failures name it instead of ending in a traceback of ours.
 
-    `copy.deepcopy` makes another one by the controller's own method `copy`, or else by a `Copier`.
+    `copy.deepcopy` makes another one by the controller's own method `copy`, or else as it does with any object.
 
     Attributes:
         control_period: that it declares, s; none by default.
@@ -131,7 +130,7 @@ class UserController:
     def __deepcopy__(self, memo: dict[int, Any]) -> UserController:
         inner: Any = self._controller
         if not callable(getattr(inner, "copy", None)):
-            made = self._call("a copy", lambda: _COPIER.copy(inner))
+            made = self._call("a copy", lambda: copy.deepcopy(inner))
         else:
             made = self._call("copy", lambda: inner.copy())
             if made is inner or type(made) is not type(inner):
