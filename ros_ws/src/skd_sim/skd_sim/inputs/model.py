@@ -50,8 +50,8 @@ class OnLane(Frozen):
 
 def limits(low: float | None = None, high: float | None = None, unit: str = "") -> Any:
     """Return the annotation of a finite number: its range, ends included, and its unit."""
-    extra: dict[str, Any] = {"unit": unit} if unit else {}
-    return Field(ge=low, le=high, strict=True, allow_inf_nan=False, json_schema_extra=extra)
+    more: dict[str, Any] = {"allow_inf_nan": False} if high is None else {}
+    return Field(ge=low, le=high, strict=True, json_schema_extra={"unit": unit} if unit else {}, **more)
 
 
 class OneOf:
