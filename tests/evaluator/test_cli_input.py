@@ -104,21 +104,6 @@ def test_bad_number(capsys, command, option, value):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["assess", "--seed=--"], "argument --seed: must be a whole number ≥ 0, got '--'"),
-        (["assess", "--objective=--"], "argument --objective: invalid choice: '--'"),
-        (["assess", "--controller=--"], "controller '--'"),
-        (["fuse", "a", "b", "--frame=--"], "argument --frame: must be X,Y,DEGREES"),
-        (["export", "x", "--format=--"], "argument --format: invalid choice: '--'"),
-    ],
-)
-def test_two_hyphens_are_a_value_as_any_other(capsys, words, said):
-    """In Python 3.11 `--option=--` is an empty list: a traceback, or no value where one was given."""
-    assert said in refusal(words, capsys)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
         (["plan", "x", "--width=1_0"], "argument --width: must be a finite number > 0, got '1_0'"),  # 10, for Python
         (["campaign", "x", "--workers=1_000"], "argument --workers: must be a whole number ≥ 1, got '1_000'"),
         (["assess", "--seed=\u0663"], "argument --seed: must be a whole number ≥ 0"),  # 3, likewise

@@ -28,14 +28,6 @@ class Parser(argparse.ArgumentParser):
         else:
             super()._print_message(message, file)
 
-    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        # Python 3.11 takes the value of --option=-- for the mark behind which no options come, and gives an empty list.
-        if action.option_strings and action.nargs is None and arg_strings == ["--"]:
-            value = self._get_value(action, "--")
-            self._check_value(action, value)
-            return value
-        return super()._get_values(action, arg_strings)
-
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:
             super()._check_value(action, value)
