@@ -22,10 +22,8 @@ from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.verification import folders_below, verify
 from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
-from skd_evaluator.provenance import controller_files
 from skd_evaluator.report.history.runs import find_runs
 from skd_evaluator.risk.asked import risk_asked
-from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 
@@ -220,12 +218,6 @@ def test_a_campaign_names_a_scenario_that_cannot_be(tmp_path, name):
     (tmp_path / "x.yaml").write_text(f"encounters: [{{scenario: '{name}'}}]\n")
     with pytest.raises(UsageError, match=r"x.yaml"):
         read_campaign(tmp_path / "x.yaml")
-
-
-def test_a_command_may_name_a_home_that_nobody_has():
-    car = CarUnderTest("external", None)
-    assert car.is_external
-    assert controller_files(car, "drive ~nobody-of-that-name/x") == []
 
 
 @pytest.mark.parametrize("value", [".nan", ".inf", "[1]", "{a: 1}"])

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import subprocess
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from cli_support import CONTROLLERS, SMALL
 from common import assert_valid
-from skd_evaluator.provenance import controller_files, controller_revision, git_revision, provenance, surroundings_of
-from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
+from skd_evaluator.provenance import controller_revision, git_revision, surroundings_of
+from skd_sim.choices.car_under_test import CarUnderTest
 
 
 def content(folder: Path) -> dict[str, object]:
@@ -37,9 +35,7 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     assert said["command"].startswith("skd assess --safe-count 1 ")
     assert "--out 'out dir'" in said["command"]
     assert Path(said["folder"]) == here
-    digest = hashlib.sha256(CONTROLLERS.encode()).hexdigest()
-    assert said["controller_files"][0] == {"path": str(here / "my_cars.py"), "sha256": digest}
-    assert [one["path"] for one in said["controller_files"][1:]] == [str(here / "good.csv")]  # no result of it
+    assert [one["path"] for one in said["controller_files"]] == [str(here / "my_cars.py")]
     assert said["car_model_sha256"] is None
 
 
@@ -74,35 +70,6 @@ def test_every_part_of_a_sweep_is_an_assessment(skd_here, here):
     for name in ("skd", "objectives", "provenance", "deformation_ci95"):
         with pytest.raises(AssertionError):
             assert_valid({key: value for key, value in result.items() if key != name})
-
-
-def test_a_controller_s_file_is_found_without_running_it(tmp_path, monkeypatch):
-    package = tmp_path / "fleet" / "cars"
-    package.mkdir(parents=True)
-    for file in (tmp_path / "fleet" / "__init__.py", package / "__init__.py", package / "fast.py"):
-        file.write_text("raise SystemExit('imported')\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    assert controller_files(CarUnderTest("fleet.cars.fast:Car")) == [package / "fast.py"]
-    assert controller_files(CarUnderTest("fleet.cars:Car")) == [package / "__init__.py"]
-    assert controller_files(CarUnderTest("fleet.nowhere.fast:Car")) == []
-    assert controller_files(CarUnderTest("nowhere:Car")) == []
-    (basic,) = controller_files(CarUnderTest())
-    assert basic.name == "basic.py"
-    assert "fleet" not in sys.modules
-
-
-def test_files_that_a_command_line_names(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "my node.py").write_text("1")
-    (tmp_path / "gains.yaml").write_text("2")
-    car = CarUnderTest(EXTERNAL)
-    command = "python3 'my node.py' --ros-args --params-file ./gains.yaml gains.yaml --log-level info /dev/null ."
-    assert controller_files(car, command) == [tmp_path / "my node.py", tmp_path / "gains.yaml"]
-    assert controller_files(car, "python3 'unfinished") == []
-    assert controller_files(car) == []
-    said = provenance(["skd", "assess"], car, controller_command="./gains.yaml", car_model="{}")
-    assert said["controller_files"][0]["sha256"] == hashlib.sha256(b"2").hexdigest()
-    assert said["car_model_sha256"] == hashlib.sha256(b"{}").hexdigest()
 
 
 def test_git_revision_is_of_the_checkout_that_the_code_is_in(tmp_path, monkeypatch):

@@ -16,28 +16,28 @@ CAR = """
 from pathlib import Path
 from the_law import decide
 class Car:
-    def __init__(self): self.gain = float(Path(__file__).with_name("weights.txt").read_text())
+    def __init__(self): self.gain = float(Path(__file__).with_name("weights.bin").read_text())
     def reset(self, scenario, rng): pass
     def command(self, car, adversary): return decide(self.gain)
 """
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "text"),
     [
-        ("weights.txt", "2", "has changed since this campaign began"),
-        ("the_law.py", "def decide(gain): return gain\n", "has changed since this campaign began"),
-        ("nets/new.bin", "1", "was not there: it has come since this campaign began"),
-        ("weights.txt", None, "is gone since this campaign began"),
+        ("weights.bin", "2"),
+        ("the_law.py", "def decide(gain): return gain\n"),
+        ("nets/new.bin", "1"),
+        ("weights.bin", None),
     ],
 )
 def test_another_car_behind_the_same_module_is_refused(
-    here: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str | None, words: str
+    here: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str | None
 ) -> None:
     monkeypatch.syspath_prepend(str(here))
     (here / "read_car.py").write_text(CAR)
     (here / "the_law.py").write_text("def decide(gain): return -gain\n")
-    (here / "weights.txt").write_text("1")
+    (here / "weights.bin").write_text("1")
     (here / "nets").mkdir()
     (here / "cars.yaml").write_text(f"defaults: {{{SIZES}}}\ncars: [{{controller: 'read_car:Car'}}]\n")
     combinations = read_campaign(here / "cars.yaml")
@@ -52,7 +52,8 @@ def test_another_car_behind_the_same_module_is_refused(
         (here / name).write_text(text)
     with pytest.raises(UsageError) as caught:
         CampaignFolder(here / "out", make_cells(combinations), resume=True)
-    assert f"{here / name}, one of the files of the car of cell read_car-Car, {words}" in str(caught.value)
+    said = f"the code of the car of cell read_car-Car, {here / 'read_car.py'}, has changed since this campaign began"
+    assert said in str(caught.value)
 
 
 def _cells(here: Path, text: str) -> list[Cell]:

@@ -16,7 +16,7 @@ from typing import Any
 
 from skd_sim.choices.car_under_test import CarUnderTest
 
-from skd_evaluator.campaign.plan.car_files import car_files, controller_files, in_words
+from skd_evaluator.fingerprint import code_files, code_paths, in_words
 
 _GIT_PATIENCE = 10.0  # s
 
@@ -46,7 +46,7 @@ def provenance(
         **around,
         "controller_files": [
             {"path": path, "sha256": digest}
-            for path, digest in car_files(car, controller_command).digests.items()
+            for path, digest in code_files(car, controller_command).digests.items()
             if digest  # whoever has removed it meanwhile
         ],
         "controller_git": around["controller_git"]
@@ -78,8 +78,7 @@ def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | N
     """
     if car.is_own:
         return own
-    files = controller_files(car, command)
-    return next(filter(None, map(git_revision, reversed(files))), None)
+    return next(filter(None, map(git_revision, reversed(code_paths(car, command)))), None)
 
 
 def code_of_car(figures: Mapping[str, Any]) -> dict[str, Any] | None:

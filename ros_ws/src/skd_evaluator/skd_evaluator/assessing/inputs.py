@@ -13,8 +13,8 @@ from skd_sim.encounter.known_scenarios import SCENARIOS, is_named, lineage
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import real_path
 
-from skd_evaluator.campaign.plan.car_files import controller_files
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
+from skd_evaluator.fingerprint import code_paths
 from skd_evaluator.measure.behaviour import WALKERS
 
 _WRITTEN = ("out", "junit", "markdown", "csv")
@@ -42,8 +42,7 @@ def inputs_of(values: Mapping[str, Any]) -> list[Path]:
         scenarios += [name.strip() for row in csv.reader([listed]) for name in row]
     found += [path for name in scenarios if name for path in _files_of_scenario(str(name))]
     if values.get("controller"):
-        car = CarUnderTest(str(values["controller"]))
-        found += [] if car.is_own else controller_files(car)
+        found += code_paths(CarUnderTest(str(values["controller"])))
     return list(dict.fromkeys(found))
 
 

@@ -18,13 +18,12 @@ from skd_sim.simulation.named_simulator import make_simulator
 from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.campaign.judge.held_kamikazes import BUDGETS, held_attempts
-from skd_evaluator.campaign.plan.car_files import CarFiles, car_files
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaigns.campaign_file import Combination
 from skd_evaluator.campaigns.episode_record import digest_of, digest_of_trajectory
-from skd_evaluator.likeness import likeness
+from skd_evaluator.fingerprint import CodeFiles, code_files, environment
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 
 
@@ -149,11 +148,11 @@ def _cell(
     )
 
 
-def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> CarFiles:
+def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> CodeFiles:
     """Return the files of a car, and of plug-ins by which it is rated."""
     others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
     others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
-    return car_files(plan.car, command, others)
+    return code_files(plan.car, command, others)
 
 
 def _identity(
@@ -162,7 +161,7 @@ def _identity(
     objectives: Sequence[Objective],
     safe: Sequence[Trajectory] | None,
     risk: RiskAsked,
-    files: CarFiles,
+    files: CodeFiles,
 ) -> dict[str, Any]:
     """Return all that the figures of a cell depend on."""
     values = one.values
@@ -183,8 +182,8 @@ def _identity(
         "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
-        "file": files.digests,
-        "environment": dict(likeness()),
+        "file": dict(files.digests),
+        "environment": dict(environment()),
     }
 
 

@@ -287,7 +287,7 @@ def _difference(cell: str, key: str, before: Any, now: Any) -> str:
     kind, _, name = key.partition(".")
     if kind == "file":
         what = "was not there: it has come" if before is None else "is gone" if now is None else "has changed"
-        return f"{name}, one of the files of the car of cell {cell}, {what}"
+        return f"the code of the car of cell {cell}, {name}, {what}"
     if kind == "environment":
         return f"{name} has changed from {before} to {now}"
     if kind == "safe_trajectories":

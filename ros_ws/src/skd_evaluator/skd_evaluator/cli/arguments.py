@@ -272,11 +272,9 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
         UsageError: it cannot be taken, or holds what the command reads.
     """
     from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
-    from skd_evaluator.campaign.plan.car_files import leave_out
     from skd_evaluator.campaign.store.results import ResultFolder
 
     out = output_path(arguments)
-    leave_out([out])
     refuse_to_replace(out, inputs_of(vars(arguments)))
     return ResultFolder(out, overwrite=arguments.overwrite)
 

@@ -178,9 +178,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
     if files:
         from skd_evaluator.assessing.inputs import inputs_of, lies_in, refuse_to_replace
-        from skd_evaluator.campaign.plan.car_files import leave_out
 
-        leave_out(files.values())
         inputs = inputs_of(vars(arguments))
         for name, path in files.items():
             refuse_to_replace(path, inputs, f"--{name}")

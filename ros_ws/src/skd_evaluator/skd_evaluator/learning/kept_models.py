@@ -1,7 +1,7 @@
 """Models of cars that were learned before, kept for those who rate the same car again.
 
 A model is kept under a digest of all that it follows from, as far as that is known: the files of the car
-(`car_files`), the command that starts it, the scenario, how the graph is run, and SKD itself. Where it is known that
+(`fingerprint`), the command that starts it, the scenario, how the graph is run, and SKD itself. Where it is known that
 these are not all of its files, none is kept. SKD cannot see what a controller reads elsewhere, from the environment or
 from a server: if that changes, delete the folder.
 """
@@ -25,10 +25,9 @@ from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.plan.car_files import CarFiles, car_files
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.files import make_temporary
-from skd_evaluator.likeness import likeness
+from skd_evaluator.fingerprint import CodeFiles, code_files, environment
 
 _MODEL = "car_model.yaml"
 
@@ -60,17 +59,17 @@ def folder_of(plan: Plan, command: str | None, graph: Mapping[str, Any] | None) 
         "simulator": plan.simulator,
         "scenario": plan.scenario.as_dict(),
         "graph": dict(graph or {}),
-        "files": sorted(zip(map(str, files.all), files.sha256, strict=True)),
-        "likeness": dict(likeness()),
+        "files": dict(files.digests),
+        "environment": dict(environment()),
     }
     found = hashlib.sha256(json.dumps(follows_from, sort_keys=True).encode())
     return kept_models() / found.hexdigest()[:32]
 
 
-def files_of(plan: Plan, command: str | None) -> CarFiles:
+def files_of(plan: Plan, command: str | None) -> CodeFiles:
     """Return the files of a plan's car, and of a simulator that is not SKD's own."""
     others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
-    return car_files(plan.car, command or "", others)
+    return code_files(plan.car, command or "", others)
 
 
 def day_of(folder: Path) -> str:

@@ -115,7 +115,7 @@ def _lesson(
     folder, files = folder_of(plan, command, graph), files_of(plan, command)
     known = None if folder is None else kept_model(folder, plan.scenario)
     if known is not None:
-        same = f"on {day_of(folder)} with the same {_counted(len(files.all))}" if folder else ""
+        same = f"on {day_of(folder)} with the same files" if folder else ""
         same += " (all that its command names)" if plan.car.is_external else ""
         return Lesson(known, folder, fresh=False, seconds=0.0, compared=same)
     car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1))
@@ -124,10 +124,6 @@ def _lesson(
     seconds = time.perf_counter() - begin
     why_not = files.why_not and f"and keeps no model of it because {files.why_not}"
     return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=seconds, compared=why_not)
-
-
-def _counted(files: int) -> str:
-    return f"{files} file" if files == 1 else f"{files:,} files"
 
 
 def lesson_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib.util
 import pickle
 import platform
@@ -21,10 +20,9 @@ from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.controllers.isolated import end_children, set_call_limit
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.plan.car_files import car_files, controller_files, digest_of
 from skd_evaluator.campaign.run.executor_runner import answers
 from skd_evaluator.campaign.run.workers import warm_up_with
-from skd_evaluator.likeness import likeness
+from skd_evaluator.fingerprint import code_paths, digest_of, environment, files_of
 
 _PROTOCOL = 4
 """Of pickled answers. From 5 on a small array comes back as a view of a view of bytes, which takes twice the memory."""
@@ -71,7 +69,7 @@ _sent_modules: Final = _SentModules()
 @functools.cache
 def description() -> Mapping[str, str]:
     """Return what must be the same in all processes that share a campaign, as their results are the same to the bit."""
-    return {**likeness(), "distributed": version_of("distributed")}
+    return {**environment(), "distributed": version_of("distributed")}
 
 
 def difference(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str | None:
@@ -89,10 +87,9 @@ class SentController:
     Attributes:
         name: name of the controller.
         module: name of the module that holds its class.
-        path: path of the module's file on the machine where the campaign runs.
-        sha256: digest of that file; empty if no file was found.
+        path: path of the module's file, or of its package's folder, on the machine where the campaign runs.
+        sha256: digest of the package, or of what lies beside the module; empty: nothing does, or no file was found.
         source: content of the file if the module is no part of a package; None: workers have to have it installed.
-        files: the other files of the car: path on that machine, name from the folder of the package on, digest.
     """
 
     name: str
@@ -100,59 +97,40 @@ class SentController:
     path: str
     sha256: str
     source: bytes | None
-    files: tuple[tuple[str, str, str], ...] = ()
 
 
 def sent(car: CarUnderTest) -> SentController:
     """Return the controller of a car, ready to be sent; nothing of it is run."""
     target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
     module = target.partition(":")[0]
-    for path in controller_files(car):
-        content = path.read_bytes()
-        alone = path.name == f"{module}.py"
-        digest = hashlib.sha256(content).hexdigest()
-        files = car_files(car)
-        others = zip(map(str, files.all), files.names, files.sha256, strict=True)
-        further = tuple(one for one in others if one[0] != str(path))
-        return SentController(car.controller, module, str(path), digest, content if alone else None, further)
+    for path in code_paths(car):
+        source = path.read_bytes() if path.is_file() else None
+        return SentController(car.controller, module, str(path), _digest_beside(path), source)
     return SentController(car.controller, module, "", "", None)
+
+
+def _digest_beside(path: Path) -> str:
+    """Return the digest of a package's folder, or of all that lies beside a module."""
+    return digest_of([file for file in files_of(path) if file != path])
 
 
 def _have(controller: SentController) -> None:
     """See that a controller here is that of the campaign.
 
     Raises:
-        UsageError: its module, of a package, is another, or not there, or another of its files.
+        UsageError: its package is another, or not there, or what lies beside its module.
     """
-    if controller.source is not None:
-        _compare(controller, {path: digest_of(Path(path)) for path, _, _ in controller.files})
-        _sent_modules.add(controller.module, SentModule(controller.path, controller.source))
-        return
-    here = sent(CarUnderTest(controller.name))
-    if here.sha256 != controller.sha256:
-        what = "has another file of" if here.sha256 else "does not have"
+    here = sent(CarUnderTest(controller.name)).sha256 if controller.source is None else controller.sha256
+    if controller.source is not None and controller.sha256:
+        here = _digest_beside(Path(controller.path))
+    if here != controller.sha256:
+        what = "has other files of" if here else "does not have"
         raise UsageError(
-            f"worker on {platform.node()} {what} the controller {controller.name}: a module of a package has to be "
-            "installed, the same, on all workers; a single file is sent to them"
+            f"worker on {platform.node()} {what} the controller {controller.name}, which are in {controller.path}: "
+            "only a module that stands alone in its folder is sent to the workers, all else has to be there, the same"
         )
-    found = {name: digest for _, name, digest in here.files}
-    _compare(controller, {path: found.get(name) for path, name, _ in controller.files})
-
-
-def _compare(controller: SentController, here: Mapping[str, str | None]) -> None:
-    """See that the other files of a controller are here what they are on the campaign's machine.
-
-    Raises:
-        UsageError: one is not.
-    """
-    for path, _, digest in controller.files:
-        if here[path] != digest:
-            what = "has another" if here[path] else "does not have"
-            raise UsageError(
-                f"worker on {platform.node()} {what} {path}, one of the files of the controller {controller.name}: "
-                "only a module that stands alone in its folder is sent to the workers, all else has to be there, the "
-                "same"
-            )
+    if controller.source is not None:
+        _sent_modules.add(controller.module, SentModule(controller.path, controller.source))
 
 
 @dataclass(frozen=True)

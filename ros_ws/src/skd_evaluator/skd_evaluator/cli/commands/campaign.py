@@ -16,7 +16,6 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessing.inputs import inputs_of
 from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
-from skd_evaluator.campaign.plan.car_files import leave_out
 from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaigns.campaign import Campaign, planned_rows
 from skd_evaluator.campaigns.campaign_file import Combination, read_campaign
@@ -44,9 +43,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.resume and arguments.overwrite:
         raise UsageError("--resume goes on with what --overwrite replaces: give one of them")
     combinations = read_campaign(arguments.path)
-    leave_out(
-        [arguments.path, *([] if arguments.out is None else [Path(arguments.out)])]
-    )  # the file: what it asks for is held cell by cell
     cells = make_cells(combinations)
     if arguments.dry_run:
         return _say_plan(cells, arguments)
