@@ -29,6 +29,7 @@ ROSDEP |= {"llvmlite": "python3-numba"}  # which is made of it
 ROSDEP |= {"PIL": "python3-pil", "jinja2": "python3-jinja2"}
 ROSDEP |= {"pytest": "python3-pytest", "rich": "python3-rich", "scipy": "python3-scipy", "yaml": "python3-yaml"}
 NOT_IN_ROSDEP = {
+    "altair",
     "lz4",
     "mcap",
     "rosbags",

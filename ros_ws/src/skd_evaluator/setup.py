@@ -41,6 +41,7 @@ setup(
         "Jinja2",
         "pillow",
         "vl-convert-python",
+        "altair",
     ],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,

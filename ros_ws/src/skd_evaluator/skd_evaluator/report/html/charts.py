@@ -1,45 +1,54 @@
-"""The charts of the page, as Vega-Lite specifications."""
+"""The charts of the page, drawn by altair: as the Vega-Lite that the page's own script gives to Vega."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import altair as alt
 import numpy as np
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.judge.figure_table import CI95, SHARE, shown_in
+from skd_evaluator.campaign.judge.figure_table import CI95, SHARE, Figure, shown_in
+from skd_evaluator.measure.risks import SCALES
 from skd_evaluator.report.html.matrix import encounters_of
 from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
 from skd_evaluator.report.vulnerability import interval_band
 
-_SCHEMA = "https://vega.github.io/schema/vega-lite/v6.json"  # a name; nobody asks for it
 _AIR = 1.15
 """How much further than the last hit the curve goes."""
 _BANDS = 4
 """Most curves whose intervals are shaded: more would lie on one another."""
-_RATE = "hit along φ (%)"
-"""Of what was planned, beside the margin: on paper and in the dark."""
+_ROW, _NAME = 36, 240
+"""Height of a car, and most width of its name, px."""
 
 Spec = dict[str, Any]
 
 
-def spec(height: int, description: str, **rest: Any) -> Spec:
-    """Return a chart as wide as its place; `height` is in px."""
-    fit = {"type": "fit-x", "contains": "padding"}
-    return {
-        "$schema": _SCHEMA,
-        "width": "container",
-        "height": height,
-        "autosize": fit,
-        "description": description,
-    } | rest
+def _drawn(layers: Sequence[alt.Chart], height: int, description: str) -> Spec:
+    """Return a chart as wide as its place, `height` px high; the page's script has its theme."""
+    fit = alt.AutoSizeParams(type="fit-x", contains="padding")
+    alt.data_transformers.consolidate_datasets = False  # rows stand where they are drawn
+    chart = alt.LayerChart(layer=list(layers))
+    found: Spec = chart.properties(width="container", height=height, autosize=fit, description=description).to_dict()
+    del found["config"]
+    return found
 
 
-def axis(field: str, title: str, **more: Any) -> Spec:
-    """Return the encoding of a number along an axis that need not begin at 0."""
-    scale = more.pop("scale", {})
-    return {"field": field, "type": "quantitative", "title": title, "scale": {"zero": False, **scale}, **more}
+def _of(rows: Iterable[Mapping[str, Any]]) -> alt.Chart:
+    return alt.Chart(alt.InlineData(values=[dict(one) for one in rows]))
+
+
+def _tooltip(**titles: tuple[str, str] | str) -> list[alt.Tooltip]:
+    """Return lines of a tooltip: field=title, or field=(title, format)."""
+    lines = ((name, (one, "") if isinstance(one, str) else one) for name, one in titles.items())
+    return [alt.Tooltip(f"{name}:{'Q' if form else 'N'}", title=title, format=form) for name, (title, form) in lines]
+
+
+# --- vulnerability curves
 
 
 def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
@@ -54,131 +63,50 @@ def vulnerability_charts(subjects: Sequence[Subject]) -> list[tuple[str, Spec]]:
 
 def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     ordered = sorted(subjects, key=lambda one: float(_main(one)["area_above"]))
-    alone = len(ordered) == 1
-    colours = palette.ordered(len(ordered))
-    dashes = [list(one) for one in palette.in_turn(len(ordered))]
-    names = [one.label for one in ordered]
-    planned_curve = _planned(ordered[0]) if alone else None
-    end = _end([*(_main(one) for one in ordered), *([planned_curve] if planned_curve else [])])
-    steps, bands, rates, budgets = [], [], [], []
-    planned = _steps(names[0], planned_curve, end) if planned_curve else []
-    for name, one in zip(names, ordered, strict=True):
-        steps += _steps(name, _main(one), end)
-        if len(ordered) <= _BANDS:
-            bands += [
-                {"car": name, "eta": round(eta, 5), "low": 100.0 * low, "high": 100.0 * high}
-                for eta, low, high in zip(*(part.tolist() for part in interval_band(_main(one))), strict=True)
-                if eta <= end
-            ]
-        rate = one.figures["hit_rate"]
-        if rate is not None:
-            ends = one.figures["hit_rate_ci95"] or (rate, rate)
-            rates.append({"car": name, "eta": 0.0, "rate": 100.0 * rate, **_ends(ends)})
-        if alone:
-            budgets = [
-                {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])}
-                for point in (one.curve or {})["budgets"]
-                if point["attempts"]
-            ]
-    scale = {"domain": names, "range": colours}
-    legend = (
-        None
-        if len(names) == 1
-        else {
-            "title": "the most vulnerable first",
-            "symbolLimit": 0,
-            "labelLimit": 260,
-            "symbolType": "stroke",
-            "symbolSize": 600,
-            "symbolStrokeWidth": 2.2,
-        }
-    )
-    colour = {"field": "car", "type": "nominal", "scale": scale, "legend": legend, "sort": names}
-    dash = {**colour, "scale": {"domain": names, "range": dashes}}
-    x = axis("eta", "η: how far the adversary may stray from φ (m)", scale={"domain": [0.0, end], "nice": False})
-    y = axis("rate", "can be hit (% of attempts)", scale={"domain": [0, 100]})
-    line = {"type": "line", "interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
-    layers: list[Spec] = [
-        {
-            "data": {"values": bands},
-            "mark": {"type": "area", "interpolate": "step-after", "opacity": 0.18, "clip": True},
-            "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}, "color": colour},
-        },
-        {
-            "data": {"values": steps},
-            "mark": line,
-            "encoding": {
-                "x": x,
-                "y": y,
-                "color": colour,
-                "strokeDash": dash,
-                "tooltip": [
-                    {"field": "car"},
-                    {"field": "eta", "title": "η (m)", "format": ".2f"},
-                    {"field": "rate", "title": "hit (%)", "format": ".1f"},
-                ],
-            },
-        },
-        {
-            "data": {"values": rates},
-            "mark": {"type": "rule", "strokeWidth": 2},
-            "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}, "color": colour},
-        },
-        {
-            "data": {"values": rates},
-            "mark": {"type": "point", "filled": True, "size": 60, "opacity": 1},
-            "encoding": {
-                "x": x,
-                "y": y,
-                "color": colour,
-                "tooltip": [
-                    {"field": "car"},
-                    {"field": "rate", "title": _RATE, "format": ".1f"},
-                    {"field": "low", "title": "95 % from", "format": ".1f"},
-                    {"field": "high", "title": "to", "format": ".1f"},
-                ],
-            },
-        },
+    names, alone = [one.label for one in ordered], len(ordered) == 1
+    planned = _planned(ordered[0]) if alone else None
+    end = _end([*map(_main, ordered), *([planned] if planned else [])])
+    x = alt.X("eta:Q", title="η: how far the adversary may stray from φ (m)")
+    x = x.scale(domain=[0.0, end], nice=False)
+    y, low = (alt.Y(f"{name}:Q", title="can be hit (% of attempts)").scale(domain=[0, 100]) for name in ("rate", "low"))
+    legend = None if alone else _legend("the most vulnerable first", symbolType="stroke", symbolSize=600)
+    dashes = [list(one) for one in palette.in_turn(len(names))]
+    colour = alt.Color("car:N", sort=names, legend=legend).scale(domain=names, range=palette.ordered(len(names)))
+    dash = alt.StrokeDash("car:N", sort=names, legend=legend).scale(domain=names, range=dashes)
+    steps = [row for one in ordered for row in _steps(one.label, _main(one), end)]
+    bands = [row for one in ordered for row in _band(one, end)] if len(ordered) <= _BANDS else []
+    rates = [row for one in ordered for row in _rates(one)]
+    line: Spec = {"interpolate": "step-after", "strokeWidth": 2.2, "clip": True}
+    hit = _tooltip(car="car", eta=("η (m)", ".2f"), rate=("hit (%)", ".1f"))
+    layers = [
+        _of(bands)
+        .mark_area(interpolate="step-after", opacity=0.18, clip=True)
+        .encode(x=x, y=low, y2="high:Q", color=colour),
+        _of(steps).mark_line(**line).encode(x=x, y=y, color=colour, strokeDash=dash, tooltip=hit),
+        _of(rates).mark_rule(strokeWidth=2).encode(x=x, y=low, y2="high:Q", color=colour),
+        _of(rates)
+        .mark_point(filled=True, size=60, opacity=1)
+        .encode(x=x, y=y, color=colour, tooltip=_tooltip(car="car", rate=("hit along φ (%)", ".1f"), **_ENDS)),
     ]
     if planned:
-        layers.insert(
-            1,
-            {
-                "data": {"values": planned},
-                "mark": {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.BEHIND},
-                "encoding": {
-                    "x": x,
-                    "y": y,
-                    "tooltip": [
-                        {"field": "eta", "title": "η (m)", "format": ".2f"},
-                        {"field": "rate", "title": "planned kamikazes, hit (%)", "format": ".1f"},
-                    ],
-                },
-            },
-        )
-    if budgets:
+        behind: Spec = {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.BEHIND}
+        said = _tooltip(eta=("η (m)", ".2f"), rate=("planned kamikazes, hit (%)", ".1f"))
+        layers.insert(1, _of(_steps(names[0], planned, end)).mark_line(**behind).encode(x=x, y=y, tooltip=said))
+    if alone and (budgets := _budgets(ordered[0])):
+        diamond: Spec = {"shape": "diamond", "size": 60, "opacity": 1, "strokeWidth": 2}
         layers += [
-            {
-                "data": {"values": budgets},
-                "mark": {"type": "rule", "color": palette.BEHIND},
-                "encoding": {"x": x, "y": {**y, "field": "low"}, "y2": {"field": "high"}},
-            },
-            {
-                "data": {"values": budgets},
-                "mark": {
-                    "type": "point",
-                    "shape": "diamond",
-                    "size": 60,
-                    "color": palette.BEHIND,
-                    "opacity": 1,
-                    "strokeWidth": 2,
-                },
-                "encoding": {"x": x, "y": y},
-            },
+            _of(budgets).mark_rule(color=palette.BEHIND).encode(x=x, y=low, y2="high:Q"),
+            _of(budgets).mark_point(color=palette.BEHIND, **diamond).encode(x=x, y=y),
         ]
-    return spec(
-        320, "Vulnerability curve: share of attempts in which somebody who strays at most η can be hit", layer=layers
-    )
+    described = "Vulnerability curve: share of attempts in which somebody who strays at most η can be hit"
+    return _drawn(layers, 320, described)
+
+
+_ENDS: dict[str, tuple[str, str] | str] = {"low": ("95 % from", ".1f"), "high": ("to", ".1f")}
+
+
+def _legend(title: str | None, **more: Any) -> alt.Legend:
+    return alt.Legend(title=title, symbolLimit=0, labelLimit=260, **more)
 
 
 def _main(one: Subject) -> Mapping[str, Any]:
@@ -207,6 +135,26 @@ def _steps(name: str, curve: Mapping[str, Any], end: float) -> list[dict[str, An
     return [{"car": name, "eta": round(eta, 4), "rate": round(100.0 * value, 3)} for eta, value in points]
 
 
+def _band(one: Subject, end: float) -> list[dict[str, Any]]:
+    columns = (part.tolist() for part in interval_band(_main(one)))
+    rows = zip(*columns, strict=True)
+    return [{"car": one.label, "eta": round(eta, 5), **_ends((low, high))} for eta, low, high in rows if eta <= end]
+
+
+def _rates(one: Subject) -> list[dict[str, Any]]:
+    rate = one.figures["hit_rate"]
+    if rate is None:
+        return []
+    return [{"car": one.label, "eta": 0.0, "rate": 100.0 * rate, **_ends(one.figures["hit_rate_ci95"] or (rate, rate))}]
+
+
+def _budgets(one: Subject) -> list[dict[str, Any]]:
+    points = [point for point in (one.curve or {})["budgets"] if point["attempts"]]
+    return [
+        {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])} for point in points
+    ]
+
+
 def _end(curves: Sequence[Mapping[str, Any]]) -> float:
     """Return how far the chart goes (m): a little beyond the last hit, at most to η_max."""
     last = max((one["steps"]["eta"][-1] for one in curves if one["steps"]["eta"]), default=0.0)
@@ -214,8 +162,7 @@ def _end(curves: Sequence[Mapping[str, Any]]) -> float:
     return float(min(limit, np.ceil(_AIR * last * 10.0) / 10.0)) if last > 0.0 else limit
 
 
-_ROW, _NAME = 36, 240
-"""Height of a car, and most width of its name, px."""
+# --- several cars side by side
 
 
 def against_multiplier(subjects: Sequence[Subject]) -> bool:
@@ -228,130 +175,165 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
     """Return margin, hits along φ, planned deformation and SKD of several cars: against C where all have one."""
     if len(subjects) < 2:
         return []
-    against = against_multiplier(subjects)
+    return [
+        _comparison(subjects, figure, rows) for figure in shown_in("chart") if (rows := _compared(subjects, figure))
+    ]
+
+
+def _compared(subjects: Sequence[Subject], figure: Figure) -> list[dict[str, Any]]:
+    """Return a figure of each car that has one, with its interval."""
     several = len(encounters_of(subjects)) > 1
-    series = {one.label: ", ".join(filter(None, (several * one.scenario.name, one.kind))) for one in subjects}
-    kinds = list(dict.fromkeys(series.values()))
-    labels = [one.label for one in subjects]
-    across, up = ("x", "y") if against else ("y", "x")
-    found = []
-    for figure in shown_in("chart"):
-        key, title, scale, values = figure.key, figure.heading, figure.kind.scale, []
-        for one in subjects:
-            if one.figures.get(key) is None:
-                continue
-            by_phi = one.figures.get(f"{key}_{CI95}") if figure.by_phi else None
-            ends = by_phi or one.figures.get(f"{key}_{figure.independent}") or (one.figures[key],) * 2
-            values.append(
-                {
-                    "car": one.label,
-                    "kind": series[one.label],
-                    "C": one.figures["multiplier"],
-                    "value": scale * one.figures[key],
-                    "low": scale * ends[0],
-                    "high": scale * ends[1],
-                    "of": "by φ"
-                    if by_phi
-                    else "attempts or pairs taken as independent"
-                    if figure.independent
-                    else "not known",
-                }
-            )
-        if not values:
+    key, scale, rows = figure.key, figure.kind.scale, []
+    for one in subjects:
+        value = one.figures.get(key)
+        if value is None:
             continue
-        x: Spec = axis("C", "multiplier C of the basic controller", scale={"padding": 12})
-        if not against:
-            # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
-            names = {"labelExpr": "split(replace(datum.label, ' (', '\\n('), '\\n')", "labelLimit": _NAME}
-            x = {"field": "car", "type": "nominal", "title": None, "sort": labels, "axis": names}
-        y = axis("value", title, scale={"zero": figure.kind is SHARE})
-        if not against:
-            y["axis"] = {"tickCount": 6}
-        colour = {
-            "field": "kind",
-            "type": "nominal",
-            "title": "encounter" if several else "φ",
-            "scale": {"domain": kinds, "range": list(palette.SERIES[: len(kinds)])},
-            "legend": None if kinds == [""] else {"title": "φ"},
-        }
-        shape = {
-            "field": "kind",
-            "type": "nominal",
-            "title": "φ",
-            "scale": {"domain": kinds, "range": list(palette.SHAPES[: len(kinds)])},
-            "legend": colour["legend"],
-        }
-        layers: list[Spec] = [
+        by_phi = one.figures.get(f"{key}_{CI95}") if figure.by_phi else None
+        low, high = by_phi or one.figures.get(f"{key}_{figure.independent}") or (value, value)
+        independent = "attempts or pairs taken as independent" if figure.independent else "not known"
+        rows.append(
             {
-                "mark": {"type": "rule", "strokeWidth": 2},
-                "encoding": {up: {**y, "field": "low"}, f"{up}2": {"field": "high"}},
-            },
-            {
-                "mark": {"type": "point", "filled": True, "size": 70, "opacity": 1},
-                "encoding": {
-                    up: y,
-                    "shape": shape,
-                    "tooltip": [
-                        {"field": "car"},
-                        {"field": "value", "title": title, "format": ".3f"},
-                        {"field": "low", "title": "95 % from", "format": ".3f"},
-                        {"field": "high", "title": "to", "format": ".3f"},
-                        {"field": "of", "title": "interval"},
-                    ],
-                },
-            },
-        ]
-        if against:
-            layers.insert(0, {"mark": {"type": "line", "strokeWidth": 1.2, "opacity": 0.6}, "encoding": {"y": y}})
-        found.append(
-            spec(
-                260 if against else 60 + _ROW * len(subjects),
-                f"{title}, with 95 % intervals",
-                data={"values": values},
-                encoding={across: x, "color": colour},
-                layer=layers,
-            )
+                "car": one.label,
+                "kind": ", ".join(filter(None, (several * one.scenario.name, one.kind))),
+                "C": one.figures["multiplier"],
+                "value": scale * value,
+                "low": scale * low,
+                "high": scale * high,
+                "of": "by φ" if by_phi else independent,
+            }
         )
-    return found
+    return rows
+
+
+def _comparison(subjects: Sequence[Subject], figure: Figure, rows: Sequence[Mapping[str, Any]]) -> Spec:
+    title, against = figure.heading, against_multiplier(subjects)
+    kinds = list(dict.fromkeys(str(one["kind"]) for one in rows))
+    legend = None if kinds == [""] else _legend("encounter" if len(encounters_of(subjects)) > 1 else "φ")
+    colour = alt.Color("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SERIES[: len(kinds)]))
+    shape = alt.Shape("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SHAPES[: len(kinds)]))
+    zero, ends = figure.kind is SHARE, ("value", "low")
+    said = _tooltip(car="car", value=(title, ".3f"), low=("95 % from", ".3f"), high=("to", ".3f"), of="interval")
+    if against:
+        value, low = (alt.Y(f"{name}:Q", title=title).scale(zero=zero) for name in ends)
+        base = _of(rows).encode(
+            x=alt.X("C:Q", title="multiplier C of the basic controller").scale(zero=False, padding=12), color=colour
+        )
+        layers = [
+            base.mark_line(strokeWidth=1.2, opacity=0.6).encode(y=value),
+            base.mark_rule(strokeWidth=2).encode(y=low, y2="high:Q"),
+            base.mark_point(filled=True, size=70, opacity=1).encode(y=value, shape=shape, tooltip=said),
+        ]
+    else:
+        right, left = (alt.X(f"{name}:Q", title=title).scale(zero=zero).axis(tickCount=6) for name in ends)
+        # Names lie, in two lines: only then all of a name is seen, the end too that tells it from the next.
+        names = alt.Axis(labelExpr="split(replace(datum.label, ' (', '\\n('), '\\n')", labelLimit=_NAME)
+        labels = [one.label for one in subjects]
+        base = _of(rows).encode(y=alt.Y("car:N", title=None, sort=labels, axis=names), color=colour)
+        layers = [
+            base.mark_rule(strokeWidth=2).encode(x=left, x2="high:Q"),
+            base.mark_point(filled=True, size=70, opacity=1).encode(x=right, shape=shape, tooltip=said),
+        ]
+    return _drawn(layers, 260 if against else 60 + _ROW * len(subjects), f"{title}, with 95 % intervals")
 
 
 def per_safe_chart() -> Spec:
     """Return the chart of distances per φ; the page puts in its height, and `pairs` and `means` of the chosen car."""
-    y = {"field": "name", "type": "nominal", "title": None, "sort": None, "axis": {"labelLimit": 180}}
-    kinds = {
-        "domain": ["margin", "planned deformation", "Fréchet distance"],
-        "range": [palette.MARGIN, palette.VERMILLION, palette.BLUE],
+    what = ["margin", "planned deformation", "Fréchet distance"]
+    colours = alt.Color("what:N", legend=alt.Legend(title=None))
+    colours = colours.scale(domain=what, range=[palette.MARGIN, palette.VERMILLION, palette.BLUE])
+    placed: Spec = {
+        "x": alt.X("value:Q", title="distance from φ (m)").scale(zero=True),
+        "y": alt.Y("name:N", title=None, sort=None).axis(labelLimit=180),
+        "yOffset": alt.YOffset("what:N").scale(domain=what),
+        "color": colours,
     }
-    colour = {"field": "what", "type": "nominal", "scale": kinds, "legend": {"title": None}}
-    offset = {"field": "what", "type": "nominal", "scale": {"domain": kinds["domain"]}}
-    x = axis("value", "distance from φ (m)", scale={"zero": True})
-    return spec(
-        0,
-        "Distances of each attempt per φ",
-        layer=[
-            {
-                "data": {"name": "pairs", "values": []},
-                "mark": {"type": "tick", "thickness": 1.2, "opacity": 0.45},
-                "encoding": {"x": x, "y": y, "yOffset": offset, "color": colour},
-            },
-            {
-                "data": {"name": "means", "values": []},
-                "mark": {
-                    "type": "point", "shape": "diamond", "filled": True, "size": 110, "opacity": 1,
-                    "stroke": "white", "strokeWidth": 1,
-                },
-                "encoding": {
-                    "x": x,
-                    "y": y,
-                    "yOffset": offset,
-                    "color": colour,
-                    "tooltip": [
-                        {"field": "name", "title": "φ"},
-                        {"field": "what"},
-                        {"field": "value", "title": "mean (m)", "format": ".3f"},
-                        {"field": "count", "title": "attempts"},
-                    ],
-                },
-            },
-        ],
-    )  # fmt: skip
+    pairs, means = (alt.Chart(alt.InlineData(values=[], name=name)) for name in ("pairs", "means"))
+    diamond: Spec = {"shape": "diamond", "filled": True, "size": 110, "opacity": 1, "stroke": "white", "strokeWidth": 1}
+    said = _tooltip(name="φ", what="what", value=("mean (m)", ".3f"), count=("attempts", "d"))
+    layers = [
+        pairs.mark_tick(thickness=1.2, opacity=0.45).encode(**placed),
+        means.mark_point(**diamond).encode(**placed, tooltip=said),
+    ]
+    return _drawn(layers, 0, "Distances of each attempt per φ")
+
+
+# --- margin against risk
+
+
+def rating_charts(subjects: Sequence[Subject]) -> list[tuple[str, list[Spec]]]:
+    """Return for each set of cars that can be compared a heading, empty for one set, and a chart for each scale.
+
+    Cars can be compared that are rated on the same φ, with one behaviour model.
+    """
+    groups: dict[tuple[object, ...], list[tuple[Subject, RatedCar]]] = {}
+    for one in subjects:
+        car = rated_car(one.figures, one.label)
+        if car is not None:
+            model = json.dumps(one.figures["risk"]["behaviour"], sort_keys=True)
+            groups.setdefault((one.safe_key, one.figures["eta_max"], model), []).append((one, car))
+    shown = [members for members in groups.values() if len(members) > 1]
+    return [
+        (
+            f"{members[0][0].kind or members[0][0].figures['safe']} φ" if len(shown) > 1 else "",
+            [_rating([car for _, car in members], place) for place in range(len(SCALES))],
+        )
+        for members in shown
+    ]
+
+
+def _rating(cars: Sequence[RatedCar], place: int) -> Spec:
+    floor, curve = floor_of(cars, place), basic_cars(cars)
+    others = [one for one in cars if one not in curve]
+    decades = [float(f"1e{power}") for power in range(round(math.log10(floor)), 1)]
+    x, left = (alt.X(f"{name}:Q", title="margin (m)").scale(zero=True).axis(tickCount=5) for name in ("margin", "low"))
+    y, below = (
+        alt.Y(f"{name}:Q", title=f"R({SCALES[place]:g})")
+        .scale(type="log", domain=[floor, 1.0], clamp=True)
+        .axis(format="~g", values=decades)
+        for name in ("risk", "risk_low")
+    )
+    said = _tooltip(car="car", margin=("margin (m)", ".3f"), value=("risk", ".2~g"), interval="95 %")
+
+    def points(base: alt.Chart, dot: Spec, bar: Spec, **encoding: Any) -> list[alt.Chart]:
+        return [
+            base.mark_rule(**bar).encode(x=left, x2="high:Q", y=y),
+            base.mark_rule(**bar).encode(x=x, y=below, y2="risk_high:Q"),
+            base.mark_point(filled=True, opacity=1, **dot).encode(x=x, y=y, tooltip=said, **encoding),
+        ]
+
+    layers: list[alt.Chart] = []
+    if curve:
+        texts = labelled(curve, place, floor)
+        base = _of({**_rated(one, place, floor), "label": text} for one, text in zip(curve, texts, strict=True))
+        grey: Spec = {"color": palette.BEHIND}
+        layers += [
+            base.mark_line(strokeWidth=1.4, **grey).encode(x=x, y=y, order="C:Q"),
+            *points(base, {"size": 22, **grey}, {"opacity": 0.5, **grey}),
+            base.mark_text(dx=9, dy=-7, fontSize=10, **grey).encode(x=x, y=y, text="label:N"),
+        ]
+    if others:
+        names, few = [one.label for one in others], len(others) <= len(palette.SERIES)
+        legend = _legend(None) if few else None
+        colours = list(palette.SERIES[: len(names)]) if few else [palette.BLUE] * len(names)
+        shapes = list(palette.SHAPES[: len(names)]) if few else ["circle"] * len(names)
+        colour = alt.Color("car:N", sort=names, legend=legend).scale(domain=names, range=colours)
+        shape = alt.Shape("car:N", sort=names, legend=legend).scale(domain=names, range=shapes)
+        base = _of(_rated(one, place, floor) for one in others).encode(color=colour)
+        layers += points(base, {"size": 75}, {"strokeWidth": 2}, shape=shape)
+    return _drawn(layers, 280, f"Margin against R({SCALES[place]:g}), with 95 % intervals")
+
+
+def _rated(one: RatedCar, place: int, floor: float) -> dict[str, Any]:
+    value, (low, high) = one.risks[place]
+    return {
+        "car": one.label,
+        "C": one.multiplier,
+        "margin": one.margin,
+        "low": one.margin_ci95[0],
+        "high": one.margin_ci95[1],
+        "value": value,
+        "risk": max(floor, value),
+        "risk_low": max(floor, low),
+        "risk_high": max(floor, high),
+        "interval": f"{low:.2g} to {high:.2g}",
+    }

@@ -21,11 +21,16 @@ from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.ncap.colours import ROOM
 from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.charts import against_multiplier, comparison_charts, per_safe_chart, vulnerability_charts
+from skd_evaluator.report.html.charts import (
+    against_multiplier,
+    comparison_charts,
+    per_safe_chart,
+    rating_charts,
+    vulnerability_charts,
+)
 from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.matrix import by_encounter, matrix_of
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
-from skd_evaluator.report.html.rating_charts import rating_charts
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject

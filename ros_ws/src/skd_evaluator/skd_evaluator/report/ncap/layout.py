@@ -12,8 +12,8 @@ from skd_evaluator.report.formats import counted
 NOTHING = "–"
 COLOURS = {"green": "#009933", "yellow": "#FFDD33", "orange": "#FF9933", "brown": "#964B00", "red": "#FF3333"}
 """As Euro NCAP's calculator has them; the letter in the cell says the same."""
-LIGHT = ("yellow", "orange")
-"""Colours on which words are black."""
+LIGHT = ("green", "yellow", "orange", "red")
+"""Colours on which words are black: white would have a contrast below 4.5 (WCAG 2.2)."""
 LEGEND = (
     "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m; "
     "≥ is a lower bound: no hit was found in some attempt)"

@@ -81,8 +81,7 @@ def _draw_cell(axes: Axes, x: int, y: int, cell: Cell, *, narrow: bool) -> None:
     ink = "black" if cell.colour in ("", *LIGHT) else "white"
     axes.add_patch(Rectangle((x - 0.48, y - 0.48), 0.96, 0.96, fc=face, ec="none"))
     if narrow:
-        axes.add_patch(Rectangle((x - 0.43, y - 0.43), 0.86, 0.86, fc="white", ec="black", lw=2.2))
-        ink = palette.ALERT
+        axes.add_patch(Rectangle((x - 0.43, y - 0.43), 0.86, 0.86, fc="none", ec="black", lw=2.2))
     axes.text(x, y - 0.2, f"{letter_of(cell)} {impact_text(cell)}", ha="center", va="center", color=ink, fontsize=7)
     weight = "bold" if narrow else "normal"
     size = 9 if narrow else 8
