@@ -47,7 +47,7 @@ def test_basic_cars_stand_in_the_report_as_their_results_say(sweep):
     ((heading, charts),) = rating_charts(read_subjects([sweep]))
     assert heading == ""
     assert len(charts) == 3
-    rows = charts[1]["layer"][0]["data"]["values"]
+    rows = charts[1]["data"]["values"]
     said = [json.loads(path.read_text()) for path in sorted(sweep.glob("synthetic/*/assessment.json"))]
     assert [row["C"] for row in rows] == [one["multiplier"] for one in said]
     assert [row["margin"] for row in rows] == [one["margin"] for one in said]
