@@ -381,41 +381,6 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
     assert "expected nav_msgs/msg/Odometry" in refused(file)
 
 
-@pytest.mark.parametrize(
-    ("message", "field"),
-    [
-        ("EpisodeResult", "\nuint32 commands_clipped\n"),
-        ("EpisodeResult", "\nfloat32[] command_ages\n"),
-        ("Episode", "\nstring options\n"),
-        ("Episode", "\nuint8[32] controller_seed\n"),
-    ],
-)
-def test_recordings_of_before_a_field_was_there(
-    message: str, field: str, replays_the_same: Check, campaign: Campaign, store: Typestore, tmp_path: Path
-) -> None:
-    """They came later; without them nothing was clipped, nothing timed, and every option is by default."""
-    name = f"skd_msgs/msg/{message}"
-    text = (MESSAGES / f"{message}.msg").read_text()
-    assert field in text
-
-    def shorter(definition: str) -> str:
-        """Without the field and what came after it."""
-        own, mark, others = definition.partition("\n====")
-        return own[: own.index(field.rstrip())] + "\n" + mark + others
-
-    before = get_typestore(Stores.ROS2_JAZZY)
-    before.register(get_types_from_msg(shorter(text), name))
-
-    def age(item: Item) -> Item:
-        if item.type_name != name:
-            return item
-        data = bytes(before.serialize_cdr(store.deserialize_cdr(item.data, name), name))
-        assert len(data) < len(item.data)
-        return dataclasses.replace(item, definition=shorter(item.definition), data=data)
-
-    file = tmp_path / "x.mcap"
-    write_items(file, [age(item) for item in read_items(files_of(campaign))])
-    replays_the_same(file)
 
 
 def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
