@@ -73,4 +73,4 @@ def test_what_does_not_compare_is_said_or_refused(skd_here, here):
     rows = slice(forged["offsets"][np.flatnonzero(forged["mode"] == 1)[0]], None)
     forged["positions"][rows] += 0.01
     np.savez_compressed(here / "two" / "episodes.npz", **forged)
-    one_line(skd_here("compare", "one", "two"), 2, "two", "assessment.json")
+    one_line(skd_here("compare", "one", "two"), 2, "two", "episodes.npz: is not what was written")

@@ -352,7 +352,8 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     kept = np.flatnonzero(arrays["mode"] == Mode.SAFE)
     arrays = {name: array for name, array in arrays.items() if not name.startswith("margin")}
     offsets = arrays["offsets"][: len(kept) + 1]
-    for name in ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective"):
+    of_episodes = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
+    for name in (*of_episodes, "clipped", "reason"):
         arrays[name] = arrays[name][kept]
     arrays |= {"offsets": offsets, **{name: arrays[name][: offsets[-1]] for name in ("positions", "car", "belief")}}
     np.savez(folder / "episodes.npz", **arrays)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import shutil
-from collections.abc import Callable
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,19 +17,16 @@ from skd_evaluator.campaign.compare.gate import Limit, check_limits, check_not_w
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.manifest import write_manifests
-from skd_evaluator.campaign.store.rebuilt import rebuilt, recompute
 from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.campaign.store.verification import verify
-from skd_evaluator.cli.commands.verify import with_episodes
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.episode.episode import Outcome
 from skd_sim.errors import UsageError
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=3, collision_runs=4, seed=5, simulations=30)
 
@@ -90,97 +86,6 @@ def test_another_margin_than_that_of_the_ways_is_refused(folders, tmp_path):
     np.savez_compressed(without / "episodes.npz", **kept)
     with pytest.raises(UsageError, match="give no margin"):
         read_result(without)
-
-
-def forge(folder: Path, to: Path, change: Callable[[dict[str, np.ndarray]], object]) -> Path:
-    """Change arrays of a result, and write its figures and its manifest anew so that they follow."""
-    shutil.copytree(folder, to)
-    with np.load(to / "episodes.npz") as file:
-        arrays = {name: file[name].copy() for name in file.files}
-    change(arrays)
-    np.savez(to / "episodes.npz", **arrays)
-    path = to / "assessment.json"
-    figures = json.loads(path.read_text(encoding="utf-8"))
-    stored = read_episodes(to)
-    given = rebuilt(figures, stored).as_dict()
-    wrong = {one.name.partition(".")[0] for one in recompute(figures, stored).contradict}
-    figures |= {key: given[key] for key in wrong if key in given}
-    path.write_text(json.dumps(figures), encoding="utf-8")
-    (to / "surrogate_measures.csv").unlink()  # older results have none
-    write_manifests(to)
-    return to
-
-
-def slower(arrays: dict[str, np.ndarray]) -> None:
-    arrays["margin_impact_speed"] *= 0.9
-
-
-def longer(arrays: dict[str, np.ndarray]) -> None:
-    """Lead the least way a little further off, at its end."""
-    row = int(np.nanargmin(arrays["margin"]))
-    low, high = arrays["margin_offsets"][row : row + 2]
-    arrays["margin_positions"][low + 1 : high, 1] += 0.01
-    spans = arrays["offsets"]
-    phi = [arrays["positions"][a:b] for a, b in itertools.pairwise(spans)][arrays["margin_safe_index"][row]]
-    way = arrays["margin_positions"][low:high]
-    arrays["margin"][row] = deformation(phi, way, arrays["margin_duration"][row])
-
-
-def beside(arrays: dict[str, np.ndarray]) -> None:
-    """Move the ways aside, steps and all."""
-    arrays["margin_positions"][:, 1] += 0.5
-    phis = [arrays["positions"][a:b] for a, b in itertools.pairwise(arrays["offsets"])]
-    for row, (low, high) in enumerate(itertools.pairwise(arrays["margin_offsets"])):
-        if high > low:
-            phi, way = phis[arrays["margin_safe_index"][row]], arrays["margin_positions"][low:high]
-            arrays["margin"][row] = deformation(phi, way, arrays["margin_duration"][row])
-
-
-@pytest.mark.parametrize("ours", [True, False])
-def test_a_way_that_begins_elsewhere_is_refused(folders, tmp_path, ours):
-    """Who is led on it goes by its steps alone; a result of recordings may be of another world."""
-    forged = forge(folders[0.5], tmp_path / "forged", beside)
-    path = forged / "assessment.json"
-    figures = json.loads(path.read_text(encoding="utf-8"))
-    figures["provenance"] = {
-        **(figures.get("provenance") or {}),
-        "command": "skd assess" if ours else "skd replay bags",
-    }
-    figures["safe"] = "synthetic" if ours else "bags"
-    path.write_text(json.dumps(figures), encoding="utf-8")
-    write_manifests(forged)
-    says = "the way of the margin of attempt 0 of safe trajectory 0 begins 0.5 m from where everybody starts"
-    found = verify(forged)
-    assert any(says in line for line in (found.problems if ours else found.remarks))
-
-
-@pytest.mark.parametrize(
-    ("change", "says"), [(slower, "the hit on its way is at"), (longer, "this car gives")], ids=["slower", "longer"]
-)
-def test_margins_that_are_not_the_car_s_are_found_by_verify(folders, tmp_path, change, says):
-    """Whoever writes all files anew cannot make SKD's own cars drive otherwise."""
-    assert with_episodes(verify(folders[0.5])).remarks[-1] == "12 margins were computed anew"
-    forged = forge(folders[0.5], tmp_path / "forged", change)
-    found = with_episodes(verify(forged))
-    assert not found.contradict
-    assert any("margin of attempt" in line and says in line for line in found.problems), found.problems
-
-
-def test_verify_says_which_runs_are_not_there_although_later_ones_are(folders, tmp_path):
-    def without_one(arrays: dict[str, np.ndarray]) -> None:
-        drop = int(np.flatnonzero(arrays["mode"] == Mode.REPLAY)[0])
-        low, high = arrays["offsets"][drop : drop + 2]
-        count = len(arrays["mode"])
-        for name in ("positions", "car", "belief"):
-            arrays[name] = np.delete(arrays[name], np.s_[low:high], axis=0)
-        for name in [name for name, one in arrays.items() if one.ndim and len(one) == count]:
-            arrays[name] = np.delete(arrays[name], drop, axis=0)
-        arrays["offsets"] = np.delete(arrays["offsets"], drop) - (np.arange(count) >= drop) * (high - low)
-
-    remarks = with_episodes(verify(folders[0.5])).remarks
-    assert not any("it has no" in line or "not recorded" in line for line in remarks)
-    found = with_episodes(verify(forge(folders[0.5], tmp_path / "forged", without_one)))
-    assert any("along safe trajectory 0" in line or "it has no runs" in line for line in found.remarks), found
 
 
 def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_path):

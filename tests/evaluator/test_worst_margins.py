@@ -14,9 +14,7 @@ from report_support import make_sweep
 from rich.console import Console
 from skd_evaluator.campaign.compare.gate import Limit, check_limits
 from skd_evaluator.campaign.store.figure_names import check_figure
-from skd_evaluator.campaign.store.manifest import write_manifests
 from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.campaign.store.verification import verify
 from skd_evaluator.cli.commands.compare import run as compare
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.measure.distances.least_way import LeastWay
@@ -85,20 +83,3 @@ def test_every_output_has_it(folders, tmp_path, capsys):
     assert compare(make_parser().parse_args(words)) == 0
     said = json.loads(capsys.readouterr().out)
     assert [row[FIGURE] for row in said["rows"]] == [figures_of(folder)[FIGURE] for folder in folders]
-
-
-def test_a_result_of_before_is_read_without_it_and_a_wrong_one_is_refused(folders):
-    figures = figures_of(folders[0])
-    before = {name: value for name, value in figures.items() if name != FIGURE}
-    (folders[0] / "assessment.json").write_text(json.dumps(before), encoding="utf-8")
-    write_manifests(folders[0])
-    assert verify(folders[0]).fine
-    found = read_result(folders[0])
-    assert FIGURE not in found.figures
-    assert found.remarks == ()
-    assert LABEL not in [row.name for row in figure_rows(read_subjects([folders[0]])[0])]
-    wrong = {**figures, FIGURE: figures[FIGURE] + 0.1}
-    (folders[0] / "assessment.json").write_text(json.dumps(wrong), encoding="utf-8")
-    write_manifests(folders[0])
-    (said,) = verify(folders[0]).contradict
-    assert FIGURE in said

@@ -381,8 +381,6 @@ def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, 
     assert "expected nav_msgs/msg/Odometry" in refused(file)
 
 
-
-
 def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
     def age(item: Item) -> Item:
         if item.topic != "/skd/episode":

@@ -22,7 +22,7 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.workers import check_controller
-from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.campaign.store.manifest import check_unchanged
 
 
 def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:
@@ -116,7 +116,7 @@ def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan
     if model:
         source = Path(plain["car_model"]).expanduser()
         plain["car_model"] = car_model_for_scenario(source, scenario)
-        check_as_written(file_of(source))
+        check_unchanged(file_of(source).parent, [file_of(source).name])
     return Plan(scenario, **values_of(CampaignOptions, plain))
 
 

@@ -27,7 +27,7 @@ from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
 from skd_evaluator.campaign.plan.probe import probed
 from skd_evaluator.campaign.store.episodes_file import episode_columns
-from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.measure.credibility import not_credible
 
 EPISODES = "episodes.npz"
@@ -160,8 +160,7 @@ def _said_beside(path: Path) -> _Beside:
 def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
-        for file in (path, *(path.with_name(name) for name in SUMMARIES if (path.parent / name).exists())):
-            check_as_written(file)
+        check_unchanged(path.parent, [path.name, *(name for name in SUMMARIES if (path.parent / name).exists())])
         logs = _logs_in(path)
         for line in _said_beside(path).not_credible:
             damage.warn(f"{path}: {line}")

@@ -87,10 +87,7 @@ class Campaign:
         self._revisions = {one.name: controller_revision(one.plan.car, _command_of(one), own) for one in cells}
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
-        before = folder.rows_before()
-        rows = {
-            cell.name: row_of(cell, folder.path / cell.name, before.get(cell.name), maximum_aborted) for cell in cells
-        }
+        rows = {cell.name: row_of(cell, folder.path / cell.name, maximum_aborted) for cell in cells}
         done = {name: row for name, row in rows.items() if row is not None}
         self._cells = cells
         self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]

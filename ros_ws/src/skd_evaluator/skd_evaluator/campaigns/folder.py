@@ -175,17 +175,6 @@ class CampaignFolder:
 
     # --- what is done
 
-    def rows_before(self) -> dict[str, object]:
-        """Return the rows of campaign.json by name. Use only their digests; all else is made anew from the cells.
-
-        Raises:
-            UsageError: it cannot be read.
-        """
-        if not (self.path / CAMPAIGN).exists():
-            return {}
-        rows = _read_json(self.path / CAMPAIGN)["cells"]
-        return {str(row.get("name")): row for row in rows if isinstance(row, dict)}
-
     @contextmanager
     def logs(self, cell: str) -> Iterator[Path]:
         """Yield a folder for what the processes of a cell print: beside the cell's, and it stays if the work fails."""

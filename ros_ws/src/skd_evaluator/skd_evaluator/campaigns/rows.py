@@ -1,7 +1,6 @@
 """Rows of a campaign: what campaign.json says of each cell, always made from the cell's own folder.
 
-Nothing is read back from campaign.json, so a figure that somebody changes there has no effect. A cell's folder is
-checked like any result: its files must be unchanged, and its figures must follow from its episodes.
+Nothing is read back from campaign.json. A cell's folder is checked like any result: its files must be unchanged.
 """
 
 from __future__ import annotations
@@ -19,9 +18,8 @@ from skd_sim.inputs.outside import sha256_of
 from skd_evaluator.assessing.findings import warnings_of, why_failed
 from skd_evaluator.campaign.judge.figure_table import columns
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.store.checked import check_result
-from skd_evaluator.campaign.store.manifest import check_unchanged
-from skd_evaluator.campaign.store.rebuilt import can_be_rebuilt, rebuilt
+from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
+from skd_evaluator.campaign.store.recomputation import rating_of
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.campaigns.cell import Cell
@@ -78,7 +76,7 @@ def done_row(
     return {
         **open_row(cell),
         "state": DONE,
-        **{name: figures.get(name) for name in FIGURES},  # an older result has no figure of today
+        **{name: figures[name] for name in FIGURES},
         "knowledge": str(figures["knowledge"]),
         "ranking_objective": str(rating.for_deformation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
@@ -89,13 +87,12 @@ def done_row(
     }
 
 
-def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> Row | None:
+def row_of(cell: Cell, folder: Path, maximum_aborted: float) -> Row | None:
     """Return the row of a cell whose folder is there and whole; None where it is to be run.
 
     Args:
         cell: the cell.
         folder: folder of its result.
-        before: the cell's row in campaign.json, of which only the digests are used; None where there is none.
         maximum_aborted: share of its episodes that may be aborted.
 
     Raises:
@@ -104,32 +101,17 @@ def row_of(cell: Cell, folder: Path, before: object, maximum_aborted: float) -> 
     if not folder.is_dir():
         return None
     try:
-        manifest = check_unchanged(folder, CHECKED)
-        written = _digests_in(before)
-        if not manifest and written is None:
-            return None  # of an older version, killed before it took note of it
+        if not check_unchanged(folder, CHECKED):
+            raise UsageError(f"{folder}: has no {MANIFEST}: nobody knows whether it is what was written")
         digests = {name: sha256_of(folder / name) for name in CHECKED}
-        if written is not None and written != digests:
-            changed = next(name for name in CHECKED if written.get(name) != digests[name])
-            raise UsageError(f"{folder / changed}: is not what was written")
         figures = read_figures(folder)
         stored = read_episodes(folder)
-        check_result(folder, figures, stored, manifest=manifest)
         with understood(folder / ASSESSMENT):
             _check_cell(cell, folder, figures, len(stored.safe))
-            if not can_be_rebuilt(stored):
-                raise UsageError(f"{folder}: is of an older version, whose row cannot be made from it")
-            rating = rebuilt(figures, stored)
+            rating = rating_of(figures, stored)
             return done_row(cell, figures, rating, maximum_aborted=maximum_aborted, digests=digests)
     except UsageError as error:
         raise UsageError(f"{error}; remove {folder}, and --resume makes it again") from error
-
-
-def _digests_in(row: object) -> dict[str, Any] | None:
-    """Return the digests that campaign.json has of a cell that is done; None where it has none."""
-    if not isinstance(row, dict) or row.get("state") != DONE or not isinstance(row.get("sha256"), dict):
-        return None
-    return dict(row["sha256"])
 
 
 def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:

@@ -8,7 +8,7 @@ from typing import Final
 from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR
-from skd_evaluator.campaign.store.manifest import check_as_written
+from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.measure.behaviour.model import Behaviour, file_of, load_behaviour
 
 NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
@@ -54,5 +54,5 @@ def behaviour_asked(name: str) -> Behaviour:
         UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.
     """
     behaviour = load_behaviour(name)
-    check_as_written(file_of(name))
+    check_unchanged(file_of(name).parent, [file_of(name).name])
     return behaviour

@@ -113,10 +113,8 @@ class Figure:
         spoken: the texts beside it are what is shown, for it may lie beyond what was compared.
         clustered: `clustering` has what its interval by φ is made of.
         planned: what kamikazes know of the car stands beside it.
-        firm: it means the same in every version, so it is refused where it contradicts even an older file.
         told: why it cannot be recomputed.
         optional: it is there only where it was asked for.
-        newer: results of before have it not, and nothing is wrong with them.
         first: it is one of the few of `summary` that the terminal and the page show first.
         summary: its place among the rows of the gate's Markdown, as others below; 0: it is not there.
         details: in the terminal's `--details` and the page's table, behind those that are written out there.
@@ -142,10 +140,8 @@ class Figure:
     spoken: bool = False
     clustered: bool = False
     planned: bool = False
-    firm: bool = False
     told: Told = Told.EPISODES
     optional: bool = False
-    newer: bool = False
     first: bool = False
     summary: int = 0
     details: int = 0
@@ -203,9 +199,9 @@ _MORE, _LESS = Better.MORE, Better.LESS
 FIGURES = (
     Figure("margin", LENGTH, "mean over all attempts of the least deformation with which anybody could have been hit "
            "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
-           firm=True, summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
+           summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
     Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
-           "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE, newer=True,
+           "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE,
            details=2, campaign=25, compare=24),
     Figure("margin_converged", FLAG_OR_NULL, "whether doubling the budget of the search changed it by less than 2 %; "
            "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
@@ -218,30 +214,30 @@ FIGURES = (
     Figure("margin_how", TEXT_OR_NULL, "what was searched, where it was not the car itself in process", _MARGIN,
            told=Told.SEARCH, campaign=4, compare=4),
     Figure("impact_speed", SPEEDS, "speed of the car when it hits on the ways of the margin, m/s: mean and 90 % "
-           "quantile", _MARGIN, "impact speed", _LESS, firm=True, summary=4, first=True, campaign=6, compare=13),
+           "quantile", _MARGIN, "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
     Figure("risk_1", PROBABILITY, "R(1): how likely the front of the moving car hits somebody who walks φ as people do",
-           _RISK, "risk R(1)", _LESS, by_phi=True, independent="ci95_runs", newer=True,
+           _RISK, "risk R(1)", _LESS, by_phi=True, independent="ci95_runs",
            summary=11, first=True, details=4, difference=7, campaign=26, compare=25, junit=12),
     Figure("risk_2", PROBABILITY, "R(2): the same of people who deviate twice as much", _RISK, "risk R(2)", _LESS,
-           by_phi=True, independent="ci95_runs", newer=True,
+           by_phi=True, independent="ci95_runs",
            summary=12, details=5, difference=8, campaign=27, compare=26),
     Figure("risk_3", PROBABILITY, "R(3): three times as much", _RISK, "risk R(3)", _LESS, by_phi=True,
-           independent="ci95_runs", newer=True, summary=13, details=6, difference=9, campaign=28, compare=27),
-    Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK, newer=True),
-    Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, newer=True, campaign=29),
+           independent="ci95_runs", summary=13, details=6, difference=9, campaign=28, compare=27),
+    Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK),
+    Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, campaign=29),
     Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
     Figure("closeness", RATIO, "planned deformation over margin, in the same attempts",
            label="closeness, planned / margin", better=Better.NEAR_1, by_phi=True,
            summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
     Figure("deformation", LENGTH, "restricted mean deformation of planned kamikazes over all attempts; one that the "
            "moving car does not hit counts as eta_max, m", _DEFORMATION, "planned deformation", _MORE, by_phi=True,
-           independent="ci95_attempts", per_phi=True, clustered=True, planned=True, firm=True,
+           independent="ci95_attempts", per_phi=True, clustered=True, planned=True,
            summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
     Figure("deformation_of_successes", LENGTH, "mean deformation of the attempts that the moving car hit, m",
            _DEFORMATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
     Figure("deformation_success_rate", SHARE, "success rate of the kamikazes whose deformation is reported",
            _DEFORMATION, better=_LESS, by_phi=True, independent="ci95_attempts", bare=True, source="success_rate",
-           clustered=True, firm=True, campaign=11, sweep=4, compare=16),
+           clustered=True, campaign=11, sweep=4, compare=16),
     Figure("equivalent_multiplier", NUMBER, "C of the basic car with the same margin on the same φ; null beyond those "
            "compared, or where it is not known", label="equivalent multiplier C", better=_MORE, spoken=True,
            told=Told.BASIC_CARS, summary=2, first=True, campaign=12, compare=8),
@@ -253,13 +249,13 @@ FIGURES = (
     Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL, told=Told.BASIC_CARS),
     Figure("measures", _each(ref("measure")), "further measures of the pairs, by name", _DEFORMATION),
     Figure("equivalent_multiplier_note", TEXT, told=Told.BASIC_CARS),
-    Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), "η_max, m", _SETTING, firm=True,
+    Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), "η_max, m", _SETTING,
            campaign=23, compare=21),
     Figure("skd", LENGTH, "Safe-Kamikaze Distance: mean discrete Fréchet distance of all pairs, m", _SKD, "SKD", _MORE,
-           by_phi=True, independent="ci95_pairs", per_phi=True, clustered=True, firm=True,
+           by_phi=True, independent="ci95_pairs", per_phi=True, clustered=True,
            summary=7, first=True, chart=4, difference=3, campaign=15, sweep=6, compare=19, junit=8),
     Figure("skd_prefix", LENGTH, "mean prefix distance, φ cut at the duration of ψ, m", _SKD, "prefix distance", _MORE,
-           by_phi=True, independent="ci95_pairs", bare=True, per_phi=True, clustered=True, firm=True,
+           by_phi=True, independent="ci95_pairs", bare=True, per_phi=True, clustered=True,
            summary=10, difference=4, campaign=16, sweep=7),
     Figure("variance", Kind(ref("number_or_null"), "m²"), "sample variance of the Fréchet distance, m²", _SKD,
            campaign=17, sweep=8),
@@ -272,7 +268,7 @@ FIGURES = (
     Figure("probability_bound_ci95", _each(INTERVAL.schema), of=_SKD),
     Figure("kamikaze_success_rate", SHARE, "success rate of the kamikazes whose SKD is reported", _SKD,
            "of the attempts of SKD collide", _LESS, by_phi=True, independent="ci95_attempts", bare=True,
-           source="success_rate", clustered=True, firm=True, summary=8, campaign=19, sweep=10, compare=20),
+           source="success_rate", clustered=True, summary=8, campaign=19, sweep=10, compare=20),
     Figure("kamikaze_attempts", COUNT, of=_SKD, source="attempts"),
     Figure("kamikaze_aborted", COUNT, of=_SKD, source="aborted"),
     Figure("success_rate", SHARE, "share of the attempts that reached what they planned for: a hit, or a collision",
@@ -282,22 +278,22 @@ FIGURES = (
     Figure("aborted", COUNT, of=_OBJECTIVE),
     Figure("mean_impact_speed", SPEED, "m/s", _SKD, "mean impact speed of these", details=1),
     Figure("mean_closing_speed", SPEED, "speed of the car relative to whom it touches, m/s", _SKD, "mean closing speed "
-           "of these", newer=True, details=3),
+           "of these", details=3),
     Figure("standing_contacts", COUNT, "collisions with a car below 0.1 m/s", _OBJECTIVE),
     Figure("aborted", COUNT, "episodes that were aborted, of all kinds", campaign=22),
     Figure("aborted_reasons", _each(ref("aborted_reason"))),
     Figure("commands_clipped", Kind(ref("commands_clipped"))),
     Figure("simulator_contacts", Kind(ref("simulator_contacts")), "contacts by the shapes of a simulator that has its "
-           "own, beside those by SKD's geometry, which count", optional=True, newer=True),
+           "own, beside those by SKD's geometry, which count", optional=True),
     Figure("simulation", Kind({"type": "object"}), "what a simulator other than SKD's own world says of the car in "
-           "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True, newer=True),
+           "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True),
     Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
            "command to its use, or from a state to its answer", told=Told.GRAPH),
     Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,
-           by_phi=True, firm=True, summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
+           by_phi=True, summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
     Figure("collision_rate", SHARE, "share of the runs along φ that ended in a collision",
            label="collisions along φ, any touch", better=_LESS, by_phi=True, independent="ci95_runs", clustered=True,
-           firm=True, summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
+           summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
     Figure("clustering", Kind(ref("clusterings"))),
     Figure("clustering", Kind(ref("clusterings_of_objective")), of=_OBJECTIVE),
     Figure("until_width", Kind(or_null(ref("until_width"))), told=Told.ASKED),
@@ -306,7 +302,7 @@ FIGURES = (
     Figure("left_out", LINES, told=Told.ASKED),
     Figure("warnings", LINES, told=Told.ASKED),
     Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
-           "each impact place that one of the φ stands for", told=Told.TESTED, optional=True, newer=True),
+           "each impact place that one of the φ stands for", told=Told.TESTED, optional=True),
     Figure("name", TEXT, of=Of.PHI),
     Figure("attempts", COUNT, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, of=Of.PHI),
@@ -319,7 +315,7 @@ FIGURES = (
     Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),
            "all figures of the kamikazes of each objective"),
     Figure("surrogate_measures", Kind(ref("surrogate_measures")), "surrogate safety measures of the episodes: median "
-           "and worst; they are no rating", newer=True),
+           "and worst; they are no rating"),
     Figure("vulnerability_curve", Kind(or_null(ref("vulnerability_curve")))),
     Figure("seconds", Kind(ref("number"), "s"), "wall-clock time of the command, of a sweep of this car, s", _SETTING,
            told=Told.ASKED, campaign=24),
@@ -345,8 +341,6 @@ OF_OBJECTIVES = {one.key: one for one in FIGURES if one.of in (Of.RANKING, Of.SK
 """Those that stand under each objective."""
 OF_PHI = {one.key: one for one in FIGURES if one.per_phi or one.of is Of.PHI}
 """Those that stand in the rows of each φ."""
-NEWER = frozenset(key for one in FIGURES if one.newer for key in one.keys)
-"""Keys that results of before need not have."""
 _KEYS = {key: one for one in AT_THE_TOP.values() for key in one.keys}
 
 

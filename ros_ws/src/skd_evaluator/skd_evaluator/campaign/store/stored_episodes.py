@@ -35,29 +35,32 @@ _COLUMNS = {
     "impact_speed": Column(np.float64, (-1,)),
     "objective": Column("U16", (-1,)),
     "time_step": Column(np.float64, ()),
-}
-_OPTIONAL = {
-    "belief": Column(np.float32, (-1, 4)),
     "hit_speed": Column(np.float64, ()),
-    "margin": Column(np.float64, (-1,)),
-    "margin_safe_index": Column(np.int32, (-1,)),
-    "margin_attempt": Column(np.int64, (-1,)),
-    "margin_duration": Column(np.float64, (-1,)),
-    "margin_impact_speed": Column(np.float64, (-1,)),
-    "margin_positions": Column(np.float64, (-1, 2)),
-    "margin_offsets": Column(np.int64, (-1,)),
 }
 _FURTHER = {
     "clipped": Column(np.int64, (-1,)),
     "reason": Column("U", (-1,)),
-    "own_contact": Column(np.float64, (-1,)),
     "safe_name": Column("U", (-1,)),
     "objectives": Column("U", (-1,)),
     "plans_deformation": Column(np.bool_, (-1,)),
     "eta_max": Column(np.float64, ()),
     "maximum_distance": Column(np.float64, ()),
     "seed": Column(np.int64, ()),
+}
+"""What figures follow from beside the trajectories; see `recomputation`."""
+_MARGIN = {
+    "margin": Column(np.float64, (-1,)),
+    "margin_safe_index": Column(np.int32, (-1,)),
+    "margin_attempt": Column(np.int64, (-1,)),
+    "margin_duration": Column(np.float64, (-1,)),
+    "margin_impact_speed": Column(np.float64, (-1,)),
     "margin_gap": Column(np.float64, (-1,)),
+    "margin_positions": Column(np.float64, (-1, 2)),
+    "margin_offsets": Column(np.int64, (-1,)),
+}
+"""There where the margin is known."""
+_OPTIONAL = {
+    "own_contact": Column(np.float64, (-1,)),
     "risk_scale": Column(np.float64, (-1,)),
     "risk_touch": Column(np.int8, (-1,)),
     "risk_share": Column(np.float64, (-1,)),
@@ -73,7 +76,7 @@ _FURTHER = {
     "risk_failure_impact_time": Column(np.float64, (-1,)),
     "risk_failure_impact_speed": Column(np.float64, (-1,)),
 }
-"""What figures follow from beside the trajectories; see `rebuilt`."""
+"""Likewise what figures follow from, where it was asked for."""
 _OF_EPISODES = ("clipped", "reason", "own_contact")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
 
@@ -90,6 +93,7 @@ class StoredWay:
         positions: positions at ticks, n × 2, m; the last of them is at the contact.
         duration: time until the contact, in ticks.
         impact_speed: speed of the car at the contact, m/s.
+        gap: the least is at most so far below the distance, m; nan where it was searched for.
     """
 
     attempt: int
@@ -97,6 +101,7 @@ class StoredWay:
     positions: FloatArray
     duration: float
     impact_speed: float
+    gap: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +120,14 @@ class StoredEpisodes:
         episode_id: id of each episode, as `skd_evaluator.campaign.plan.plan.episode_id` makes it.
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
-        hit_speed: speed of the car, m/s, from which on a collision is a hit; 0 in files of before there were hits.
+        hit_speed: speed of the car, m/s, from which on a collision is a hit.
         margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
             η_max. None where the file holds none.
         margin_ways: per φ the ways of least deformation, of those attempts that have one.
         belief: per episode n × 4 as in `skd_sim.episode.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
-            rows of φ; older files have not all of them.
+            rows of φ.
     """
 
     safe: tuple[FloatArray, ...]
@@ -225,7 +230,9 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         UsageError: it cannot be read, or its arrays do not go together.
     """
     path = folder / EPISODES
-    arrays = read_arrays(path, _COLUMNS, {**_OPTIONAL, **_FURTHER})
+    arrays = read_arrays(
+        path, {**_COLUMNS, **_FURTHER}, {"belief": Column(np.float32, (-1, 4)), **_MARGIN, **_OPTIONAL}
+    )
     why = _mismatch(arrays)
     if why:
         raise UsageError(f"{path}: {why}")
@@ -252,7 +259,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         impact_time=arrays["impact_time"][rest],
         impact_speed=arrays["impact_speed"][rest],
         belief=ways.get("belief", ()),
-        hit_speed=float(arrays.get("hit_speed", np.array(0.0))),
+        hit_speed=float(arrays["hit_speed"]),
         margins=margins,
         margin_ways=() if margins is None else _margin_ways(arrays, margins),
         further=_further(arrays, rest),
@@ -266,10 +273,8 @@ def read_episodes(folder: Path) -> StoredEpisodes:
 
 def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, npt.NDArray[Any]]:
     """Return what figures follow from beside the trajectories; `rest` are the rows that are no φ."""
-    found = {name: arrays[name] for name in (*_FURTHER, "margin_safe_index") if name in arrays}
-    count = len(arrays["mode"])
-    whole = {name: one for name, one in found.items() if name not in _OF_EPISODES or len(one) == count}
-    return {name: one[rest] if name in _OF_EPISODES else one for name, one in whole.items()}
+    found = {name: arrays[name] for name in (*_FURTHER, *_OPTIONAL) if name in arrays}
+    return {name: one[rest] if name in _OF_EPISODES else one for name, one in found.items()}
 
 
 def _margins(
@@ -282,15 +287,14 @@ def _margins(
     """
     if "margin" not in arrays:
         return None
-    names = [name for name in _OPTIONAL if name.startswith("margin")]  # older files have no gaps
-    if missing := [name for name in names if name not in arrays]:
+    if missing := [name for name in _MARGIN if name not in arrays]:
         raise UsageError(f"{path}: it has margins and no {missing[0]}")
     said, offsets = arrays["margin"], arrays["margin_offsets"]
     index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
     count = len(said)
     whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
     whole = whole and not (offsets[1:] < offsets[:-1]).any()
-    of_attempts = (index, attempt, arrays["margin_duration"], arrays["margin_impact_speed"])
+    of_attempts = (index, attempt, *(arrays[f"margin_{name}"] for name in ("duration", "impact_speed", "gap")))
     if not (whole and all(len(one) == count for one in of_attempts)):
         raise UsageError(f"{path}: the arrays of the margins do not go together")
     found: list[FloatArray] = []
@@ -329,28 +333,13 @@ def _margin_ways(
                     arrays["margin_positions"][offsets[row] : offsets[row + 1]],
                     float(arrays["margin_duration"][row]),
                     float(arrays["margin_impact_speed"][row]),
+                    float(arrays["margin_gap"][row]),
                 )
                 for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
                 if np.isfinite(distance)
             )
         )
     return tuple(found)
-
-
-def _strange_id(arrays: dict[str, npt.NDArray[Any]]) -> str:
-    """Return which episode has a number that no campaign gives to one of its kind; empty: none has."""
-    numbers, index = arrays["episode_id"], arrays["safe_index"]
-    strange = np.zeros(len(numbers), bool)
-    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
-        strange |= (arrays["mode"] == mode) & (numbers >> 48 != stage)
-    if strange.any():
-        return f"episode id {numbers[strange][0]} is not of its mode in an SKD campaign"
-    # Recordings need not have every φ: then numbers of φ have gaps, which places in the file have not.
-    kamikaze = arrays["mode"] == Mode.KAMIKAZE
-    pairs = np.unique(np.column_stack([index, numbers >> 32 & 0xFFFF])[kamikaze], axis=0)
-    if any(len(np.unique(pairs[:, side])) < len(pairs) for side in (0, 1)):
-        return "kamikazes of one φ have ids of several, or those of several the ids of one"
-    return ""
 
 
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
@@ -360,8 +349,9 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (offsets[1:] <= offsets[:-1]).any():
         return "its offsets do not cut its positions into trajectories"
     count = len(offsets) - 1
-    of_rows = ("car", *(name for name in ("belief",) if name in arrays))
-    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in _PER_EPISODE):
+    of_rows = [name for name in ("car", "belief") if name in arrays]
+    of_episodes = [name for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
+    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in of_episodes):
         return "its arrays do not go together"
     for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
         if not np.isin(arrays[name], values).all():
@@ -383,8 +373,9 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     speeds = arrays["impact_speed"][hit]
     if not (within_reach(speeds) and (speeds >= 0.0).all()):
         return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
-    if fault := _strange_id(arrays):
-        return fault
+    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
+        if ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
+            return f"an episode id is not of its mode, {mode.name}"
     if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:
         return f"time_step must be from {1.0 / FARTHEST:g} to {FARTHEST:g} s"
     belief = arrays.get("belief", np.empty((0, 4)))

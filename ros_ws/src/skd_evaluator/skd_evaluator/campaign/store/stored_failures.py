@@ -9,21 +9,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from skd_sim.encounter.road import road_pose, road_position
 from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
-from skd_sim.geometry.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator.arrays import FARTHEST, within_reach
-from skd_evaluator.campaign.judge.failures import Failures, Walkers, failures_of
+from skd_evaluator.campaign.judge.failures import Walkers, failures_of
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.measure.behaviour.model import NAMES
-from skd_evaluator.measure.contact_place import goes_straight
-from skd_evaluator.measure.risks import Risks, Touch
-
-_SAME = 1e-9  # m, between two computations of a place
-_TOUCHES, _ROUGHLY = 0.05, 0.15  # m to where the car was at a contact: moving uniformly and straight on, or not
+from skd_evaluator.measure.risks import Risks
 
 
 def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
@@ -88,12 +82,8 @@ def with_failures(risks: Risks, stored: StoredEpisodes, scenario: Scenario) -> R
     """Return the risks with the most likely failures, computed anew but for what the car did.
 
     Raises:
-        ValueError, LookupError: those that are kept are others, or cannot have been so.
+        ValueError, LookupError: those that are kept are others.
     """
-    for one in risks.scales:
-        ticks = None if one.ticks is None else one.ticks[one.touches == Touch.FRONT]
-        if ticks is not None and not ((ticks >= 1) & (ticks <= scenario.ticks)).all():
-            raise ValueError("risk_tick has a tick that no crossing has")
     parameters = risks.behaviour["parameters"]
     values = np.array([float(parameters[name]["value"]) for name in NAMES])
     walkers = Walkers(scenario, stored.safe, int(stored.further["seed"]), values)
@@ -105,31 +95,4 @@ def with_failures(risks: Risks, stored: StoredEpisodes, scenario: Scenario) -> R
         return risks
     if rows != stored.further["risk_failure"].tolist():
         raise ValueError("the failures that are kept are not those nearest to how people walk")
-    for number, row in enumerate(rows):
-        if why := _fault(found, row, failing, number, walkers, risks):
-            raise ValueError(f"the failure of crossing {row} {why}")
     return replace(risks, failures=found.as_dict(dict(zip(rows, failing.impact_speed.tolist(), strict=True))))
-
-
-def _fault(found: Failures, row: int, failing: StoredEpisodes, number: int, walkers: Walkers, risks: Risks) -> str:
-    """Return why a failure cannot have been so; empty where it can."""
-    risk = risks.at(found.scale)
-    assert risk is not None
-    assert risk.ticks is not None
-    scenario, there, ticks = walkers.scenario, failing.adversary[number], int(risk.ticks[row])
-    if len(there) != ticks + 1 or not ticks - 1 <= failing.impact_time[number] / scenario.time_step <= ticks:
-        return "has its contact at another time"
-    way = walkers.way(row, walkers.normals(row), found.scale)[: len(there)]
-    if len(way) < len(there) or np.abs(way - there).max() > _SAME:
-        return "is of somebody who walks otherwise"
-    if not failing.hit[number]:
-        return "is no hit"
-    body, car = failing.until_contact(number)[-1].tolist(), failing.car_until_contact(number, scenario)[-1].tolist()
-    heading = road_pose(scenario.road.line, road_position(scenario.road.line, car[0], car[1])[0])[2]
-    ahead, left = to_car_frame(body[0], body[1], car[0], car[1], heading)
-    footprint = (scenario.car.front, scenario.car.rear, scenario.car.half_width)
-    exact = goes_straight(scenario, failing.car[number][-2:])
-    apart = abs(rectangle_distance(ahead, left, *footprint) - scenario.adversary.reach)
-    if apart > (_TOUCHES if exact else _ROUGHLY):
-        return "ends where nobody touches the car"
-    return ""

@@ -17,10 +17,10 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.judge.html import figures_html
-from skd_evaluator.campaign.store.checked import check_files, check_result
-from skd_evaluator.campaign.store.rebuilt import stored_risks
+from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
+from skd_evaluator.campaign.store.recomputation import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
 from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.risks import Risks, Touch
 from skd_evaluator.measure.skd import prefix_distances
@@ -89,30 +89,48 @@ def read_result(folder: Path) -> StoredResult:
     return read_both(folder)[0]
 
 
-def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
-    """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
+def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[str, ...]]:
+    """Return the figures of an assessment, its episodes, and remarks on them, a line each.
 
     Both are of the same moment: whoever reads them one after the other may have two results, one replaced meanwhile.
+
+    Raises:
+        UsageError: it is none, was changed since it was written, or its trajectories give another margin, deformation
+            or number of φ than it says.
+    """
+    known = check_unchanged(folder, (ASSESSMENT, EPISODES))
+    figures, stored = read_figures(folder), read_episodes(folder)
+    with understood(folder / ASSESSMENT):
+        scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
+        eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
+        attempts = stored.deformations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
+        curve, margins = vulnerability_curve(attempts, eta_max), _margins(stored, eta_max)
+        found = None if margins is None else mean(np.concatenate(margins))
+        _check_same(folder, "margin", found, figures["margin"], eta_max)
+        found = None if curve is None else curve.area_above
+        _check_same(folder, "mean deformation", found, figures["deformation"], eta_max)
+    if count != len(stored.safe):
+        raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
+    remark = f"{folder}: has no {MANIFEST}: that a file was changed cannot be told"
+    return figures, stored, () if known else (remark,)
+
+
+def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
+    """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
 
     Raises:
         UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
             or deformation than it says.
     """
     path = folder / ASSESSMENT
-    manifest = check_files(folder)
-    figures = read_figures(folder)
+    figures, stored, remarks = read_checked(folder)
     with understood(path):
-        eta_max, stated = float(figures["eta_max"]), figures["deformation"]
+        eta_max = float(figures["eta_max"])
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
-    stored = read_episodes(folder)
-    remarks = check_result(folder, figures, stored, manifest=manifest)
     margins = _margins(stored, eta_max)
     deformations = stored.deformations_of(objective)
     curve = vulnerability_curve(deformations, eta_max)
-    found = None if margins is None else mean(np.concatenate(margins))
-    _check_same(folder, "margin", found, figures["margin"], eta_max)
-    _check_same(folder, "mean deformation", None if curve is None else curve.area_above, stated, eta_max)
     if curve is None and margins is None:
         raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
     of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)

@@ -1,31 +1,28 @@
-"""Whether the folder of a result is what was written, and whether what it says follows from what it holds."""
+"""`skd verify`: whether a result is what was written, and whether its figures follow from its episodes."""
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import folders_in, read_json, read_text, sha256_of
+from skd_sim.inputs.outside import folders_in, read_json, sha256_of
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Told
-from skd_evaluator.campaign.judge.surrogate_figures import SURROGATES, Surrogates
-from skd_evaluator.campaign.store.checked import starts_that_differ
 from skd_evaluator.campaign.store.manifest import MANIFEST, Held, hold, read_manifest
-from skd_evaluator.campaign.store.rebuilt import BEHAVIOUR, BUDGETS, can_be_rebuilt, recompute
+from skd_evaluator.campaign.store.recomputation import rating_of
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
-from skd_evaluator.measure.aborted import aborted_lines
+from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.measure.credibility import not_credible
 
-_CAMPAIGN, _CELLS, _TABLE, _SWEEP = "campaign.json", "cells.json", "campaign.csv", "sweep.json"
+_CAMPAIGN = "campaign.json"
 _AGREE = 1e-7
-"""Relative to a value in a CSV, or to 1: rounding of another machine, and of nine digits."""
+"""Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
+_KEPT = (("vulnerability_curve", "budgets"), ("risk", "behaviour"))
+"""Parts of figures that do not follow from the episodes: kamikazes that are not kept, and a model that was given."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +37,15 @@ class Verified:
         unknown: names of figures that cannot be recomputed from the folder, by the reason.
         problems: whatever else is wrong, a line each.
         remarks: remarks for the reader, a line each.
-        read: its figures, whether they are of before the margin, and its episodes, for whoever looks at them further;
-            None if they could not be read.
     """
 
     folder: Path
     files: Held | None
     agree: tuple[str, ...] = ()
     contradict: tuple[str, ...] = ()
-    unknown: Mapping[str, tuple[str, ...]] | None = None
+    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
-    read: tuple[Mapping[str, Any], StoredEpisodes] | None = None
 
     @property
     def fine(self) -> bool:
@@ -69,7 +63,7 @@ class Verified:
             "files": None if files is None else {name: list(getattr(files, name)) for name in parts},
             "agree": list(self.agree),
             "contradict": list(self.contradict),
-            "unknown": {reason: list(names) for reason, names in (self.unknown or {}).items()},
+            "unknown": {reason: list(names) for reason, names in self.unknown.items()},
             "problems": list(self.problems),
             "remarks": list(self.remarks),
         }
@@ -79,214 +73,107 @@ def folders_below(folder: Path) -> list[Path]:
     """Return the folders of results at and below one, itself first; links are not followed.
 
     Raises:
-        UsageError: there is none.
+        UsageError: there is none, or a folder cannot be looked into.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder; give that of a result")
-    inside: set[Path] = set()
-    for path, *names in folders_in(folder, lambda path, _: inside.add(path)):  # of which `verify` says so
-        here = {name for some in names for name in some}
-        if ASSESSMENT in here or MANIFEST in here or (path == folder and _CAMPAIGN in here):
-            inside.add(path)
-    found = sorted(inside)
+
+    def refuse(path: Path, why: str) -> None:
+        raise UsageError(f"{path}: {why}")
+
+    names = {ASSESSMENT, MANIFEST, _CAMPAIGN}
+    found = sorted(path for path, _, files in folders_in(folder, refuse) if names & set(files))
     if not found:
         raise UsageError(f"{folder}: holds no {ASSESSMENT} and no {MANIFEST}; give the folder of a result")
     return found
 
 
 def verify(folder: Path) -> Verified:
-    """Return what is to be said of a folder, whatever is wrong with it.
-
-    Args:
-        folder: the folder of a result.
-    """
-    try:
-        there = {path.name for path in folder.iterdir()}
-    except OSError as error:
-        return Verified(folder, None, problems=(f"{folder}: cannot be looked into ({error.strerror})",))
-    problems: list[str] = []
-    files = None
+    """Return what is to be said of a folder of a result, whatever is wrong with it."""
+    files, problems, remarks = None, [], []
+    agree: tuple[str, ...] = ()
+    contradict: tuple[str, ...] = ()
+    unknown: dict[str, tuple[str, ...]] = {}
     try:
         manifest = read_manifest(folder)
-        files = None if manifest is None else hold(folder, manifest)
+        if manifest is not None:
+            files = hold(folder, manifest)
+        elif not (folder / _CAMPAIGN).exists():
+            remarks.append(f"no {MANIFEST}: that a file was changed cannot be told")
+        if (folder / _CAMPAIGN).exists():
+            problems += _rows_that_differ(folder)
+        if ASSESSMENT in {path.name for path in folder.iterdir()} | {*(manifest or {})}:
+            figures, stored = read_figures(folder), read_episodes(folder)
+            remarks += not_credible(figures.get("warnings") or ())
+            with understood(folder / ASSESSMENT):
+                found = json.loads(json.dumps(rating_of(figures, stored).as_dict()))
+                agree, contradict = _compared(figures, found)
+            for reason, rows in _not_from_episodes(figures).items():
+                unknown[reason] = rows
     except UsageError as error:
         problems.append(str(error))
-    remarks: list[str] = []
-    if _CAMPAIGN in there:
-        problems += _rows_that_differ(folder)
-    elif files is None and not problems:
-        remarks.append(f"no {MANIFEST}: of an older version, or it was removed; that a file was changed cannot be told")
-    if _SWEEP in there and ASSESSMENT not in there:
-        problems += _sweep_that_differs(folder)
-    named = files is not None and ASSESSMENT in (*files.same, *files.changed, *files.missing)
-    if not named and ASSESSMENT not in there:
-        return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks))
-    try:
-        figures = read_figures(folder)
-        stored = read_episodes(folder)
-        remarks += not_credible(figures.get("warnings") or ())
-        if not can_be_rebuilt(stored):
-            remarks.append(f"{EPISODES} is of an older version: its figures cannot be recomputed")
-            read = figures, stored
-            return Verified(folder, files, problems=tuple(problems), remarks=tuple(remarks), read=read)
-        with understood(folder / ASSESSMENT):
-            found = recompute(figures, stored)
-            remarks += aborted_lines(found.figures)
-            starts = starts_that_differ(folder, figures, stored)
-            if starts is not None:
-                (problems if starts.refused else remarks).append(starts.line)
-            if (folder / SURROGATES).exists():  # older results have none
-                problems += _surrogates_that_differ(folder / SURROGATES, found.rating.surrogates)
-    except UsageError as error:
-        return Verified(folder, files, problems=(*problems, str(error)), remarks=tuple(remarks))
-    unknown: dict[str, tuple[str, ...]] = {}
-    for name in dict.fromkeys(_figure(name) for name in found.unknown):
-        reason = _why_unknown(name)
-        unknown[reason] = (*unknown.get(reason, ()), name)
-    return Verified(
-        folder,
-        files,
-        found.agree,
-        tuple(map(str, found.contradict)),
-        unknown,
-        tuple(problems),
-        tuple(remarks),
-        read=(figures, stored),
-    )
+    return Verified(folder, files, agree, contradict, unknown, tuple(problems), tuple(remarks))
 
 
-def _figure(name: str) -> str:
-    """Return an entry's name without what is inside of it."""
-    inside = next((one for one in (BUDGETS, BEHAVIOUR) if name.startswith(one)), None)
-    return inside or name.partition(".")[0]
+def _follows(name: str) -> bool:
+    """Return whether an entry at the top of assessment.json follows from the episodes beside it."""
+    return name in AT_THE_TOP and AT_THE_TOP[name].told is Told.EPISODES
 
 
-def _why_unknown(name: str) -> str:
-    if name == BUDGETS:
-        return "of kamikazes whose episodes are not kept"
-    if name == BEHAVIOUR:
-        return "by whom crossings were walked that are not kept, but for the failures"
-    return str((name in AT_THE_TOP and AT_THE_TOP[name].told) or Told.ASKED)
+def _not_from_episodes(figures: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the entries that do not follow from the episodes, by the reason."""
+    reasons: dict[str, list[str]] = {}
+    for name in figures:
+        if name in AT_THE_TOP and not _follows(name):
+            reasons.setdefault(str(AT_THE_TOP[name].told), []).append(name)
+    return {reason: tuple(names) for reason, names in reasons.items()}
+
+
+def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return which figures are those that were found again, and in a line each what the others are."""
+    for name, part in _KEPT:
+        if figures.get(name) and found.get(name):
+            found[name][part] = figures[name].get(part)
+    agree, contradict = [], []
+    for name in dict.fromkeys((*figures, *found)):
+        if _follows(name.partition("_ci95")[0]):
+            differences = [*_differences(name, figures.get(name), found.get(name))]
+            contradict += differences
+            agree += [] if differences else [name]
+    return tuple(agree), tuple(contradict)
+
+
+def _differences(name: str, said: Any, found: Any) -> Iterator[str]:
+    """Yield, a line each, where two values of JSON differ by more than rounding."""
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        for key in dict.fromkeys((*said, *found)):
+            yield from _differences(f"{name}.{key}", said.get(key), found.get(key))
+    elif isinstance(said, list) and isinstance(found, list) and len(said) == len(found):
+        for place, (one, other) in enumerate(zip(said, found, strict=True)):
+            yield from _differences(f"{name}.{place}", one, other)
+    elif not _alike(said, found):
+        yield f"{name} is {_shown(said)}, its episodes give {_shown(found)}"
+
+
+def _alike(said: Any, found: Any) -> bool:
+    if isinstance(said, float) or isinstance(found, float):
+        numbers = all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in (said, found))
+        return numbers and abs(said - found) <= _AGREE * max(1.0, abs(said), abs(found))
+    return bool(said == found)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
 
 
 def _rows_that_differ(folder: Path) -> list[str]:
-    """Return which rows of a campaign say something else than the results of its cells, a line each."""
-    path = folder / _CAMPAIGN
-    found = []
-    try:
-        content = read_json(path)
-        rows = content["cells"]
-        done = [row for row in rows if row["state"] == "done"]
-        names = [str(row["name"]) for row in rows]
-        if (folder / _CELLS).exists():
-            asked = [str(cell["name"]) for cell in read_json(folder / _CELLS)["cells"]]
-            found += [f"{path}: has no row of cell {name}, which was asked for" for name in asked if name not in names]
-            found += [
-                f"{path}: has a row of cell {name}, which nobody asked for" for name in names if name not in asked
-            ]
-        if content.get("done", len(done)) != len(done):
-            found.append(f"{path}: says that {content['done']!r:.20} cells are done, and has {len(done)} rows of such")
-        for row in done:
-            name = str(row["name"])
-            if Path(name).name != name:
-                found.append(f"{path}: {name!r} is no name of a cell's folder")
-            else:
-                found += [f"{path}: cell {name}: {line}" for line in _differences(row, folder / name)]
-        if (folder / _TABLE).exists():
-            found += _table_that_differs(folder / _TABLE, rows)
-    except UsageError as error:
-        found.append(str(error))
-    except (LookupError, TypeError, AttributeError) as error:
-        found.append(f"{path}: is not of a campaign ({type(error).__name__}: {error})")
+    """Return which rows of a campaign are not of the results in the folders of its cells, a line each."""
+    path, found = folder / _CAMPAIGN, []
+    with understood(path):
+        for row in read_json(path)["cells"]:
+            for name, digest in row["sha256"].items():
+                if sha256_of(folder / row["name"] / name) != digest:
+                    found.append(f"{path}: cell {row['name']}: {name} is not the file that the row is of")
     return found
-
-
-def _sweep_that_differs(folder: Path) -> list[str]:
-    """Return which rows of a sweep say something else than the results of its cars, a line each."""
-    path = folder / _SWEEP
-    found = []
-    try:
-        rows = read_json(path)["rows"]
-        for row in rows:
-            kind, car = str(row["kind"]), f"C_{float(row['multiplier']):.12g}"
-            if Path(kind).name != kind:
-                found.append(f"{path}: {kind!r:.60} is no name of a folder")
-            else:
-                found += [f"{path}: {kind}, {car}: {line}" for line in _differences(row, folder / kind / car)]
-        table = path.with_suffix(".csv")
-        return [*found, *(_table_that_differs(table, rows) if table.exists() else ())]
-    except UsageError as error:
-        return [*found, str(error)]
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
-        return [*found, f"{path}: is not of a sweep ({type(error).__name__}: {error})"]
-
-
-def _differences(row: Mapping[str, Any], cell: Path) -> list[str]:
-    """Return what a row says that its cell's folder does not, and which of its warnings it does not say."""
-    figures = read_json(cell / ASSESSMENT)
-    same = {key for key in row if key in figures and key not in ("warnings", "scenario")}
-    found = [
-        f"{key} is {row[key]!r:.60}, in its folder {figures[key]!r:.60}"
-        for key in sorted(same)
-        if row[key] != figures[key]
-    ]
-    digests = row.get("sha256") or {}  # rows of older versions have none
-    found += [
-        f"{name} is not the file that the row is of: its SHA-256 is another"
-        for name in (ASSESSMENT, EPISODES)
-        if name in digests and digests[name] != sha256_of(cell / name)
-    ]
-    if "warnings" not in row:  # of a sweep
-        return found
-    said = {*row["warnings"], *row.get("problems", ())}
-    return [*found, *(f"does not say {line!r:.90}" for line in figures.get("warnings", ()) if line not in said)]
-
-
-def _table_that_differs(path: Path, rows: list[Mapping[str, Any]]) -> list[str]:
-    """Return where the CSV of a campaign or a sweep says something else than its rows, in a line; none: nowhere."""
-    try:
-        table = list(csv.DictReader(io.StringIO(read_text(path))))
-    except csv.Error as error:
-        return [f"{path}: is no CSV ({error})"]
-    if len(table) != len(rows):
-        return [f"{path}: has {len(table)} rows, and {len(rows)} are in the JSON beside it"]
-    for line, (said, row) in enumerate(zip(table, rows, strict=True), 2):
-        for key, cell in said.items():
-            value = row.get(key)
-            text = " ".join(map(str, value)) if isinstance(value, list) else "" if value is None else str(value)
-            if cell != text:
-                said_there, here = (f"{one or 'blank'!r:.60}" for one in (text, cell))
-                return [f"{path}, line {line}: {key} is {here}, in the JSON beside it {said_there}"]
-    return []
-
-
-def _surrogates_that_differ(path: Path, found: Surrogates) -> list[str]:
-    """Return where the file says something else than follows from the episodes, in a line; none: nowhere."""
-    try:
-        said = list(csv.reader(io.StringIO(read_text(path))))
-    except UsageError as error:
-        return [str(error)]
-    except csv.Error as error:
-        return [f"{path}: is no CSV ({error})"]
-    written = io.StringIO()
-    found.write_csv(written)
-    again = list(csv.reader(written.getvalue().splitlines()))
-    if said[:1] != again[:1] or len(said) != len(again):
-        return [f"{path}: has other columns or rows than its {len(found.logs)} episodes give"]
-    for line, (row, expected) in enumerate(zip(said, again, strict=True), 1):
-        cells = zip(again[0], row, expected, strict=False)
-        wrong = [(name, cell, other) for name, cell, other in cells if not _same_cell(cell, other)]
-        if wrong or len(row) != len(expected):
-            name, cell, other = wrong[0] if wrong else ("the number of its cells", str(len(row)), str(len(expected)))
-            return [f"{path}, line {line}: {name} is {cell[:40] or 'blank'}, its episode gives {other or 'blank'}"]
-    return []
-
-
-def _same_cell(said: str, found: str) -> bool:
-    if said == found:
-        return True
-    try:
-        one, other = float(said), float(found)
-    except ValueError:
-        return False
-    return math.isclose(one, other, rel_tol=_AGREE, abs_tol=_AGREE)

@@ -16,20 +16,17 @@ from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json, real_path
 
-from skd_evaluator.campaign.store.checked import check_files, check_result
-from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
-from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.campaign.store.stored_failures import failing_episodes
+from skd_evaluator.campaign.store.stored_result import read_checked
 from skd_evaluator.files import tails
 from skd_evaluator.measure.credibility import not_credible
-from skd_evaluator.measure.statistics.statistics import mean
 from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
 from skd_evaluator.ncap.colours import ROOM
 from skd_evaluator.report.ncap.of_results import views_of
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.report.terminal import car_name
-
-_TOLERANCE = 1e-9  # m, between what assessment.json says and what the trajectories give
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,37 +147,12 @@ def _read_campaign(folder: Path) -> list[Subject]:
 
 def _read(folder: Path, kind: str) -> Subject:
     path = folder / ASSESSMENT
-    manifest = check_files(folder)
-    figures = read_figures(folder)
+    figures, episodes, remarks = read_checked(folder)
     with understood(path):
         scenario = scenario_from_dict(figures["scenario"], str(path))
-        subject = Subject(folder, car_name(figures), kind, figures, scenario, read_episodes(folder))
-        stated, count = figures["deformation"], len(figures["per_safe_trajectory"])
-        eta_max = float(figures["eta_max"])
+        subject = Subject(folder, car_name(figures), kind, figures, scenario, episodes, remarks)
         _ = subject.curve, views_of([subject], ROOM)  # it is found here that they cannot be had
-    if count != len(subject.episodes.safe):
-        raise UsageError(f"{path}: is of {count} φ, and episodes.npz beside it of {len(subject.episodes.safe)}")
-    remarks = check_result(folder, figures, subject.episodes, manifest=manifest)
-    planned = vulnerability_curve(subject.episodes.deformations_of(subject.ranking_objective), eta_max)
-    _check_same(folder, "mean deformation", None if planned is None else planned.area_above, stated)
-    margins = np.concatenate(subject.margins)
-    _check_same(folder, "margin", mean(margins) if margins.size else None, figures["margin"])
-    return replace(subject, remarks=tuple(remarks))
-
-
-def _check_same(folder: Path, name: str, found: float | None, stated: float | None) -> None:
-    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
-
-    Raises:
-        UsageError: it is so.
-    """
-    same = found is stated if found is None or stated is None else abs(found - stated) <= _TOLERANCE * max(1.0, found)
-    if not same:
-        first, second = ("none" if one is None else f"{one} m" for one in (found, stated))
-        raise UsageError(
-            f"{folder}: its trajectories give a {name} of {first}, and assessment.json says {second}: they are not of "
-            "one assessment"
-        )
+    return subject
 
 
 def _with_labels(subjects: Sequence[Subject]) -> list[Subject]:

@@ -1,0 +1,239 @@
+"""Results are what was written, as their manifest says, and `skd verify` computes their figures again."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_support import one_line
+from edited_results import change_array, edit
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.campaign.judge.rating import judge_all
+from skd_evaluator.campaign.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
+from skd_evaluator.campaign.run.assembly import aborted
+from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes, read_episodes
+from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.campaign.store.verification import verify
+from skd_evaluator.report.html.page import render
+from skd_evaluator.report.html.subjects import read_subjects
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.errors import UsageError
+
+
+def commands(folder: Path, other: Path) -> list[list[str]]:
+    return [
+        ["report", str(folder), "--out", "r.html"],
+        ["show", str(folder), "--out", "shown"],
+        ["compare", str(other), str(folder), "--out", "compared"],
+        ["plan", str(folder), "--width", "0.2"],
+        ["assess", "--fail-if-worse-than", str(folder), "--out", "assessed"],
+    ]
+
+
+def at(figures: dict[str, Any], *path: Any) -> Any:
+    for word in path:
+        figures = figures[word]
+    return figures
+
+
+CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
+    "skd": lambda figures: figures.update(skd=9.9),
+    "collision_rate": lambda figures: figures.update(collision_rate=0.0 if figures["collision_rate"] else 0.5),
+    "margin": lambda figures: figures.update(margin=4.9),
+    "margin_beyond": lambda figures: figures.update(margin_beyond=figures["margin_beyond"] + 1),
+    "margin_ci95.0": lambda figures: at(figures, "margin_ci95").__setitem__(0, 0.01),
+    "impact_speed.p90": lambda figures: figures["impact_speed"].update(p90=0.1),
+    "objectives.paper.skd": lambda figures: figures["objectives"]["paper"].update(skd=9.9),
+    "vulnerability_curve.margins.points.20.probability": lambda figures: at(
+        figures, "vulnerability_curve", "margins", "points", 20
+    ).update(probability=0.123),
+    "per_safe_trajectory.1.name": lambda figures: figures["per_safe_trajectory"][1].update(name="another"),
+    "seed": lambda figures: figures.update(seed=figures["seed"] + 1),
+    "skd_ci95": lambda figures: figures.update(skd_ci95=None),
+    "measures.warped.ci95": lambda figures: at(figures, "measures", "warped").update(ci95=None),
+    "clustering.skd.standard_error": lambda figures: at(figures, "clustering", "skd").update(standard_error=0.001),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_figure_that_does_not_follow_from_the_episodes_is_named(result: Path, name: str) -> None:
+    edit(result, CHANGES[name], "rewritten")
+    found = verify(result)
+    assert not found.fine
+    assert [line for line in found.contradict if line.startswith(f"{name} is ")], found.contradict
+
+
+def test_verify_says_what_agrees_and_what_cannot_be_computed(result: Path, skd_here) -> None:
+    done = skd_here("verify", str(result))
+    assert done.returncode == 0
+    assert "figures recomputed, and as said" in done.stdout
+    assert "margin_converged" in done.stdout
+    (one,) = json.loads(skd_here("verify", str(result), "--json").stdout)["results"]
+    assert one["fine"]
+    assert {"margin", "skd", "skd_ci95", "collision_rate", "measures", "clustering", "objectives"} <= {*one["agree"]}
+    assert one["contradict"] == one["problems"] == one["files"]["changed"] == []
+    edit(result, CHANGES["skd"], "rewritten")
+    done = skd_here("verify", str(result))
+    assert done.returncode == 1
+    assert "NOT FINE" in done.stdout
+    assert "contradicted: skd is 9.9, its episodes give" in done.stdout
+
+
+def test_a_result_has_a_manifest_of_all_its_files(sweep: Path) -> None:
+    for folder in (sweep, sweep / "synthetic" / "C_1"):
+        lines = (folder / MANIFEST).read_text().splitlines()
+        said = {line[66:]: line[:64] for line in lines}
+        files = [path for path in folder.rglob("*") if path.is_file() and path != folder / MANIFEST]
+        assert said == {
+            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
+        }
+
+
+def test_verify_says_which_files_changed(result: Path, skd_here) -> None:
+    (result / "trajectories.png").write_bytes(b"another")
+    (result / "vulnerability.png").unlink()
+    (result / "notes.txt").write_text("mine")
+    (result / f"{MANIFEST}.sig").write_text("of whoever signed it")
+    done = skd_here("verify", str(result))
+    assert done.returncode == 1
+    for line in ("trajectories.png: changed", "vulnerability.png: gone", "notes.txt: not of this result"):
+        assert line in done.stdout
+    assert ".sig" not in done.stdout
+
+
+def test_verify_reads_sweeps_and_says_what_is_none(sweep: Path, result: Path, skd_here, here: Path) -> None:
+    assert skd_here("verify", str(sweep)).stdout.count(": fine") == 3
+    (result / MANIFEST).unlink()
+    without = skd_here("verify", str(result))
+    assert without.returncode == 0
+    assert f"no {MANIFEST}" in without.stdout
+    (here / "nothing").mkdir()
+    one_line(skd_here("verify", "nothing"), 2, "holds no assessment.json")
+    one_line(skd_here("verify", "nowhere"), 2, "no such folder")
+    (result / "assessment.json").unlink()
+    (result / MANIFEST).write_text(f"{'0' * 64}  assessment.json\n")
+    gone = verify(result)
+    assert not gone.fine
+    assert "assessment.json: cannot be read" in gone.problems[0]
+
+
+@pytest.mark.parametrize("line", ["x", f"{'0' * 64}  ../a", f"{'0' * 64}  /a"])
+def test_a_manifest_that_is_none_is_refused(result: Path, line: str) -> None:
+    (result / MANIFEST).write_text(line)
+    with pytest.raises(UsageError, match=MANIFEST):
+        read_result(result)
+
+
+def test_every_reader_refuses_a_file_that_was_changed_in_one_line(result: Path, sweep: Path, skd_here) -> None:
+    edit(result, CHANGES["skd"], "kept")
+    for words in commands(result, sweep / "synthetic" / "C_0.5"):
+        one_line(skd_here(*words), 2, "assessment.json", "is not what was written")
+
+
+def test_results_are_read_with_and_without_a_manifest(result: Path, sweep: Path, skd_here) -> None:
+    for warned in (0, 1):
+        for words in commands(result, sweep / "synthetic" / "C_0.5")[:4]:
+            done = skd_here(*words, *([] if words[0] == "plan" else ["--overwrite"]))
+            assert done.returncode == 0, done
+            assert done.stderr.count("that a file was changed cannot be told") == warned, done.stderr
+        (result / MANIFEST).unlink(missing_ok=True)
+
+
+def test_margin_and_deformation_are_held_against_the_trajectories_wherever_a_result_is_read(result: Path) -> None:
+    edit(result, lambda figures: figures.update(deformation=4.9), "rewritten")
+    for read in (read_result, lambda folder: read_subjects([folder])):
+        with pytest.raises(UsageError, match="they are not of one assessment"):
+            read(result)
+
+
+@pytest.mark.parametrize("name", ["clipped", "margin_gap", "impact_speed", "safe_name", "eta_max", "seed"])
+def test_an_array_that_does_not_go_with_the_figures_is_found(result: Path, name: str) -> None:
+    change_array(result, name, lambda values: np.char.add(values, "!") if values.dtype.kind == "U" else values + 1)
+    assert not verify(result).fine
+
+
+@pytest.mark.parametrize(("name", "said"), [("offsets", "its offsets do not cut"), ("margin_offsets", "do not go")])
+def test_offsets_whose_differences_overflow_are_refused(result: Path, name: str, said: str) -> None:
+    """Near 2⁶³ differences are right although the offsets are not: memory was overwritten with them."""
+    change_array(result, name, lambda values: np.concatenate([values[:1], [2**63 - 1, -2], values[3:]]))
+    with pytest.raises(UsageError, match=said):
+        read_episodes(result)
+    if name == "offsets":
+        with pytest.raises(UsageError, match="its offsets must increase"):
+            read_recordings([result])
+
+
+def said_by(stored: StoredEpisodes) -> list[bytes]:
+    arrays = [*stored.safe, *stored.adversary, *stored.car, stored.outcome, stored.impact_time, stored.impact_speed]
+    return [np.asarray(one).tobytes() for one in arrays]
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_whatever_is_damaged_in_episodes_is_refused_or_says_the_same(sweep: Path, tmp_path: Path, data) -> None:
+    """A bit anywhere, a part that is cut out, or a value of any array that is another; nothing else is ever raised."""
+    content = (sweep / "synthetic" / "C_1" / "episodes.npz").read_bytes()
+    right = said_by(read_episodes(sweep / "synthetic" / "C_1"))
+    begin, kind = data.draw(st.integers(0, len(content) - 1)), data.draw(st.sampled_from(["bit", "cut", "value"]))
+    if kind == "bit":
+        content = content[:begin] + bytes([content[begin] ^ 1 << data.draw(st.integers(0, 7))]) + content[begin + 1 :]
+    elif kind == "cut":
+        content = content[:begin] + content[begin + data.draw(st.integers(1, len(content) - begin)) :]
+    else:
+        with np.load(io.BytesIO(content)) as archive:
+            arrays = {name: archive[name].copy() for name in archive.files}
+        name = data.draw(st.sampled_from([one for one, values in arrays.items() if values.dtype.kind in "if"]))
+        values = arrays[name].reshape(-1)
+        value = data.draw(st.sampled_from([-1, 0, 2**31 - 1] if values.dtype.kind == "i" else [-1e9, np.nan, np.inf]))
+        if not values.size or value > np.iinfo(values.dtype).max if values.dtype.kind == "i" else not values.size:
+            return
+        values[data.draw(st.integers(0, len(values) - 1))] = value
+        arrays[name] = values.reshape(arrays[name].shape)
+        stream = io.BytesIO()
+        np.savez(stream, **arrays)
+        content = stream.getvalue()
+    (tmp_path / "episodes.npz").write_bytes(content)
+    try:
+        stored = read_episodes(tmp_path)
+    except UsageError as error:
+        assert str(tmp_path) in str(error)  # noqa: PT017
+        return
+    assert kind == "value" or said_by(stored) == right
+
+
+@pytest.mark.parametrize("began", [True, False])
+def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
+    """Also one that never began, of which there is no state of the car."""
+    plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=2, collision_runs=4, simulations=20)
+    runner = InProcessRunner(1)
+    safe = safe_trajectories(plan, runner)
+    sets, replays = kamikaze_sets(plan, safe, runner), collision_runs(plan, safe, runner)
+
+    def lost(log: EpisodeLog) -> EpisodeLog:
+        reason = "no answer: car_controller was silent"
+        if not began:
+            return aborted(log.episode, reason)
+        return replace(log, outcome=Outcome.ABORTED, reason=reason, impact_time=math.nan, impact_speed=math.nan)
+
+    logs = sets[0].in_order
+    sets[0] = kamikaze_set(safe[0], [lost(logs[0]), *logs[1:]])
+    rating = judge_all(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]], 1.0)
+    write_assessment(tmp_path, rating)
+    write_manifests(tmp_path)
+    assert read_result(tmp_path).figures["aborted"] == 2
+    assert verify(tmp_path).fine
+    assert "2 episodes aborted" in render(read_subjects([tmp_path]))
