@@ -9,14 +9,18 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from cli_support import SMALL, one_line
-from skd_adversary.car_model_file import car_model_for_scenario
+from skd_adversary.car_model_file import car_model_for_scenario, car_model_text, fitted_car
+from skd_adversary.fitted_car import Calibration
 from skd_adversary.safe_trajectories import table
+from skd_adversary.warm_up import any_car_models
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.verification import folders_below, verify
@@ -222,7 +226,8 @@ def test_a_campaign_names_a_scenario_that_cannot_be(tmp_path, name):
 @pytest.mark.parametrize("key", ["statistic", "p_value"])
 def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
     """Episodes carry it as JSON, which has no such values."""
-    model = (HERE.parent / "fuzz" / "corpus" / "car_model" / "car_model.yaml").read_bytes()[1:].decode()
+    car = replace(fitted_car(any_car_models()[0]), calibration=Calibration(100, 0.05, 0.5))
+    model = yaml.safe_dump(yaml.safe_load(car_model_text(car)))
     path = tmp_path / "car_model.yaml"
     path.write_text(re.sub(rf"(calibration:(?:\n  .*)*\n  {key}: ).*", rf"\g<1>{value}", model))
     with pytest.raises(UsageError, match=f"calibration.{key} must be a finite number"):

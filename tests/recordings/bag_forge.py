@@ -102,6 +102,7 @@ def messages_of(log: EpisodeLog, campaign: str, start: int) -> list[Sent]:
         controller=spec.controller,
         multiplier=spec.multiplier,
         scenario=json.dumps(spec.scenario.as_dict()),
+        public_scenario="",
         car_model=spec.car_model,
         simulations=spec.simulations,
         objective=spec.objective.value,

@@ -93,7 +93,7 @@ def message_to_episode(message: Any) -> Episode:
     if len(message.safe_trajectory) > 0:
         points = np.array([(point.x, point.y) for point in message.safe_trajectory])
         trajectory = Trajectory(points, float(message.safe_trajectory_time_step), str(message.safe_trajectory_name))
-    public = str(getattr(message, "public_scenario", ""))  # which recordings of earlier versions have not
+    public = str(message.public_scenario)
     return Episode(
         scenario=_scenario(str(message.scenario)),
         shown=_scenario(public) if public else None,

@@ -101,16 +101,15 @@ class Samples:
 
 def result_from_message(message: Any) -> Result:
     """Return the result that an EpisodeResult message holds."""
-    # Recordings of earlier versions have neither timing nor what was clipped.
-    ages = tuple(float(age) for age in getattr(message, "command_ages", ()))
-    timing = Timing(ages, int(getattr(message, "commands_held", 0)), float(getattr(message, "greatest_delay", 0.0)))
+    ages = tuple(float(age) for age in message.command_ages)
+    timing = Timing(ages, int(message.commands_held), float(message.greatest_delay))
     return Result(
         Outcome(int(message.outcome)),
         int(message.ticks),
         float(message.impact_time),
         float(message.impact_speed),
         str(message.reason),
-        int(getattr(message, "commands_clipped", 0)),
+        int(message.commands_clipped),
         timing,
     )
 
