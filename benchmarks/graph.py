@@ -14,8 +14,7 @@ again with a bag each. Ticks are timed where the evaluator sees them.
 both graphs run kamikaze episodes and then the car that decides every 0.02 s, and the kamikaze episodes again with a bag
 each. Printed are, for an episode or a control period, how many a second and the processor time of all processes of
 the graph, which says less of a busy machine's others: medians over the turns, and the median, the least and the
-greatest of the turns' ratios. A graph that records warms up until bags are written behind the episodes, as they are in
-a campaign after its first ones.
+greatest of the turns' ratios.
 
 *real_time*: states at 100 Hz, scans of 1,441 beams at 20 Hz with a subscriber in a process of its own, at rate 1; a
 state is late when it arrives a control period or more after its time.
@@ -55,7 +54,6 @@ TARGET_CONTROL = 300.0  # control periods per second of wall time, in lockstep
 TARGET_COMPOSED = {"kamikaze": 150.0, "kamikaze, recorded": 100.0, "control": 4000.0}  # 1/s, of a composed graph
 TARGET_LATE = 0.01  # share of states that come a control period late, at most
 WARM_UP = 5  # episodes
-BEHIND = 300  # episodes, at most, until bags are written behind them
 PARTS = ("ticks", "control", "composed", "real_time")
 LISTENER = """
 import rclpy
@@ -194,7 +192,7 @@ def paces(
                 watch = Watch(evaluator)
                 for number, episode in enumerate(warm_up):
                     watch.run([episode])
-                    if evaluator._recorder._write.__self__._ready if recorded else number + 1 == WARM_UP:
+                    if number + 1 == WARM_UP:
                         break
                 used = processor_seconds()
                 seconds, logs = watch.run(kamikaze)
@@ -213,8 +211,8 @@ def measure_composed(episodes: int, turns: int) -> dict[str, Any]:
     """Composed against separate, in turns."""
     plan = Plan(load_scenario("crossing"), safe_count=1)
     safe = safe_trajectories(plan, InProcessRunner(1))[0]
-    attempts = [single_episode(plan, Mode.KAMIKAZE, attempt, safe) for attempt in range(BEHIND + episodes)]
-    batches = attempts[:BEHIND], attempts[BEHIND:], replays(episodes // 2 + 1, 0.02)
+    attempts = [single_episode(plan, Mode.KAMIKAZE, attempt, safe) for attempt in range(WARM_UP + episodes)]
+    batches = attempts[:WARM_UP], attempts[WARM_UP:], replays(episodes // 2 + 1, 0.02)
     both = (SEPARATE, COMPOSED)
     found = [{nodes: paces(nodes, *batches) for nodes in both} for _ in range(turns)]
     result: dict[str, Any] = {"turns": turns}

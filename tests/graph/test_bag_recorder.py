@@ -21,7 +21,7 @@ from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.messages.command_messages import message_class
-from skd_sim.nodes.support import CLOCK, EGO_ODOMETRY
+from skd_sim.nodes.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
 
 START, TICKS, PERIODS = 1_000_000_000, 3, 3
 DRIVE, WALK = "/cmd_vel", "/adversary/velocity_command"
@@ -53,7 +53,7 @@ def test_the_command_that_ended_the_episode_is_waited_for(tmp_path: Path, until:
     stamps = [period_stamp(START, *moment, PERIODS, step) for moment in moments]
     end = tick_stamp(START, TICKS, step)
     for stamp in (*stamps, end):
-        for topic, kind in ((CLOCK, Clock), (EGO_ODOMETRY, Odometry)):
+        for topic, kind in ((CLOCK, Clock), (EGO_ODOMETRY, Odometry), (ADVERSARY_ODOMETRY, Odometry)):
             recorder.keep(f"/{topic.lstrip('/')}", kind, stamp, b"")
     for tick in range(TICKS):
         recorder.keep(WALK, COMMAND, tick_stamp(START, tick, step), b"")

@@ -23,12 +23,6 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
     )
 
 
-def hostile(kind: str) -> tuple[str, ...]:
-    """Options for a controller that does what none should."""
-    command = shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", kind])
-    return ("--knowledge", "nothing", "--controller", "external", "--controller-command", command)
-
-
 @pytest.mark.parametrize("command", ["", "  "])
 def test_an_empty_command(capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str) -> None:
     words = ("--knowledge", "nothing", "--controller", "external", "--controller-command", command)
@@ -50,26 +44,11 @@ def test_nobody_drives(tmp_path: Path, safe: Path) -> None:
         "nobody publishes on /ego/acceleration_command; aborted were 3 not started"
     )
     logs = tmp_path / "out" / "logs"
-    for line in (first, last):  # of a node that waited; on a busy machine that may be the adversary's
-        log = Path(line.rpartition("log: ")[2])
-        assert log.parent == logs
-        assert log.is_file()
+    for line in (first, last):
+        assert Path(line.rpartition("log: ")[2]) == logs  # nobody else was started, and so nobody has printed
     assert [path.name for path in tmp_path.iterdir() if path.name != "out"] == []
     again = assess(tmp_path, safe, "--knowledge", "nothing", "--controller", "external", timeout=0.5)
     assert again.code == 1  # not 2: logs of a run that failed are in nobody's way
-
-
-def test_one_that_never_begins(tmp_path: Path, safe: Path) -> None:
-    """Whose fault it is, each time: see the reasons in test_commands.py."""
-    said = "wrong stamp: the car controller"
-    finished = assess(tmp_path, safe, *hostile("stamps"), timeout=5.0)
-    assert finished.code == 1
-    *aborted, line = finished.timeless  # one of each kind: on a busy machine the node may come too late at first
-    assert all(one.startswith("skd: an episode was aborted, the first one so: ") for one in aborted)
-    assert any(said in one for one in aborted)
-    assert "3 starts in a row failed" in line
-    assert said in line
-    assert line.endswith("car_controller.log")
 
 
 def test_all_aborted(tmp_path: Path, safe: Path) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import chromium, open_page
 from common import assert_valid
 from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -22,9 +21,6 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.single import single_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.campaign.validation.episode_check import examine
-from skd_evaluator.report.html.packing import unpack
-from skd_evaluator.report.html.page import render
-from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario
@@ -118,26 +114,6 @@ def test_assessments_are_the_same_to_the_last_bit(campaigns: dict[float, Campaig
         assert said["provenance"]["command"].startswith("skd assess ")
     assert one["skd"] is not None
     assert {key for key in one if one[key] != other[key]} <= {"seconds", "command_age", "provenance"}
-
-
-def test_the_report_of_the_graph_is_that_of_the_plain_loop(campaigns: dict[float, Campaign], tmp_path: Path) -> None:
-    """The same figures and episodes; in a browser, where there is one, they are drawn and nobody is asked."""
-    pages = []
-    for way in ("graph", "in_process"):
-        html = render(read_subjects([getattr(one, way) for one in campaigns.values()]))
-        pages.append(unpack(html.split('id="data">')[1].split("</script>")[0]))
-        (tmp_path / f"{way}.html").write_text(html, encoding="utf-8")
-    (content, columns), (others, other_columns) = pages
-    assert content == others
-    differ = {name for name in columns if not np.array_equal(columns[name], other_columns[name], equal_nan=True)}
-    assert differ == {"believed", "beliefs"}  # the graph's adversary keeps what it believes to itself
-    assert not columns["believed"].any()
-    assert other_columns["believed"].any()
-    with chromium() as browser:
-        opened = open_page(browser, tmp_path / "graph.html")
-        assert opened.text("#count").startswith(f"{content['listed']} of ")
-        assert opened.count(".chart svg") == len(opened.page.locator(".chart").all())
-        opened.assert_quiet(tmp_path / "graph.html")
 
 
 def test_what_the_graph_gives_is_what_it_gave(campaigns: dict[float, Campaign]) -> None:

@@ -7,12 +7,10 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
 from common import new_domain, wait_until
-from graph_nodes import start_node, wait_for_end
 from graph_support import Program, assert_same_results, skd
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
 
@@ -85,25 +83,6 @@ def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph:
     assert any(line in printed for printed in finished.lines)
     attempts = sum(one["attempts"] for one in result["objectives"].values())
     assert len(list((tmp_path / "out" / "bags").iterdir())) == attempts + 12  # no drive alone, none that is run again
-
-
-@pytest.mark.parametrize(
-    ("parameters", "said"),
-    [
-        ({"task": "juggle"}, "parameter task must be one of assessment, episode; got 'juggle'"),
-        ({"safe_count": 0}, "safe_count out of range"),
-        ({"multiplier": 1}, "of type 'INTEGER', expecting type 'DOUBLE'"),
-        ({"controller": "nobody"}, "unknown controller 'nobody'"),
-        ({"scenario": "moon"}, "scenario moon: not a readable file, nor one of"),
-        ({"car_model": "nowhere.yaml"}, "car model nowhere.yaml: cannot be read"),
-        ({"out": "/proc"}, "give a new folder"),
-    ],
-)
-def test_wrong_parameter_is_one_line_and_code_2(context: ForkServerContext, tmp_path: Path, parameters, said):
-    log = tmp_path / "log"
-    assert wait_for_end(start_node(context, MODULES["evaluator"], log, new_domain(), **parameters)) == 2
-    (line,) = log.read_text().splitlines()
-    assert said in line
 
 
 def test_aborted_episode_is_code_1_with_the_reason(tmp_path: Path):

@@ -13,7 +13,6 @@ from graph_support import Finished, Program, skd_command
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 PROGRAMS = {  # command, exit code when interrupted
     "vehicle_simulator": ([str(SCRIPTS / "run-node"), "vehicle_simulator"], 0),
-    "adversary": ([str(SCRIPTS / "run-node"), "adversary"], 0),
     "evaluator": ([str(SCRIPTS / "run-node"), "evaluator"], 130),
     "skd": (skd_command("assess"), 130),
 }
@@ -65,15 +64,6 @@ def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then:
     command, code = PROGRAMS["evaluator"]
     finished = interrupted(command, signal.SIGINT, tmp_path)
     assert (finished.code, finished.err) == (code, "")
-
-
-def test_a_signal_that_an_import_has_swallowed_is_not_forgotten(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(
-        SLOW_IMPORT.format(then="pass") + "def main():\n    for _ in range(100_000): time.sleep(0.01)\n"
-    )
-    command = [sys.executable, "-c", "from skd_sim.start import start; raise SystemExit(start('program', 7))"]
-    finished = interrupted(command, signal.SIGINT, tmp_path)
-    assert (finished.code, finished.err) == (7, "")
 
 
 def test_an_error_of_an_import_is_said(tmp_path: Path) -> None:
@@ -152,13 +142,3 @@ def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
     """As LLVM's, while numba compiles."""
     finished = Program([sys.executable, "-c", LOST]).finish()
     assert (finished.code, finished.err) == (130, "")
-
-
-def test_a_signal_in_the_making_of_a_dataclass(tmp_path: Path) -> None:
-    """CPython remembers a KeyboardInterrupt that leaves an `exec`, and kills itself by SIGINT at its end."""
-    (tmp_path / "numba.py").write_text(
-        "exec('import time; print(\"importing\", flush=True); [time.sleep(0.01) for _ in range(100_000)]')"
-    )
-    command, code = PROGRAMS["evaluator"]
-    finished = interrupted(command, signal.SIGINT, tmp_path)
-    assert (finished.code, finished.err) == (code, "")

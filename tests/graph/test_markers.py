@@ -27,10 +27,7 @@ def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[fl
         samples.car[0] = (*car, 5.0)
     for stamp, place in enumerate(walked):
         samples.adversary[stamp] = place
-    return {
-        marker.type: marker
-        for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0, with_phi=True).markers
-    }
+    return {marker.type: marker for marker in episode_markers(Episode(scenario, Mode.SAFE, 0, 0), samples, 0).markers}
 
 
 def heading(marker: Marker) -> float:

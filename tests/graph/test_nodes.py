@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import gc
 import math
-import os
 import shlex
 import sys
 import time
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from common import PATIENCE, new_domain, wait_until
+from common import PATIENCE, new_domain
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, evaluator, running, start_node, wait_for_end
 from graph_support import HERE, assert_same_log, whole_graph
 from rclpy.signals import SignalHandlerOptions
@@ -24,7 +23,6 @@ from rosbags.highlevel import AnyReader
 from skd_adversary.nodes.adversary_node import AdversaryNode
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator_main import EvaluatorProcess
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
 from skd_sim.nodes.car_controller import CarController
@@ -133,6 +131,10 @@ def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, mo
         (EVALUATOR, "task", "nothing", "assessment, episode"),
         (EVALUATOR, "safe_count", 0, "safe_count"),
         (EVALUATOR, "scenario", "no_such", "no_such"),
+        (EVALUATOR, "multiplier", 1, "of type 'INTEGER', expecting type 'DOUBLE'"),
+        (EVALUATOR, "controller", "nobody", "unknown controller 'nobody'"),
+        (EVALUATOR, "car_model", "nowhere.yaml", "car model nowhere.yaml: cannot be read"),
+        (EVALUATOR, "out", "/proc", "give a new folder"),
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
@@ -224,44 +226,3 @@ def test_nobody_simulates(domain: int, tmp_path: Path, replay: Episode) -> None:
     recorded = read_episodes([tmp_path / "bags"])[0].log
     assert (recorded.outcome, recorded.reason) == (log.outcome, log.reason)
     assert_same_log(recorded, log)
-
-
-# --- two graphs
-
-
-def test_two_graphs_do_not_see_each_other(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
-) -> None:
-    """A whole second graph beside ours changes nothing, and nothing of it can be seen."""
-    others = new_domain()
-    ours = [start_node(context, name, tmp_path / name, domain) for name in (SIMULATOR, CONTROLLER, ADVERSARY)]
-    theirs = [start_node(context, name, tmp_path / f"{name}2", others) for name in (SIMULATOR, CONTROLLER, ADVERSARY)]
-    their_context = rclpy.Context()
-    rclpy.init(args=[], context=their_context, domain_id=others)
-    witness = rclpy.create_node("witness", context=their_context)
-    heard: list[Any] = []
-    from nav_msgs.msg import Odometry
-
-    witness.create_subscription(Odometry, "/ego/odometry", heard.append, 10)
-    executor = rclpy.executors.SingleThreadedExecutor(context=their_context)
-    executor.add_node(witness)
-    try:
-        with running(*ours, *theirs), evaluator() as node:
-            log = node.run_episode(replay)
-            assert_same_log(log, run_episode(replay))
-            for someone in (node, witness):
-                wait_until(lambda one=someone: one.count_publishers("/clock"), "the simulator")
-                assert someone.count_publishers("/clock") == 1
-                all_of_it = ["car_controller", "adversary", "vehicle_simulator", someone.get_name()]
-                wait_until(lambda one=someone: len(one.get_node_names()) > 3, "all names")
-                assert sorted(someone.get_node_names()) == sorted(all_of_it)
-            wait_until(lambda: node.count_subscribers("/skd/episode") > 2, "who listens")
-            assert node.count_subscribers("/skd/episode") == 3
-            for _ in range(5):
-                executor.spin_once(timeout_sec=0.01)
-    finally:
-        executor.shutdown()
-        witness.destroy_node()
-        rclpy.try_shutdown(context=their_context)
-    assert heard == []
-    assert os.environ["ROS_DOMAIN_ID"] == str(domain)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import itertools
 import json
 import os
 import shlex
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,7 +15,6 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 import pytest
-import rclpy
 from common import PATIENCE, new_domain, wait_until
 from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
 from graph_support import (
@@ -31,18 +27,14 @@ from graph_support import (
     assert_same_results,
     of_node,
     pids_with,
-    skd,
     skd_command,
     skd_here,
     whole_graph,
 )
-from nav_msgs.msg import Odometry
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.messages.from_messages import from_stamp
-from skd_sim.nodes.support import EGO_ODOMETRY, STREAM
 
 STAGGER = 0.1  # s between two starts
 AT_ONCE = 4  # graphs
@@ -93,9 +85,10 @@ def run_order(
     return read_episodes([folder / "out" / "bags"])[0].log
 
 
-def test_every_order_of_starts(context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog) -> None:
-    orders = list(itertools.permutations(NODES))
-    assert len(orders) == 24
+def test_each_node_may_be_the_last(
+    context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog
+) -> None:
+    orders = [(*NODES[place + 1 :], *NODES[: place + 1]) for place in range(len(NODES))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(run_order, context, tmp_path / str(i), plan, order) for i, order in enumerate(orders)]
         for order, job in zip(orders, jobs, strict=True):
@@ -144,62 +137,6 @@ def test_restarted_between_episodes(tmp_path: Path, episode: Episode, expected: 
             assert_same_log(evaluator.run_episode(episode), expected)
 
 
-@contextlib.contextmanager
-def killed_at_tick(tick: int, pid: int) -> Iterator[None]:
-    """Kill a process of the graph in this domain as soon as an episode has come so far."""
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    witness = rclpy.create_node("witness", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    executor.add_node(witness)
-    stamps: set[int] = set()
-    ended = threading.Event()
-
-    def on_odometry(message: Odometry) -> None:
-        stamps.add(from_stamp(message.header.stamp))
-        if len(stamps) == tick + 1:
-            os.kill(pid, signal.SIGKILL)
-
-    def watch() -> None:
-        while not ended.is_set():
-            executor.spin_once(timeout_sec=0.1)
-
-    witness.create_subscription(Odometry, EGO_ODOMETRY, on_odometry, STREAM)
-    thread = threading.Thread(target=watch)
-    try:
-        wait_until(lambda: witness.count_publishers(EGO_ODOMETRY), "the simulator")
-        thread.start()
-        yield
-    finally:
-        ended.set()
-        if thread.is_alive():
-            thread.join()
-        executor.shutdown()
-        witness.destroy_node()
-        rclpy.try_shutdown(context=context)
-
-
-def test_killed_during_an_episode_in_real_time(tmp_path: Path, replay: Episode) -> None:
-    """The simulator does not wait there: what it still says of a lost episode must not disturb the next one."""
-    options = GraphOptions(pacing="real_time", rate_factor=2.0, slip_limit=60.0)
-    bags = tmp_path / "bags"
-    logs = []
-    with whole_graph(tmp_path, options, record_to=bags) as (evaluator, token):
-        assert evaluator.run_episode(replay).outcome != Outcome.ABORTED
-        for number, node in enumerate(("car_controller", "adversary", "vehicle_simulator")):
-            pair = [dataclasses.replace(replay, episode_id=replay.episode_id + 2 * number + which) for which in (1, 2)]
-            with killed_at_tick(2, of_node(token, node)):
-                logs.append(evaluator.run_episode(pair[0]))
-            logs.append(evaluator.run_episode(pair[1]))
-            lost, after = logs[-2:]
-            assert lost.outcome == Outcome.ABORTED
-            assert lost.reason == f"process ended: {node} was killed by signal 9"
-            assert 2 <= len(lost.adversary) < 8
-            assert after.outcome in (Outcome.COLLISION, Outcome.ARRIVED), after.reason
-    for one, log in zip(read_episodes([bags])[1:], logs, strict=True):
-        assert_same_log(one.log, log)
-
-
 def test_somebody_elses_controller_comes_and_goes(
     context: ForkServerContext, tmp_path: Path, episode: Episode, expected: EpisodeLog
 ) -> None:
@@ -235,7 +172,7 @@ def test_somebody_elses_controller_comes_and_goes(
 
 
 MISBEHAVIOUR = {
-    "Killed": "process ended: car_controller ended with exit code 1",
+    "Killed": "process ended: car_controller was killed by signal 9",
     "Raises": "process ended: car_controller ended with exit code 1",
     "NotANumber": "not a finite number: the car controller commanded nan",
     "Silent": "no answer: the car controller (ego/acceleration_command) stayed silent for 2 s at tick 3",
@@ -297,29 +234,6 @@ def test_misbehaviour_during_an_episode(
     assert f"1 episode counts for nothing, said to have been aborted (1 {kind})" in warnings
 
 
-def test_a_controller_that_cannot_start(tmp_path: Path, safe: Path) -> None:
-    """Dying again and again ends the campaign, in one line with the program's own last words."""
-    finished = skd(
-        "assess",
-        "--graph",
-        *(
-            "--knowledge",
-            "nothing",
-            "--controller",
-            "external",
-            "--controller-command",
-            "sh -c 'echo no licence >&2; exit 2'",
-        ),
-        *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
-        *("--out", tmp_path / "out"),
-    )
-    assert finished.code == 1
-    assert len(finished.timeless) <= 4, finished.err
-    assert "  | no licence" in finished.lines
-    assert "no licence" in finished.lines[-1]
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["logs"]  # and nothing of a result
-
-
 # --- the end of the command itself
 
 
@@ -344,7 +258,7 @@ def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
         ),
         {"PYTHONPATH": str(HERE / "controllers")},
     )
-    wait_until(lambda: len(pids_with(program.token)) >= 6, "all processes")
+    wait_until(lambda: len(pids_with(program.token)) >= 5, "all processes")
     time.sleep(1.0)
     yield program
     if program.popen.poll() is None:
@@ -356,7 +270,7 @@ def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
 def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, number: int) -> None:
     assert endless.popen.poll() is None
     before = set(pids_with(endless.token))
-    assert len(before) >= 6
+    assert len(before) >= 5
     endless.popen.send_signal(number)
     finished = endless.finish()
     if number == signal.SIGKILL:

@@ -176,6 +176,16 @@ def test_repetitions_of_an_answer_are_no_wrong_stamps(bench: Bench) -> None:
     assert kind_of(end.reason) == AbortKind.NO_ANSWER
 
 
+def test_a_node_that_hangs_is_not_one_of_wrong_stamps(bench: Bench) -> None:
+    """It sent something of no use early, then answered some ticks, and then nothing more."""
+    bench.lockstep.drive(stamp(4), 1.0)
+    bench.go_to(2)
+    bench.lockstep.walk(stamp(2), (1.0, 0.0))
+    end = bench.lockstep.watch(bench.now + 2.1)
+    assert isinstance(end, End)
+    assert kind_of(end.reason) == AbortKind.NO_ANSWER
+
+
 def test_time_counts_from_the_last_tick(bench: Bench) -> None:
     bench.now = 109.0
     bench.go_to(1)

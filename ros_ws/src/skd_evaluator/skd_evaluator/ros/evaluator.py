@@ -13,7 +13,7 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
@@ -67,6 +67,7 @@ _REPEAT = 2.0  # s: how often an episode that does not begin is said again; betw
 _DISCOVERY = 1.0  # s: how long an episode waits for topics that nobody publishes yet; nodes may come later
 _FIRST_DISCOVERY = 10.0  # s: the same for a recording's first episode, while the nodes are still starting
 _LOST = 10.0  # s: how long after an episode its last states may come, from the last message of all on
+_LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 _OURS = (EPISODE, EPISODE_RESULT, EGO_ODOMETRY, ADVERSARY_ODOMETRY)  # topics on which one node publishes
 
 
@@ -125,7 +126,7 @@ class Evaluator(GraphNode):
         commands: CommandOptions = _PLAIN,
         own_world: bool = False,
         anew: bool = False,
-        settle: float = SETTLE,
+        answers_each_state: bool | None = None,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
         patience: float = math.inf,
@@ -142,8 +143,8 @@ class Evaluator(GraphNode):
             commands: what the car under test publishes, for the record; the same as the simulator's.
             own_world: whether the simulator is SKD's own, so that all that follows from an episode's seed has to agree.
             anew: whether the car under test is started anew for each episode, so that each is like a first one.
-            settle: how long a recording waits, after a result, for the commands of all ticks, wall seconds; long where
-                there is certainly one of each tick, short where a node sends them when it likes.
+            answers_each_state: whether every state gets a command with its stamp, for which a recording waits longer;
+                else a command without a stamp is one as well. None: nobody knows.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
             patience: s after which a stack that sends its commands elsewhere, or so that they are not taken, ends the
@@ -154,7 +155,9 @@ class Evaluator(GraphNode):
         driven = car_commands(commands)
         self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
         awaited = (Awaited(self._drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))
-        self._first_commands = FirstCommands(self, awaited[: 1 if self._composed else 2], say, patience)
+        self._first_commands = FirstCommands(
+            self, awaited[: 1 if self._composed else 2], say, patience, by_stamp=answers_each_state is not False
+        )
         self._campaign = campaign
         self._silence_limit = silence_limit
         self._check_processes = check_processes
@@ -165,6 +168,7 @@ class Evaluator(GraphNode):
         if self._composed is None or records:
             self._listen(EGO_ODOMETRY, Odometry, self._on_car)
             self._listen(ADVERSARY_ODOMETRY, Odometry, self._on_adversary)
+        if self._composed is None:
             self._listen(EPISODE_RESULT, EpisodeResult, self._on_result)
         if record_to is not None:
             self._listen(CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
@@ -172,6 +176,7 @@ class Evaluator(GraphNode):
             self._listen(walk_topic, TwistStamped)
             if own_world:  # another simulator need not publish any
                 self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
+            settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
             self._recorder = BagRecorder(
                 self, record_to, self._drive_topic, walk_topic, own_world=own_world, patience=settle, say=say
             )
@@ -251,6 +256,9 @@ class Evaluator(GraphNode):
             elif self._result is None:
                 self._result = result, from_stamp(message.header.stamp)
                 self._ended = time.monotonic()
+                if self._composed is not None and self._recorder is not None:
+                    name, data = self.resolve_topic_name(EPISODE_RESULT), serialize_message(message)
+                    self._recorder.keep(name, EpisodeResult, self._result[1], data)
 
     def give_up(self, reason: str) -> None:
         """Abort the running episode, whose end nobody waits for; to be called while it waits."""

@@ -17,11 +17,9 @@ from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import ADVERSARY, CONTROLLER, Supervisor, concerned, graph_programs
 from skd_evaluator.ros.readiness.lifecycle import resetting
-from skd_evaluator.ros.recording import SETTLE
 
 _CERTAIN = 1.0 / 3.0
 """Share of the time that a stack has to start after which commands that come elsewhere will not come here."""
-_LOCKSTEP_SETTLE = 2.0  # s: a command of each tick is certain to come, unless its sender has not found us yet
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def running_graph(
         AssessmentError: the graph cannot go on.
     """
     options = setting.options
-    commands = car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
+    car_commands(options)  # before anything is started: what is wrong with it is the user's to mend
     watched = setting.watched
     composed = watched is None and options.composes(setting.simulator)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
@@ -117,7 +115,7 @@ def running_graph(
             commands=options,
             own_world=True,
             anew=RESTART in options.resets,
-            settle=_LOCKSTEP_SETTLE if options.answers_each_state and commands.stamped else SETTLE,
+            answers_each_state=options.answers_each_state,
             say=setting.say,
             log_folder=log_folder,
             # Who has not started the stack here may be mending it in another terminal.

@@ -20,6 +20,7 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.episode.stamps import period_stamp, tick_stamp
 from skd_sim.messages.to_messages import to_stamp
 from skd_sim.nodes.support import (
+    ADVERSARY_ODOMETRY,
     CLEARANCE,
     CLOCK,
     DEFORMATION,
@@ -43,6 +44,7 @@ from skd_evaluator.ros.markers import fixed_markers, moving_markers
 
 SETTLE = 0.05
 """s for which a recording waits, after the result, for what other topics still have on the way."""
+_STATES = 2.0  # s in which all states come that this process has published itself
 _LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """As tf2 listens: each of several nodes may have latched transforms of its own."""
 
@@ -161,19 +163,22 @@ class BagRecorder:
         wanted = {CLOCK: states | between, self._walk_topic: commands, self._drive_topic: commands | between}
         if self._own_world:  # another simulator need not publish any
             wanted[TF] = states | between
-        odometry = self._node.resolve_topic_name(EGO_ODOMETRY)
+        odometry, of_adversary = map(self._node.resolve_topic_name, (EGO_ODOMETRY, ADVERSARY_ODOMETRY))
+        of_states = {odometry: states, of_adversary: states}
         last = range(tick_stamp(start, result.ticks - 1, step) + 1, tick_stamp(start, result.ticks, step))
-        heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, odometry)}
-        deadline = time.monotonic() + self._patience
-        checked = 0
-        while time.monotonic() < deadline:
+        heard: dict[str, set[int]] = {topic: set() for topic in (*wanted, *of_states)}
+        begin, checked = time.monotonic(), 0
+        while True:
             for message in self._messages[checked:]:
                 if message.topic in heard:
                     heard[message.topic].add(message.stamp)
             checked = len(self._messages)
             # A state within the last tick was followed by another one, so the car has answered it.
             wanted[self._drive_topic].update(stamp for stamp in heard[odometry] if stamp in last)
-            if all(stamps <= heard[topic] for topic, stamps in wanted.items()):
+            whole = all(stamps <= heard[topic] for topic, stamps in of_states.items())
+            if whole and all(stamps <= heard[topic] for topic, stamps in wanted.items()):
+                return
+            if time.monotonic() > begin + (self._patience if whole else max(self._patience, _STATES)):
                 return
             listen(SETTLE)
 

@@ -46,8 +46,11 @@ class Source:
         """Forget the last episode."""
         self.command: tuple[float, ...] | None = None
         self._answers: dict[int, tuple[float, ...]] = {}
-        self._ignored = 0
-        self._newest = 0
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Forget what was of no use: a control period is over."""
+        self._ignored = self._newest = 0
 
     def answered(self, stamp: int) -> bool:
         """Return whether there was an answer with this stamp (ns) already."""

@@ -182,6 +182,8 @@ class Lockstep:
         """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
         self._frame = frame
         self._progress = self._published = now
+        self._car.go_on()
+        self._adversary.go_on()
         self.lead = 0
         self.ages.publish(self.stamp, now)
         if frame.period == 0:

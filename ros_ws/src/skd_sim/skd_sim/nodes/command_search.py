@@ -22,21 +22,18 @@ _HIDDEN = "_"  # names of nodes that do not count as part of a graph begin so, t
 _OF_EVERY_NODE = ("/rosout", "/parameter_events")
 
 
-def why_no_command(
-    node: Node, topic: str, kind: str, *, best_effort: bool = False, arrives: Callable[[str], bool] | None = None
-) -> str:
+def why_no_command(node: Node, topic: str, kind: str, arrives: Callable[[str], bool] | None = None) -> str:
     """Return why no command can come on a topic, as far as the graph shows it; empty if nothing is wrong.
 
     Args:
         node: node through which the graph is seen.
         topic: full name of the topic.
         kind: type of what is awaited, as `geometry_msgs/msg/Twist`.
-        best_effort: publishers that are not reliable are heard as well.
         arrives: says of a topic whether messages come on it, where somebody has listened.
     """
     publishers = living_publishers(node, topic)
     fitting = [one for one in publishers if one.kind == kind]
-    if any(one.reliable or best_effort for one in fitting):
+    if any(one.reliable for one in fitting):
         return ""
     if fitting:
         return (

@@ -46,12 +46,10 @@ class Awaited(NamedTuple):
     Attributes:
         topic: full name of the topic.
         kind: type of its messages, as `geometry_msgs/msg/Twist`.
-        best_effort: whether a publisher that is not reliable is heard.
     """
 
     topic: str
     kind: str
-    best_effort: bool = False
 
 
 @dataclass
@@ -81,7 +79,13 @@ class FirstCommands:
     """Says every ten seconds for which command an episode waits, and what is on the graph instead of it."""
 
     def __init__(
-        self, node: Node, awaited: Sequence[Awaited], say: Callable[[str], None], patience: float = math.inf
+        self,
+        node: Node,
+        awaited: Sequence[Awaited],
+        say: Callable[[str], None],
+        patience: float = math.inf,
+        *,
+        by_stamp: bool = True,
     ) -> None:
         """Know nothing yet.
 
@@ -90,8 +94,9 @@ class FirstCommands:
             awaited: the commands that are awaited.
             say: called with each line.
             patience: s after which a fault that waiting does not mend ends the wait.
+            by_stamp: whether a command without a stamp (0) is of no use: only lockstep without a quiet time needs one.
         """
-        self._patience = patience
+        self._patience, self._by_stamp = patience, by_stamp
         self._node = node
         self._awaited = awaited
         self._say = say
@@ -151,7 +156,7 @@ class FirstCommands:
             )
 
     def _listen(self) -> None:
-        for topic, kind, _ in self._awaited:
+        for topic, kind in self._awaited:
             if any(one.kind == kind for one in living_publishers(self._node, topic)):
                 self._hear(topic, kind)
         for topic, publisher in candidates(self._node, self._awaited[0].topic):
@@ -175,14 +180,15 @@ class FirstCommands:
 
     def _answered(self, one: Awaited) -> bool:
         heard = self._heard.get(one.topic)
-        return heard is not None and heard.count > 0 and (not heard.stamped or heard.newest == self._start)
+        if heard is None or not heard.count:
+            return False
+        return not heard.stamped or heard.newest == self._start or (not self._by_stamp and not heard.newest)
 
     def _why(self, one: Awaited) -> _Why:
         why = why_no_command(
             self._node,
             one.topic,
             one.kind,
-            best_effort=one.best_effort,
             arrives=lambda topic: topic in self._heard and self._heard[topic].count > 0,
         )
         heard = self._heard.get(one.topic)
