@@ -11,7 +11,6 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
 from skd_adversary.planning.learning_rollouts import learning_rollout_kernel
-from skd_adversary.planning.legality import forbid_kernel
 from skd_adversary.planning.observation_cells import (
     add_reference_kernel,
     most_alike_child,
@@ -294,3 +293,22 @@ def _search_kernel(
         }
         name += "_by_likelihood"
     return specialise(_search_template, name, bound, allocates=False)
+
+
+def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    """Keep the search of a new node from actions that make no sense in its state."""
+    for a in range(tree.statistics.shape[1]):
+        if not _legal(parameters, state, a):
+            tree.statistics[node, a, VISITS] = -1.0
+
+
+def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    pass
+
+
+@functools.cache
+def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Return the kernel (parameters, tree, node, state) that keeps a new node from actions that make no sense there."""
+    if legal is None:
+        return kernel(inline=True)(_allow_all)
+    return specialise(_forbid_template, name, {"_legal": legal}, inline=True)

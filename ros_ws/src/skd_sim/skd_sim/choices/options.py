@@ -244,6 +244,7 @@ class EpisodeOptions:
         high=1_000_000,
         metavar="N",
         unset="the number for which the objective was tuned",
+        commands=("episode",),
         planning=True,
     )
     maximum_distance: float | None = option(
