@@ -41,8 +41,7 @@ from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.assessing.graph_options import COMPOSED, SEPARATE, GraphOptions
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome

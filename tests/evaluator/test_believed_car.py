@@ -10,8 +10,7 @@ from skd_adversary.adversary import make_adversary
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.report.believed_car import DEVIATIONS, believed_car

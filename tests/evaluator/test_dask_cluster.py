@@ -15,7 +15,7 @@ from local_dask import local_cluster, start_worker
 from skd_evaluator.campaign.judge.assessment import assess
 from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run import dask_cluster
-from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.dask_cluster import make_runner
 from skd_evaluator.errors import AssessmentError
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
@@ -161,9 +161,10 @@ def test_a_task_at_which_workers_die_again_and_again_is_one_that_is_lost():
     from distributed import KilledWorker
 
     error = KilledWorker("task", SimpleNamespace(address="tcp://10.0.0.7:4000"), 3)
-    loss = make_runner("tcp://127.0.0.1:1", 1)._loss(error)
-    assert (loss.finished, loss.foreign) == (None, True)
-    assert loss.reason == "process ended: 4 workers of the cluster died at it, the last one tcp://10.0.0.7:4000"
+    runner = make_runner("tcp://127.0.0.1:1", 1)
+    assert runner._is_loss(error)
+    (said,) = runner._again(len, ["item"], lambda item, reason: f"{item}: {reason}", error)
+    assert said == "item: process ended: 4 workers of the cluster died at it, the last one tcp://10.0.0.7:4000"
 
 
 @pytest.mark.parametrize("address", ["foo", "tcp://host", "http://host:8786", "tcp://host:8786/x"])

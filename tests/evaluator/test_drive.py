@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.driving import paced
 from skd_evaluator.driving.hand import Controls, Hand, Wish
 from skd_evaluator.driving.keyboard import key_names

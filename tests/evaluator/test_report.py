@@ -18,7 +18,7 @@ from report_support import HOSTILE, edited, hostile
 from skd_evaluator.assessing.asked import plan_of, scenario_for
 from skd_evaluator.campaign.judge.figure_table import Of, keys_of
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import single_episode
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
 from skd_evaluator.report.html import page

@@ -21,8 +21,7 @@ from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.learning import kept_models, lesson, waiting
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode

@@ -18,8 +18,7 @@ from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.choices.objective import Objective

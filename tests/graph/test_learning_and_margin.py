@@ -19,8 +19,7 @@ from skd_evaluator.assessing.pipeline import learned_plan
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_evaluator.learning import lesson
 from skd_evaluator.measure.credibility import not_credible
 from skd_sim.choices.knowledge import Knowledge

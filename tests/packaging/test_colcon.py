@@ -23,8 +23,7 @@ from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.ros_environment import ensure_ros

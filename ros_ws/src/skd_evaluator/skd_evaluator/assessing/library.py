@@ -22,7 +22,7 @@ from skd_evaluator.assessing.written import fill
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan, Progress
-from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.dask_cluster import make_runner
 from skd_evaluator.campaign.run.workers import available_workers
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.campaign.store.stored_result import read_result

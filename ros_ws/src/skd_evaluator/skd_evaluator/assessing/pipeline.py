@@ -23,8 +23,7 @@ from skd_evaluator.campaign.judge.static_tests import with_static_tests
 from skd_evaluator.campaign.judge.until_width import rate_until_width
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner, InProcessRunner
 from skd_evaluator.learning.lesson import learned, needs_learning
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.assessment_margin import with_margins

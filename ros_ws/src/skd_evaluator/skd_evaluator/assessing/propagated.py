@@ -23,7 +23,7 @@ from skd_sim.geometry.trajectory import Trajectory
 from skd_evaluator.assessing.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.campaign.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.campaign.plan.plan import Plan, Progress
-from skd_evaluator.campaign.run.executors import make_runner
+from skd_evaluator.campaign.run.dask_cluster import make_runner
 from skd_evaluator.measure.aborted import too_many_aborted
 from skd_evaluator.measure.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.measure.margins import stopped_at

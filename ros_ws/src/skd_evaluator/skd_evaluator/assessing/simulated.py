@@ -12,7 +12,7 @@ from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.simulation.named_simulator import make_simulator
 
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 
 _STRAYED: Final = 0.01
 """m: far more than another simulator rounds, and less than any figure shows."""

@@ -11,8 +11,7 @@ from skd_sim.episode.episode import EpisodeLog
 
 from skd_evaluator.campaign.judge.assessment import Assessment
 from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.run.beside import Beside
-from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.campaign.run.workers import available_workers, in_background
 from skd_evaluator.campaign.store.results import ResultFolder, episode_summary, write_assessment, write_json
 
 
@@ -38,10 +37,10 @@ def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
 
     with ExitStack() as stack:
         forks = may_fork and available_workers() > 1
-        beside = stack.enter_context(Beside(draw_the_others)) if forks else None
+        drawn = stack.enter_context(in_background(draw_the_others)) if forks else lambda: False
         write_assessment(folder, rating)
         save_trajectories(folder / name, rating, first)
-        if beside is None or not beside.wait():
+        if not drawn():
             draw_the_others()
 
 

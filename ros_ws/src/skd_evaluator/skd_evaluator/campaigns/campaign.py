@@ -22,7 +22,7 @@ from skd_evaluator.campaign.judge.planned_figures import unlike_rows
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.judge.repeatability import fresh_process
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.campaigns.cell import Cell
 from skd_evaluator.campaigns.folder import CampaignFolder
 from skd_evaluator.campaigns.rows import (

@@ -6,9 +6,8 @@ import argparse
 
 from skd_sim.controllers.isolated import CALL_LIMIT
 
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
-from skd_evaluator.campaign.run.executors import make_runner
-from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.campaign.run.dask_cluster import make_runner
+from skd_evaluator.campaign.run.workers import ExecutorRunner, available_workers
 
 
 def runner_of(

@@ -12,8 +12,7 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 from skd_sim.kernels.code_cache import is_kept
 
-from skd_evaluator.campaign.run.beside import Beside
-from skd_evaluator.campaign.run.workers import available_workers
+from skd_evaluator.campaign.run.workers import available_workers, in_background
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact_search import search_least_way
 from skd_evaluator.measure.distances.frechet import discrete_frechet
@@ -30,13 +29,13 @@ def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], Non
         wanted: whether any margin is to be computed; if not, nothing is done.
     """
     with ExitStack() as stack:
-        beside: Beside | None = None
+        wait: Callable[[], bool] | None = None
         if wanted and available_workers() > 1 and not is_kept(search_least_way):
-            beside = stack.enter_context(Beside(_compile))
+            wait = stack.enter_context(in_background(_compile))
 
         def load() -> None:
-            if beside is not None:
-                beside.wait()  # however it ended: what it has not compiled is compiled here
+            if wait is not None:
+                wait()  # however it ended: what it has not compiled is compiled here
             if wanted:
                 warm_up_margins()
 

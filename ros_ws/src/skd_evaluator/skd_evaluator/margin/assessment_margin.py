@@ -22,7 +22,7 @@ from skd_sim.simulation.named_simulator import repeats_itself
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin

@@ -19,8 +19,8 @@ from skd_evaluator.campaign.judge.assessment import judge
 from skd_evaluator.campaign.judge.repeatability import undisturbed_drives
 from skd_evaluator.campaign.judge.static_tests import Tested
 from skd_evaluator.campaign.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.static_test import static_episodes
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
 from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep

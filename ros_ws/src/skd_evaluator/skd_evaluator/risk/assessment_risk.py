@@ -21,7 +21,7 @@ from skd_sim.simulation.named_simulator import repeats_itself
 from skd_evaluator.campaign.judge.failures import Walkers, failures_of
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.behaviour.model import Behaviour

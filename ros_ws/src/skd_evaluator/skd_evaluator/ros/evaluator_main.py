@@ -29,8 +29,7 @@ from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile
 from skd_evaluator.assessing.written import fill, fill_episode, write_with_scratch
 from skd_evaluator.campaign.plan.options import CampaignOptions
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.single import single_episode
-from skd_evaluator.campaign.run.workers import check_controller
+from skd_evaluator.campaign.run.workers import check_controller, single_episode
 from skd_evaluator.campaign.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.learning.lesson import learned

@@ -20,8 +20,7 @@ from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.controllers.isolated import end_children, set_call_limit
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.run.executor_runner import answers
-from skd_evaluator.campaign.run.workers import warm_up_with
+from skd_evaluator.campaign.run.workers import do, warm_up_with
 from skd_evaluator.fingerprint import code_paths, digest_of, environment, files_of
 
 _PROTOCOL = 4
@@ -149,7 +148,7 @@ class Setting:
 
 
 def work_on(setting: Setting, task: bytes) -> bytes:
-    """Return the pickled answers to a pickled task, `(work, items)`: in a worker.
+    """Return what became of a pickled task, `(work, items)`, pickled: in a worker.
 
     Raises:
         UsageError: this worker is unlike the campaign's own process, or a controller here is another.
@@ -160,7 +159,7 @@ def work_on(setting: Setting, task: bytes) -> bytes:
         set_call_limit(setting.answer_limit)
         for controller in setting.controllers:
             _have(controller)
-        return pickle.dumps(answers(*pickle.loads(task)), protocol=_PROTOCOL)
+        return pickle.dumps(tuple(do(*pickle.loads(task))), protocol=_PROTOCOL)
 
 
 def compile_for(episodes: bytes) -> None:

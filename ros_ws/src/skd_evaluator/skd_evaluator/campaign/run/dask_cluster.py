@@ -9,7 +9,7 @@ import re
 import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, wait
 from typing import Any
 
@@ -28,8 +28,7 @@ from skd_evaluator.campaign.run.cluster_worker import (
     sent,
     work_on,
 )
-from skd_evaluator.campaign.run.executor_runner import Answer, ExecutorRunner, Pace
-from skd_evaluator.campaign.run.worker_pool import LostWorkerError
+from skd_evaluator.campaign.run.workers import Done, ExecutorRunner, InProcessRunner, Pace
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 CONNECT_LIMIT = 10.0
@@ -159,8 +158,8 @@ class DaskRunner(ExecutorRunner):
             raise OutOfReachError(f"the Dask scheduler {self._address} takes no work: {_told(error)}") from error
         return call
 
-    def _unpacked(self, found: bytes) -> list[Answer]:
-        return list(pickle.loads(found))
+    def _unpacked(self, found: bytes) -> Done:
+        return Done(*pickle.loads(found))
 
     def _workers(self) -> int:
         self._look_now_and_then()
@@ -193,12 +192,19 @@ class DaskRunner(ExecutorRunner):
             if self._addresses:
                 self._seen = time.monotonic()
 
-    def _loss(self, error: Exception) -> LostWorkerError | None:
-        if isinstance(error, importlib.import_module("distributed").KilledWorker):
-            often = error.allowed_failures + 1
-            reason = f"{often} workers of the cluster died at it, the last one {error.last_worker.address}"
-            return LostWorkerError(abort_reason(AbortKind.ENDED, reason), None, True)
-        return super()._loss(error)
+    def _is_loss(self, error: Exception) -> bool:
+        return isinstance(error, importlib.import_module("distributed").KilledWorker)
+
+    def _again(
+        self, work: Callable[[Any], Any], items: Sequence[Any], lost: Callable[[Any, str], Any], error: Any
+    ) -> Iterator[Any]:
+        if len(items) > 1:
+            for item in items:
+                yield from self._results(work, [item], self._submit(work, [item]), lost)
+            return
+        often = error.allowed_failures + 1
+        what = f"{often} workers of the cluster died at it, the last one {error.last_worker.address}"
+        yield lost(items[0], abort_reason(AbortKind.ENDED, what))
 
     def close(self, *, wait: bool = True) -> None:
         """Leave the cluster; what has not begun is dropped."""
@@ -211,3 +217,24 @@ class DaskRunner(ExecutorRunner):
 def _told(error: BaseException) -> str:
     """Return what an exception says, in one line that is not too long."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
+def make_runner(
+    scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
+) -> ExecutorRunner:
+    """Return what runs episodes, a context manager; the results are the same wherever they run.
+
+    It may be used by several threads at once. Call its `start` before other threads start.
+
+    Args:
+        scheduler: address of a Dask scheduler, for example tcp://host:8786; None: processes of this machine.
+        workers: number of processes on this machine; of no meaning with a scheduler.
+        isolated: whether episodes with a user's own controller are to come.
+        answer_limit: time that a call of a user's controller may take, s.
+
+    Raises:
+        UsageError: the address is none.
+    """
+    if scheduler is None:
+        return InProcessRunner(workers, isolated=isolated, answer_limit=answer_limit)
+    return DaskRunner(scheduler, answer_limit=answer_limit)

@@ -14,7 +14,7 @@ from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessing.findings import episode_line
 from skd_evaluator.assessing.pipeline import compile_for_graph, learned_plan
 from skd_evaluator.assessing.written import fill_episode, write_with_scratch
-from skd_evaluator.campaign.run.single import single_episode
+from skd_evaluator.campaign.run.workers import single_episode
 from skd_evaluator.campaign.store.results import episode_summary
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import graph_options, say

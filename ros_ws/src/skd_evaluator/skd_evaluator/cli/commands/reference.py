@@ -16,7 +16,7 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, Progress, safe_trajectories
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.results import write_json
 from skd_evaluator.campaign.store.stored_result import read_result

@@ -19,8 +19,8 @@ from skd_sim.controllers.isolated import LostProcessError, isolated
 from skd_sim.episode.episode import Episode
 
 from skd_evaluator.campaign.plan.plan import Progress
-from skd_evaluator.campaign.run.executor_runner import ExecutorRunner
 from skd_evaluator.campaign.run.side_by_side import answers_batches
+from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.margin.search.picture import SITUATION, Picture
 from skd_evaluator.margin.search.search import DEFAULT_BUDGET, SearchResult, search_margin
 from skd_evaluator.margin.search.together import GROUP, can_be_together, search_side_by_side

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import EpisodeLog, Outcome
 
-from skd_evaluator.campaign.run.worker_pool import FAILED_STARTS
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import log_of
 

@@ -1,0 +1,349 @@
+"""Items dealt out over workers: in order, none lost, none twice, bounded, whatever becomes of the workers."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from common import wait_until
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.campaign.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
+from skd_evaluator.errors import AssessmentError
+from skd_sim.encounter.scenario import load_scenario
+from skd_sim.episode.aborts import AbortKind, abort_reason, counted_reasons, kind_of
+from skd_sim.episode.episode import Mode, Outcome
+
+
+class Over(ExecutorRunner):
+    """Over an executor that is there; keeps count of what is handed out."""
+
+    def __init__(self, executor, workers=2):
+        super().__init__()
+        self.executor, self.count = executor, workers
+        self.at_work = self.tasks = 0
+        self.lock = threading.Lock()
+
+    def start(self, warm_up=(), *, inherited=lambda: None):
+        pass
+
+    def close(self, *, wait=True):
+        self.executor.shutdown(wait=wait, cancel_futures=True)
+
+    def _workers(self):
+        return self.count
+
+    def _again(self, work, items, lost, error):
+        raise error
+
+    def _submit(self, work, items):
+        with self.lock:
+            self.tasks += 1
+            self.at_work += 1
+        future = self.executor.submit(do, work, items)
+        future.add_done_callback(self._over)
+        return future
+
+    def _over(self, _future):
+        with self.lock:
+            self.at_work -= 1
+
+
+def square(item: int) -> int:
+    return item * item
+
+
+def fails_at_31(item: int) -> int:
+    if item == 31:
+        raise AssessmentError("no more")
+    return item
+
+
+def dies_at_13(item: int) -> int:
+    if item == 13:
+        os._exit(5)
+    return 2 * item
+
+
+def dies(_item: int) -> int:
+    os._exit(5)
+
+
+def killed_once(item: tuple[Path, int]) -> int:
+    folder, number = item
+    if number == 21 and not (folder / "killed").exists():
+        (folder / "killed").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 2 * number
+
+
+def pid(_item: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+# --- what any executor does
+
+
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_any_executor_gives_what_a_loop_gives(kind):
+    with Over(kind(2)) as runner:
+        assert list(runner.map(square, range(500))) == [item * item for item in range(500)]
+        found = runner.map(fails_at_31, range(100))
+        assert [next(found) for _ in range(31)] == list(range(31))
+        with pytest.raises(AssessmentError, match="no more"):
+            next(found)
+
+
+def test_each_log_has_the_episode_that_was_asked_for():
+    from test_campaign import straight
+
+    plan, phi = Plan(load_scenario("crossing")), straight()
+    episodes = [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(3)]
+    with Over(ProcessPoolExecutor(1)) as runner:
+        logs = list(runner.run(episodes))
+    assert all(log.episode is episode for log, episode in zip(logs, episodes, strict=True))
+
+
+def test_nobody_runs_far_ahead_of_whoever_takes_the_results():
+    release = threading.Event()
+
+    def slow_at_first(item: int) -> int:
+        if item == 0:
+            release.wait(60.0)
+        return item
+
+    with Over(ThreadPoolExecutor(2)) as runner:
+        runner.pace = Pace(0.0, 0.0)  # one item a chunk
+        threading.Timer(0.5, release.set).start()
+        found = runner.map(slow_at_first, range(1000))
+        assert next(found) == 0
+        assert runner.tasks <= 2 * 16
+        assert list(found) == list(range(1, 1000))
+
+
+def test_what_nobody_asks_for_any_more_is_cancelled():
+    gate = threading.Event()
+
+    def waits(item: int) -> int:
+        if item:
+            gate.wait(60.0)
+        return item
+
+    runner = Over(ThreadPoolExecutor(1), workers=1)
+    found = runner.map(waits, range(100))
+    next(found)
+    found.close()
+    gate.set()
+    runner.close()
+    assert runner.tasks <= 17
+    assert runner.at_work == 0
+
+
+@given(
+    seconds=st.floats(1e-6, 100.0),
+    remaining=st.integers(1, 10**6),
+    workers=st.integers(1, 4000),
+    target=st.floats(0.0, 10.0),
+    least=st.floats(0.0, 1.0),
+)
+def test_chunks_are_long_beside_their_cost_but_leave_work_for_all(seconds, remaining, workers, target, least):
+    chunk = Pace(target, least).chunk(seconds, remaining, workers)
+    assert 1 <= chunk <= remaining
+    assert chunk == 1 or chunk * seconds <= target * (1 + 1e-9)
+    assert chunk <= max(1.0, math.ceil(remaining / (4 * workers)), least / seconds)
+    assert Pace(target, least).chunk(None, remaining, workers) == 1
+
+
+# --- worker processes that die
+
+
+class Scripted(InProcessRunner):
+    """Whose pool breaks by a script: at each first submission of some items."""
+
+    def __init__(self, deadly):
+        super().__init__(2)
+        self.deadly, self._seconds = set(deadly), {square: 0.01}  # chunks from the beginning
+
+    def start(self, warm_up=(), *, inherited=lambda: None):
+        pass
+
+    def _submit(self, work, items):
+        future = Future()
+        if self.deadly.intersection(items):
+            future.set_exception(BrokenExecutor())
+        else:
+            future.set_result(do(work, items))
+        return future
+
+
+@settings(max_examples=20, deadline=None)
+@given(count=st.integers(1, 60), deadly=st.sets(st.integers(0, 59), max_size=6))
+def test_whatever_a_broken_pool_lost_is_done_again(count, deadly):
+    with Scripted(deadly) as runner:
+        assert list(runner.map(square, range(count))) == [item * item for item in range(count)]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_item_at_which_its_process_dies_costs_nothing_but_itself(count):
+    reasons = []
+    with InProcessRunner(count, isolated=True) as runner:
+        found = list(runner.map(dies_at_13, range(60), lambda item, reason: (reasons.append(reason), -item)[1]))
+        assert found == [-item if item == 13 else 2 * item for item in range(60)]
+        assert list(runner.map(square, range(10))) == [item * item for item in range(10)]  # and the pool is there
+    (reason,) = reasons
+    assert kind_of(reason) == AbortKind.ENDED
+    assert "exit code 5" in reason
+
+
+def test_an_episode_at_which_its_process_dies_is_aborted(monkeypatch):
+    from skd_evaluator.campaign.run import workers
+    from test_campaign import straight
+
+    run = workers.run_episode
+    monkeypatch.setattr(workers, "run_episode", lambda one: os._exit(7) if one.episode_id == doomed else run(one))
+    plan, phi = Plan(load_scenario("crossing")), straight()
+    episodes = [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(12)]
+    doomed = episodes[5].episode_id
+    with InProcessRunner(2) as runner:
+        logs = list(runner.run(episodes))
+    assert [log.episode for log in logs] == episodes
+    assert [log.outcome == Outcome.ABORTED for log in logs] == [number == 5 for number in range(12)]
+    assert "exit code 7" in logs[5].reason
+
+
+def test_a_worker_that_somebody_kills_costs_nothing(tmp_path):
+    with InProcessRunner(2) as runner:
+        found = list(runner.map(killed_once, [(tmp_path, item) for item in range(40)]))
+    assert (tmp_path / "killed").exists()
+    assert found == [2 * item for item in range(40)]
+
+
+def test_processes_that_die_one_after_the_other_are_the_end():
+    lost = []
+    with InProcessRunner(1, isolated=True) as runner, pytest.raises(AssessmentError, match=r"3 starts .*exit code 5"):
+        list(runner.map(dies, range(10), lambda item, reason: lost.append(item)))
+    assert len(lost) <= 3
+
+
+def test_workers_that_are_left_in_the_middle_can_be_used_again():
+    with InProcessRunner(2) as runner:
+        begun = runner.map(pid, range(40))
+        next(begun)
+        begun.close()
+        assert list(runner.map(square, range(10))) == [item * item for item in range(10)]
+
+
+def test_several_threads_share_the_workers_and_each_gets_its_own_in_order():
+    with InProcessRunner(2) as runner, ThreadPoolExecutor(3) as threads:
+        runner.start()
+        shares = [range(first, first + 400) for first in (100, 1000, 10_000)]
+        found = list(threads.map(lambda share: list(runner.map(square, share)), shares))
+    assert found == [[item * item for item in share] for share in shares]
+
+
+def _is_gone(process: int) -> bool:
+    status = Path(f"/proc/{process}/status")
+    return not status.exists() or "State:\tZ" in status.read_text()  # where nobody waits for orphans
+
+
+def sleeps(item: int) -> int:
+    time.sleep(1000.0 if item else 0.0)
+    return os.getpid()
+
+
+def test_work_under_way_is_dropped_where_the_block_is_left_by_an_error():
+    def interrupted() -> None:
+        with InProcessRunner(2) as runner:
+            workers.append(next(runner.map(sleeps, range(10))))
+            raise KeyboardInterrupt
+
+    workers: list[int] = []
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert _is_gone(workers[0])
+    assert time.monotonic() - begin < 500.0
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    number = tmp_path / "number"
+    if (parent := os.fork()) == 0:
+        with InProcessRunner(2) as runner:
+            worker = next(runner.map(sleeps, range(10)))
+            number.with_suffix(".part").write_text(str(worker))
+            number.with_suffix(".part").rename(number)
+            time.sleep(1000.0)
+    wait_until(number.exists, "the workers")
+    os.kill(parent, signal.SIGKILL)
+    os.waitpid(parent, 0)
+    wait_until(lambda: _is_gone(int(number.read_text())), "their end")
+
+
+# --- work in the background
+
+
+def test_what_is_done_in_the_background_is_on_disk_and_said(tmp_path, capfd):
+    def work() -> None:
+        os.write(1, b"nobody is to read this")
+        (tmp_path / "number").write_text(str(os.getpid()))
+
+    with in_background(work) as wait:
+        assert wait()
+        assert wait()
+    assert int((tmp_path / "number").read_text()) != os.getpid()
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("how", ["raises", "exits", "is killed"])
+def test_work_in_the_background_that_failed_is_said_to_have(how, capfd):
+    def work() -> None:
+        if how == "raises":
+            raise ValueError("no")
+        if how == "exits":
+            sys.exit(1)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with in_background(work) as wait:
+        assert not wait()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_work_in_the_background_ends_with_its_block(tmp_path):
+    def work() -> None:
+        (tmp_path / "number").write_text(str(os.getpid()))
+        time.sleep(1000.0)
+
+    begin = time.monotonic()
+    with in_background(work):
+        wait_until(lambda: (tmp_path / "number").exists() and (tmp_path / "number").read_text())
+    assert _is_gone(int((tmp_path / "number").read_text()))
+    assert time.monotonic() - begin < 500.0
+
+
+# --- reasons
+
+
+def test_reasons_are_counted_by_their_kind():
+    reasons = [
+        abort_reason(AbortKind.NO_ANSWER, "nothing\nfor 5 s"),
+        "vehicle_simulator: something else",
+        abort_reason(AbortKind.NO_ANSWER, "nothing for 6 s"),
+        "",
+    ]
+    assert reasons[0] == "no answer: nothing for 5 s"
+    assert counted_reasons(reasons) == {
+        "no answer": {"count": 2, "first": reasons[0]},
+        "other": {"count": 2, "first": "vehicle_simulator: something else"},
+    }
+    assert counted_reasons([]) == {}
+    for kind in AbortKind:
+        assert kind_of(abort_reason(kind, "why")) == kind
