@@ -31,6 +31,7 @@ setup(
         "scipy",
         "numba",
         "PyYAML",
+        "pydantic",
         "matplotlib",
         "rich",
         "mcap",

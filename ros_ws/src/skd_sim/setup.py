@@ -14,7 +14,7 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/config", glob("config/*.yaml")),
     ],
-    install_requires=["setuptools", "numpy", "numba", "PyYAML", "pydantic>=2.10"],
+    install_requires=["setuptools", "numpy", "numba", "PyYAML", "pydantic"],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
     maintainer="SKD maintainers",
