@@ -30,7 +30,9 @@ ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.nodes.carla_bridge")}
 
 def settings(node: str) -> dict[str, Any]:
     """Return the parameters that a node declares, by name."""
-    return {setting.name: setting for setting in importlib.import_module(ALL_NODES[node][1])._SETTINGS}
+    module = importlib.import_module(ALL_NODES[node][1])
+    declared = module.SIMULATOR_SETTINGS if node == "vehicle_simulator" else module._SETTINGS
+    return {setting.name: setting for setting in declared}
 
 
 def defaults_on_file(node: str) -> dict[str, Any]:

@@ -40,7 +40,7 @@ NOT_IN_ROSDEP = {
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md
 OF_EXTRAS = {"metadrive", "panda3d"}  # asked for where they are used, with a line that says how to install them
-DISTRIBUTIONS = {"pydantic_core": "pydantic", "vl_convert": "vl-convert-python"}  # called otherwise than the module in them
+DISTRIBUTIONS = {"pydantic_core": "pydantic", "vl_convert": "vl-convert-python"}  # not called as their modules
 NOT_IMPORTED = {
     "ackermann_msgs",
     "python3-pytest",

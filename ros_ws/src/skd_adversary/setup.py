@@ -14,7 +14,7 @@ setup(
         (f"share/{PACKAGE}", ["package.xml"]),
         (f"share/{PACKAGE}/config", glob("config/*.yaml")),
     ],
-    install_requires=["setuptools", "numpy", "scipy", "numba", "PyYAML", "scikit-learn"],
+    install_requires=["setuptools", "numpy", "scipy", "numba", "scikit-learn"],
     extras_require={"test": ["pytest"]},  # by this colcon knows what `colcon test` is to run
     zip_safe=False,
     maintainer="SKD maintainers",
