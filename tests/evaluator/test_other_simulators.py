@@ -12,7 +12,7 @@ from common import assert_valid
 from skd_evaluator import assess
 from skd_evaluator.assessing.asked import check_car
 from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
-from skd_evaluator.report.doubts import contact_doubts
+from skd_evaluator.report.warnings import contact_warnings
 from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -58,12 +58,12 @@ def test_contacts_that_differ_are_counted_and_said():
     counts = [found[name] for name in ("both", "geometry_alone", "simulator_alone", "episodes")]
     assert counts == [2, 1, 1, 5]
     assert found["greatest_gap"] == pytest.approx(0.1)
-    (line,) = contact_doubts({"simulator_contacts": found})
+    (line,) = contact_warnings({"simulator_contacts": found})
     assert "of 5 episodes" in line
     assert simulator_contacts([log(hit, 1.0, None)]) == {}
-    assert contact_doubts({}) == []
+    assert contact_warnings({}) == []
     agreed = simulator_contacts(logs[:2])
-    assert contact_doubts(agreed) == []
+    assert contact_warnings(agreed) == []
 
 
 def test_margin_and_risk_by_whole_episodes(twin, tmp_path):

@@ -14,7 +14,7 @@ from common import run_skd
 from report_support import edited
 from scipy import special, stats
 from skd_evaluator.assessing.propagated import draw_warnings, propagated
-from skd_evaluator.cli.commands.models.simulator import doubts
+from skd_evaluator.cli.commands.models.simulator import warnings_of
 from skd_evaluator.fusion.calibration.estimate import estimated
 from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
 from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
@@ -103,7 +103,7 @@ def test_draws_are_as_the_estimates_and_stay_in_their_ranges():
     assert np.quantile(drawn, [0.5, 0.9]) == pytest.approx(
         expected, abs=4.0 * one.error / math.sqrt(4000 * 0.09) + 1e-4
     )
-    assert not doubts(found)
+    assert not warnings_of(found)
 
 
 def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():

@@ -16,7 +16,7 @@ from skd_evaluator.campaign.judge.struck import struck
 from skd_evaluator.measure import aborted
 from skd_evaluator.measure.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.measure.risks import Touch
-from skd_evaluator.report.doubts import contact_doubts, margin_doubts
+from skd_evaluator.report.warnings import contact_warnings, margin_warnings
 
 
 def undefined(rating: Rating) -> str | None:
@@ -40,7 +40,7 @@ def most_frequent(reasons: Iterable[str]) -> str:
     return str(most["first"] or kind)
 
 
-def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
+def figure_warnings(rating: Rating, *, planned: bool = True) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each.
 
     Args:
@@ -55,13 +55,13 @@ def doubts(rating: Rating, *, planned: bool = True) -> list[str]:
                 "with this car it is not safe, and a kamikaze need not leave it"
             )
     found += _hits_of_others(rating)
-    found += _doubts_of_margin(rating) if planned else []
+    found += _warnings_of_margin(rating) if planned else []
     if rating.until_width is not None and not rating.until_width.reached:
         found.append(rating.until_width.text)
     if rating.clipped:
         low, high = _limits(rating)
         found.append(clipped_line(rating.clipped, low, high))
-    return found + contact_doubts(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
+    return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
 
 
 def _limits(rating: Rating) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def _hits_of_others(rating: Rating) -> list[str]:
     ]
 
 
-def _doubts_of_margin(rating: Rating) -> list[str]:
+def _warnings_of_margin(rating: Rating) -> list[str]:
     """Return what a reader should know of the margin and of the planned figures, in one line each."""
     margins = rating.margins
     if margins is None:
@@ -93,7 +93,7 @@ def _doubts_of_margin(rating: Rating) -> list[str]:
     hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
     close, _ = rating.closeness()
     scenario = rating.plan.scenario.as_dict()
-    return margin_doubts({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
+    return margin_warnings({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
 
 
 def any_aborted(rating: Rating) -> bool:
@@ -139,7 +139,7 @@ def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any
 def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
     """Return the rating with why it counts as failed among its warnings, for who sees no exit code.
 
-    That SKD is not defined is no disbelief: its margin is still the car's.
+    That SKD is not defined makes no margin less credible.
 
     Args:
         rating: the rating of all episodes, aborted ones counted.
@@ -155,12 +155,12 @@ def warnings_of(rating: Rating, *, planned: bool = True, said: Collection[str] =
 
     Args:
         rating: the rating with its figures.
-        planned: see `doubts`.
+        planned: see `figure_warnings`.
         said: lines that the reader was told already.
     """
     failures = not_credible(rating.warnings)
     of_episodes = [line for line in rating.warnings if line not in failures and line not in said]
-    return [*of_episodes, *doubts(rating, planned=planned)]
+    return [*of_episodes, *figure_warnings(rating, planned=planned)]
 
 
 def episode_line(log: EpisodeLog) -> str:

@@ -65,7 +65,7 @@ def assess(
         out: folder for the results, which is not there yet; by default nothing is written.
         workers: number of processes; by default one for each core.
         max_aborted: percentage of the episodes that may be aborted, of all and of those of each figure. An aborted
-            episode says nothing about the car; if more are aborted, the figures are not to be believed.
+            episode says nothing about the car; if more are aborted, the figures are not credible.
         progress: called with what is being done, how much of it is done, and out of how much; by default nothing is
             called.
         options: others of `skd assess` that say what is assessed, under their names with `_` for `-`: `multiplier`,

@@ -54,8 +54,8 @@ class Specifications:
         plain = [one.plain(getattr(episode, one.name)) for one in options_of(Episode)]
         plain += [int(episode.mode), episode.seed, episode.episode_id]
         parts = [self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode()]
-        if episode.shown is not None:  # few have another one to show than their own
-            parts.append(self._of(episode.shown))
+        if episode.public is not None:  # few have another one than their own
+            parts.append(self._of(episode.public))
         return digest(*parts)
 
     def _of(self, thing: Scenario | Trajectory) -> bytes:

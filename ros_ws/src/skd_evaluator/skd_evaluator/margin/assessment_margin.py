@@ -194,7 +194,7 @@ def with_planned_hits(
 def _without_noise(episode: Episode) -> Episode:
     """Return an attempt in another simulator, whose car has nothing of the noise that SKD's own world draws."""
     car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
-    return replace(episode, scenario=replace(episode.scenario, car=car), shown=episode.shown_scenario)
+    return replace(episode, scenario=replace(episode.scenario, car=car), public=episode.public_scenario)
 
 
 def _otherwise(plan: Plan, number: int, attempts: int) -> str:

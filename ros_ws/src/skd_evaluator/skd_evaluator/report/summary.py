@@ -10,9 +10,9 @@ from typing import Any
 from skd_evaluator.campaign.compare.gate import Check
 from skd_evaluator.campaign.judge.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
 from skd_evaluator.campaign.store.figure_names import scalar_figures
-from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.report.formats import BARE, ninety
 from skd_evaluator.report.terminal import car_name, headline
+from skd_evaluator.report.warnings import margin_warnings
 
 _NOT_BY_PHI = {one.key for one in FIGURES if one.independent == CI95}
 """Figures whose only interval takes attempts or pairs as independent, under the plain key."""
@@ -44,8 +44,8 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
     for one in checks:
         state = "passed" if one.passed else "error" if one.error else "failed"
         lines.append(f"| {_cell(one.name)} | {_MARKS[state]} {state} | {_cell(one.text)} |")
-    doubts = [*margin_doubts(result, 0, 0), *result["warnings"]]
-    lines += ["", *(f"* {_cell(doubt)}" for doubt in doubts)]
+    warnings = [*margin_warnings(result, 0, 0), *result["warnings"]]
+    lines += ["", *(f"* {_cell(line)}" for line in warnings)]
     return "\n".join([*lines, _origin(result)]).rstrip() + "\n"
 
 

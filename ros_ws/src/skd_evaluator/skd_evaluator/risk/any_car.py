@@ -47,7 +47,7 @@ class AnyCar:
             spec = encounter.plan.episode(Mode.KAMIKAZE, index, 0, phi)
             car = replace(spec.scenario.car, meet_safe_trajectory=False, start_gap=spec.start_gap)
             scenario = scenarios.setdefault(spec.start_gap, replace(spec.scenario, car=car))
-            self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, shown=spec.shown_scenario))
+            self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, public=spec.public_scenario))
 
     def episodes(self, crossings: Crossings, scale: float) -> list[Episode]:
         """Return the episodes of crossings."""

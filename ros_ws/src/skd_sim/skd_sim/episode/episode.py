@@ -45,8 +45,9 @@ class Episode(EpisodeOptions):
         seed: seed of the campaign.
         episode_id: number of the episode within the campaign, ≥ 0; with the seed it determines every random draw.
         safe_trajectory: φ; none in safe mode.
-        shown: the scenario that the car is told, where this one is a variant of it: by what differs (no noise, another
-            start) a car would know a static test, a crossing or a probe from a kamikaze. None: the same.
+        public: the scenario that the controller is told, where this one is a variant of it that differs in how the car
+            starts or in its noise, as of a probe or a static test: a controller may take its cruising speed from it.
+            None: the same.
 
     Its options are those of `EpisodeOptions`, each of which is described there. A car model is the JSON text of
     `skd_adversary.car_model_file`; `frechet` and `deformation` plan for the maximum distance.
@@ -57,7 +58,7 @@ class Episode(EpisodeOptions):
     seed: int
     episode_id: int
     safe_trajectory: Trajectory | None = None
-    shown: Scenario | None = None
+    public: Scenario | None = None
 
     def __post_init__(self) -> None:
         if self.mode != Mode.SAFE and self.safe_trajectory is None:
@@ -70,9 +71,9 @@ class Episode(EpisodeOptions):
         check_knowledge(self.knows, self.car, model=bool(self.car_model))
 
     @property
-    def shown_scenario(self) -> Scenario:
-        """What the car is told of the scenario: the same in all episodes of an assessment."""
-        return self.scenario if self.shown is None else self.shown
+    def public_scenario(self) -> Scenario:
+        """What the controller is told of the scenario: the same in all episodes of an assessment."""
+        return self.scenario if self.public is None else self.public
 
     @property
     def start(self) -> tuple[float, float]:

@@ -96,7 +96,7 @@ def message_to_episode(message: Any) -> Episode:
     public = str(message.public_scenario)
     return Episode(
         scenario=_scenario(str(message.scenario)),
-        shown=_scenario(public) if public else None,
+        public=_scenario(public) if public else None,
         mode=Mode(int(message.mode)),
         seed=int(message.seed),
         episode_id=int(message.episode_id),

@@ -194,8 +194,8 @@ def episode_to_message(episode: Episode, campaign: str, start: int) -> EpisodeMs
     message.mode = int(episode.mode)
     message.controller_seed = np.frombuffer(controller_seed(episode.seed, episode.episode_id), np.uint8)
     message.scenario = scenario_text(episode.scenario)
-    if episode.shown is not None:
-        message.public_scenario = scenario_text(episode.shown)
+    if episode.public is not None:
+        message.public_scenario = scenario_text(episode.public)
     for one in options_of(Episode):
         if one.name in FIELDS:
             setattr(message, one.name, one.plain(getattr(episode, one.name)))

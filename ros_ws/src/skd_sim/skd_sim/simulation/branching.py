@@ -53,7 +53,7 @@ class Branch:
         require_sensor(self._controller, episode.controller, episode.scenario)
         require_control_period(self._controller, episode.controller, episode.scenario)
         self._controller.reset(
-            episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id))
+            episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id))
         )
         self._sight = sight_of(self._controller, episode.scenario)
         self._laser = make_laser(episode) if isinstance(self._controller, SensingController) else None

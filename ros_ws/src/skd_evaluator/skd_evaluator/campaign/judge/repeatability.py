@@ -241,7 +241,7 @@ def _undisturbed(plan: Plan, number: int) -> Episode:
         plan.seed,
         episode_id(Stage.RISK, 0xFFFF, _LAST - number),
         nowhere,
-        shown=clocked,
+        public=clocked,
         controller=plan.controller,
         multiplier=plan.multiplier,
     )

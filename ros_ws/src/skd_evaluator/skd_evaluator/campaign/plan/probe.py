@@ -108,5 +108,5 @@ def probe_episodes(
     for index in range(count):
         number = episode_id(Stage.PROBE, 0, index)
         trajectory = probed(seen, seed, number)
-        episodes.append(Episode(seen, Mode.REPLAY, seed, number, trajectory, shown=clocked, **car))
+        episodes.append(Episode(seen, Mode.REPLAY, seed, number, trajectory, public=clocked, **car))
     return episodes

@@ -72,7 +72,7 @@ def _run(
     require_control_period(car, episode.controller, episode.scenario)
     sensing = car if is_sensing(car) else None
     laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
-    car.reset(episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    car.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     adversary = adversary or make_adversary(episode)
     frames, velocity = [frame], (0.0, 0.0)
     believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None

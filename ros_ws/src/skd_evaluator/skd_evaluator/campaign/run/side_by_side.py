@@ -244,7 +244,7 @@ def _made(episode: Episode) -> UserController:
     assert isinstance(controller, UserController)
     period = control_period_of(controller, episode.controller)
     assert period is None or abs(period - episode.scenario.control_duration) <= 1e-9
-    controller.reset(episode.shown_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    controller.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     return controller
 
 

@@ -73,7 +73,7 @@ def static_episodes(scenario: Scenario, car: CarUnderTest) -> list[Episode]:
             0,
             number,
             safe_trajectory=way,
-            shown=scenario,
+            public=scenario,
             controller=car.controller,
             multiplier=car.multiplier,
         )

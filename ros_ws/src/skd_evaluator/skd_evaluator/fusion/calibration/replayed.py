@@ -136,7 +136,7 @@ def off_by(drive: Drive) -> FloatArray:
         0,
         0,
         Trajectory(trial.other, scenario.time_step, trial.phi),
-        shown=scenario,
+        public=scenario,
         controller=drive.controller,
         multiplier=drive.multiplier,
     )

@@ -170,4 +170,4 @@ def walked(episode: Episode, velocities: list[Velocity]) -> Episode:
     car = replace(scenario.car, meet_safe_trajectory=False, start_gap=episode.start_gap)
     way = Trajectory(np.array(places), scenario.time_step, name="way")
     started = replace(scenario, car=car)
-    return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=way, shown=episode.shown_scenario)
+    return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=way, public=episode.public_scenario)

@@ -125,7 +125,7 @@ def _made(episode: Episode) -> UserController:
 def _search_side_by_side(jobs: Sequence[Any]) -> list[SearchResult]:
     first = jobs[0].episode
     policy = _made(first)
-    policy.reset(first.shown_scenario, controller_generator(controller_seed(first.seed, first.episode_id)))
+    policy.reset(first.public_scenario, controller_generator(controller_seed(first.seed, first.episode_id)))
     singles = [_made(first) for _ in jobs]
     table = _Table(policy, len(jobs))
     results: list[SearchResult | None] = [None] * len(jobs)

@@ -12,11 +12,11 @@ from skd_sim.episode.episode import Mode
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.measure.aborted import aborted_lines
 from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.report.doubts import contact_doubts, margin_doubts
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import credibility, headline
+from skd_evaluator.report.warnings import contact_warnings, margin_warnings
 
 _FEW = 3
 _FILES = 10  # of a car, whose digests are shown
@@ -58,7 +58,7 @@ def warnings_of(subject: Subject) -> list[str]:
     found = []
     episodes = subject.episodes
     kamikaze = episodes.mode == Mode.KAMIKAZE
-    found += margin_doubts(figures, int((kamikaze & episodes.collided).sum()), int(episodes.hit.sum()))
+    found += margin_warnings(figures, int((kamikaze & episodes.collided).sum()), int(episodes.hit.sum()))
     for kind, reasons in figures["aborted_reasons"].items():
         first = f", the first one so: {reasons['first']}" if reasons.get("first") else ""
         found.append(f"{counted(reasons['count'], 'episode')} aborted ({kind}){first}; they count in no figure")
@@ -76,7 +76,7 @@ def warnings_of(subject: Subject) -> list[str]:
             f"{counted(clipped['commands'], 'command')} in {counted(clipped['episodes'], 'episode')} asked more than "
             "this car can do; they were clipped"
         )
-    found += contact_doubts(figures)
+    found += contact_warnings(figures)
     for one in figures["measures"].values():
         if one["error"]:
             found.append(f"measure {one['label']} failed: {one['error']}")

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)
     data = {**car_model_data(car), "forest": car.forest is not None}
-    for warning in doubts(data):
+    for warning in warnings_of(data):
         print(f"skd fit: warning: {warning}", file=sys.stderr)
     if arguments.json:
         print_json(data)
@@ -105,7 +105,7 @@ def prediction_table(data: Mapping[str, Any]) -> Table:
     return table
 
 
-def doubts(data: Mapping[str, Any]) -> list[str]:
+def warnings_of(data: Mapping[str, Any]) -> list[str]:
     """Return what a reader should know before believing a car model's intervals, from the content of its file."""
     found = []
     calibration, noise = data["calibration"], data["parameters"].get("deceleration_noise", {})

@@ -69,10 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.draws and calibration.told:
         rng = np.random.default_rng(np.random.SeedSequence(int(figures["seed"]), spawn_key=(len(trials),)))
         worlds = [calibrated(world, values) for values in calibration.drawn(arguments.draws, rng)]
-    found, doubted = _with_draws(
+    found, of_draws = _with_draws(
         worlds, car, simulated, int(figures["seed"]), workers, float(figures["eta_max"]), arguments
     )
-    warnings = [*simulated.remarks, *doubts(calibration), *doubted]
+    warnings = [*simulated.remarks, *warnings_of(calibration), *of_draws]
     content = {
         "simulated": simulated.source,
         "physical": str(physical),
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd fit: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)
-    return 1 if problem or not_credible(doubted) else 0
+    return 1 if problem or not_credible(of_draws) else 0
 
 
 def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
@@ -178,7 +178,7 @@ def _with_draws(
     return [one for one in every if one is not None], draw_warnings(found, MAXIMUM_ABORTED)
 
 
-def doubts(calibration: Calibration) -> list[str]:
+def warnings_of(calibration: Calibration) -> list[str]:
     """Return what a reader should know before believing a calibration."""
     found = []
     found += [

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessing.findings import doubts, too_many_aborted, undefined
+from skd_evaluator.assessing.findings import figure_warnings, too_many_aborted, undefined
 from skd_evaluator.campaign.judge.rating import Rating, rate
 from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.report.doubts import margin_doubts
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
+from skd_evaluator.report.warnings import margin_warnings
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
@@ -52,7 +52,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
         return (Outcome.COLLISION if second or episode.mode == Mode.KAMIKAZE else Outcome.ARRIVED), 0
 
     found = assessed(decide)
-    (line,) = doubts(found)
+    (line,) = figure_warnings(found)
     assert "'two' was hit in 100 % of 20 runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
     assert [(row["collision_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
@@ -60,7 +60,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
         (1.0, 20, False),
     ]
     assert "100.0 %, not safe" in shown(found)
-    assert doubts(assessed(decide, replace(PLAN, collision_runs=8))) == []  # too few runs to say so
+    assert figure_warnings(assessed(decide, replace(PLAN, collision_runs=8))) == []  # too few runs to say so
 
 
 def test_one_that_is_often_hit_is_not():
@@ -68,7 +68,7 @@ def test_one_that_is_often_hit_is_not():
         hit = episode.mode == Mode.KAMIKAZE or attempt(episode) % 20 != 0
         return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
 
-    assert doubts(assessed(decide)) == []  # 95 % is the share
+    assert figure_warnings(assessed(decide)) == []  # 95 % is the share
 
 
 def test_clipped_commands_are_counted_wherever_they_were():
@@ -79,7 +79,7 @@ def test_clipped_commands_are_counted_wherever_they_were():
 
     found = assessed(decide)
     assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
-    (line,) = doubts(found)
+    (line,) = figure_warnings(found)
     assert "14 commands in 4 episodes" in line
     assert "-11.5 … 11.5" in line
     assert "commands beyond what the car can do" in shown(found)
@@ -143,7 +143,7 @@ def test_a_car_that_is_judged_by_slow_touches_is_named(
         "impact_speed": None if p90 is None else {"mean": 0.6, "p90": p90},
         "scenario": {"collision": {"hit_speed": hit_speed}},
     }
-    found = margin_doubts(result, 0, 0)
+    found = margin_warnings(result, 0, 0)
     assert len(found) == said
     if said:
         assert "at 0.70 m/s or less, and a hit begins at 0.556 m/s" in found[0]
@@ -171,7 +171,7 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
     """Else it reads: nobody is hit within 5 m, from 5.000 to 5.000 m, beside runs along φ that end in a hit."""
     ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "hit_rate": 2 / 24 if hit else 0.0}
     result = {**RESULT, **ends, "margin_beyond": beyond}
-    found = margin_doubts(result, hit, hit)
+    found = margin_warnings(result, hit, hit)
     assert ["but 3 other episodes ended in a hit: hits are rarer" in line for line in found] == [True] * said + [
         False
     ] * (beyond == 12 and not hit)
@@ -187,4 +187,4 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
 def test_a_search_that_has_not_converged_says_of_what_it_took_so_many(how: str | None, unit: str) -> None:
     result = {**RESULT, "margin_converged": False, "margin_budget": 16, "margin_how": how}
     assert f"it stopped at 16 {unit} an attempt" in headline(result)
-    assert f"had not converged at 16 {unit} an attempt" in margin_doubts(result, 0, 0)[0]
+    assert f"had not converged at 16 {unit} an attempt" in margin_warnings(result, 0, 0)[0]

@@ -13,7 +13,7 @@ _JUST_ABOVE = 0.25
 """m/s above the hit speed within which nearly all hits are a matter of where it is set."""
 
 
-def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str]:
+def margin_warnings(result: Mapping[str, Any], touched: int, hit: int) -> list[str]:
     """Return what is to be known of the margin, in one line each; nothing where it is not known.
 
     Args:
@@ -62,7 +62,7 @@ def margin_doubts(result: Mapping[str, Any], touched: int, hit: int) -> list[str
     return found
 
 
-def contact_doubts(figures: Mapping[str, Any]) -> list[str]:
+def contact_warnings(figures: Mapping[str, Any]) -> list[str]:
     """Return, in one line, that a simulator's contacts are others than SKD's; nothing where they are the same.
 
     Args:
