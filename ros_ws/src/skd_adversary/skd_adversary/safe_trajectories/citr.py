@@ -27,9 +27,9 @@ from skd_sim.geometry.contact import first_contact, to_car_frame
 from skd_sim.geometry.trajectory import Trajectory
 
 from skd_adversary.model.road_user import pedestrian
-from skd_adversary.safe_trajectories.believable import LONGEST_HOLE, check_apart, check_motion, check_once
 from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
+from skd_adversary.safe_trajectories.track_checks import LONGEST_HOLE, check_apart, check_motion, check_once
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""

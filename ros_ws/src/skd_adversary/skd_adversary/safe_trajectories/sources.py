@@ -18,9 +18,9 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_adversary.safe_trajectories.believable import check_once
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.track_checks import check_once
 
 _log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
 _MOST_NAMED = 5

@@ -37,9 +37,9 @@ _PER_EPISODE = {
     "episode_id": Column(np.int64, (-1,)),
     "impact_time": Column(np.float64, (-1,)),
     "impact_speed": Column(np.float64, (-1,)),
+    "reason": Column("U", (-1,)),
 }
 _OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
-_REASON = {"reason": Column("U", (-1,))}  # older files have none
 _COLUMNS = {
     "positions": Column(np.float64, (-1, 2)),
     "car": Column(np.float64, (-1, 3)),
@@ -175,13 +175,13 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
     """Return the episodes of an episodes.npz, as `write_logs` or `write_episodes` wrote them."""
-    arrays = read_arrays(path, _COLUMNS, _REASON)
+    arrays = read_arrays(path, _COLUMNS)
     beside = _said_beside(path)
     if beside.by_objective:
         arrays |= read_arrays(path, _OBJECTIVE)
     rows, count = len(arrays["positions"]), len(arrays["mode"])
     offsets = arrays["offsets"].tolist()
-    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE, *_REASON) if name in arrays]
+    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
     if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
         raise UsageError(f"{path}: its columns differ in length")
     if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
@@ -203,19 +203,13 @@ def _logs_in(path: Path) -> list[EpisodeLog]:
                 arrays["car"][first:last],
                 float(arrays["impact_time"][row]),
                 float(arrays["impact_speed"][row]),
-                reason=_reason(arrays, row),
+                reason=str(arrays["reason"][row]),
             )
             for row, (first, last) in enumerate(itertools.pairwise(offsets))
             if arrays["mode"][row] != Mode.SAFE
         ]
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
-
-
-def _reason(arrays: Mapping[str, Array], row: int) -> str:
-    """Return why an episode was aborted; old files have no reasons, and who wrote them only aborted what had one."""
-    said = str(arrays["reason"][row]) if "reason" in arrays else ""
-    return said or ("aborted" if arrays["outcome"][row] == Outcome.ABORTED else "")
 
 
 def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:

@@ -26,11 +26,6 @@ def _object(**properties: Schema) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": [*properties], "additionalProperties": False}
 
 
-def _may_lack(schema: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return the schema of an object that may do without one of its keys, which older versions did not have."""
-    return {**schema, "required": [one for one in schema["required"] if one != key]}
-
-
 def _list(items: Schema) -> dict[str, Any]:
     return {"type": "array", "items": items}
 
@@ -143,9 +138,9 @@ def _definitions() -> dict[str, Any]:
             kamikazes=_said({"type": "object", "additionalProperties": ref("surrogates")}, "by their objective")),
         "vulnerability_curve": _object(
             kamikazes=ref("curve"),
-            budgets=_list(_may_lack(_object(
+            budgets=_list(_object(
                 eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT,
-                attempts=_said(_COUNT, "aborted ones left out"), aborted=_COUNT), "aborted")),
+                attempts=_said(_COUNT, "aborted ones left out"), aborted=_COUNT)),
             margins=or_null(ref("curve"))),
         "provenance": _said(_object(
             date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.believable import once_more, repeated
+from skd_adversary.safe_trajectories.track_checks import once_more, repeated
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.encounter.scenario import Scenario, load_scenario

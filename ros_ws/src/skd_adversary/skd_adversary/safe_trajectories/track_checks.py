@@ -1,4 +1,4 @@
-"""What tracked people and cars cannot have done: leap, move otherwise than is stated beside it, be there twice."""
+"""Checks of tracked people and cars: no leaps and holes, velocities that are those of positions, nobody twice."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import scipy
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 
@@ -25,10 +24,6 @@ _SEEN: Final = 0.5
 """s that two people are seen together at the least, before that says anything."""
 _TOLD: Final = 3
 """Positions at the least by which somebody is told from others."""
-_BESIDE: Final = 0.01
-"""m, within which nobody walks where somebody else has walked, step by step."""
-_PART: Final = 0.75
-"""Share of the shorter of two ways that is the same in both, if it is one way."""
 
 
 def check_motion(
@@ -103,62 +98,15 @@ def check_once(ways: Iterable[tuple[str, FloatArray]], *, moved: bool = True) ->
 
     Args:
         ways: name (file, or recording and id) and positions (n × 2, m) of each.
-        moved: also the same way from another place, and most of a way in the same place. No two people who were tracked
-            go the same way; such as were drawn may.
+        moved: also the same way from another place. No two people who were tracked go the same way; such as were drawn
+            may.
 
     Raises:
-        UsageError: two are the same to a hundredth of a millimetre, or most of one is part of the other.
+        UsageError: two are the same to a hundredth of a millimetre.
     """
     named = list(ways)
     for second, first in repeated([positions for _, positions in named], moved=moved):
         raise UsageError(f"{named[second][0]}: {once_more(named[first][0])}; leave one of them out")
-    if moved and (pair := _cut([positions[:, :2] for _, positions in named])):
-        whose, again = (named[index][0] for index in pair)
-        raise UsageError(
-            f"{again}: is within {100 * _BESIDE:g} cm of the way of {whose} all along, cut or shifted in time, and "
-            "would count as another person's; leave one of them out"
-        )
-
-
-def _cut(ways: Sequence[FloatArray]) -> tuple[int, int] | None:
-    """Return two ways (n × 2, m) of which one is part of the other but for little; None: there are none.
-
-    Whoever has the middle of a way in common with it, within `_BESIDE`, is held against it from there to both sides, at
-    the same pace: a way that was cut has its rows at other moments.
-    """
-    long = [index for index, way in enumerate(ways) if np.ptp(way, axis=0).max(initial=0.0) > _LEAST_WAY]
-    if len(long) < 2:
-        return None
-    of = np.concatenate([np.full(len(ways[index]), index) for index in long])
-    row = np.concatenate([np.arange(len(ways[index])) for index in long])
-    tree = scipy.spatial.KDTree(np.concatenate([ways[index] for index in long]))
-    step = max(float(np.hypot(*np.diff(ways[index], axis=0).T).max()) for index in long)
-    for index in long:
-        middle = len(ways[index]) // 2
-        for place in sorted(tree.query_ball_point(ways[index][middle], 0.5 * step + _BESIDE)):
-            other = int(of[place])
-            if other != index and _is_part(ways[index], middle, ways[other], int(row[place])):
-                first, second = sorted((index, other))
-                return first, second
-    return None
-
-
-def _is_part(way: FloatArray, middle: int, other: FloatArray, near: int) -> bool:
-    """Return whether a way is most of another one, or the other way round, whose row `near` is near its middle."""
-    for begin in (near - 1, near):
-        if not 0 <= begin < len(other) - 1:
-            continue
-        along = other[begin + 1] - other[begin]
-        share = float(np.clip((way[middle] - other[begin]) @ along / max(float(along @ along), 1e-12), 0.0, 1.0))
-        there = begin + share - middle + np.arange(len(way))  # rows of the other, with parts of one
-        both = (there >= 0.0) & (there <= len(other) - 1)
-        if np.count_nonzero(both) < max(_TOLD, _PART * min(len(way), len(other))):
-            continue
-        rows = np.arange(len(other))
-        beside = np.column_stack([np.interp(there[both], rows, other[:, axis]) for axis in (0, 1)])
-        if np.hypot(*(way[both] - beside).T).max() < _BESIDE:
-            return True
-    return False
 
 
 def repeated(ways: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int, int]]:
