@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dis
 import importlib
-import pickle
 import pkgutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -13,14 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import skd_adversary.model as package
-from skd_adversary.model import composer, interfaces
-from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.model import interfaces
+from skd_adversary.model.car.basic import unknown_car
 from skd_adversary.model.composer import compose
 from skd_adversary.model.crossing import ADVERSARY_X, STATE_DIM
 from skd_adversary.model.interfaces import ROW, move, velocity
-from skd_adversary.model.objective import paper
 from skd_adversary.model.objectives import objective_named
-from skd_adversary.model.parts import ObjectiveModel, Template, bound, template
+from skd_adversary.model.parts import ObjectiveModel, Template, template
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
 from skd_adversary.planning.belief import ParticleBelief
 from skd_adversary.planning.options import PlannerOptions
@@ -63,43 +61,6 @@ def test_a_template_declares_what_it_uses_and_no_more(name: str, found: Template
 
 def test_every_slot_is_used() -> None:
     assert {use for _, found in templates() for use in found.uses} >= SLOTS
-
-
-def test_templates_are_no_functions_and_want_their_parts() -> None:
-    with pytest.raises(TypeError, match="step is a template"):
-        paper.step(None, np.zeros(5), 0, np.zeros(5), np.random.default_rng(0))
-    with pytest.raises(TypeError, match=r"objective\.paper\.step uses velocity, which is no part"):
-        bound(paper.step, "nothing", {})
-
-
-@kernel(inline=True)
-def _twice(value: float) -> float:
-    return 2.0 * value
-
-
-@kernel(inline=True)
-def _thrice(value: float) -> float:
-    return 3.0 * value
-
-
-def _scale(value: float) -> float:
-    raise NotImplementedError
-
-
-@template("_scale")
-def _scaled(value: float) -> float:
-    return _scale(value) + 1.0
-
-
-@template("_scaled", inline=False)
-def _outer(value: float) -> float:
-    return _scaled(value) * 10.0
-
-
-def test_a_template_of_templates_is_bound_throughout() -> None:
-    assert bound(_outer, "twice", {"_scale": _twice})(1.0) == 30.0
-    assert bound(_outer, "thrice", {"_scale": _thrice})(1.0) == 40.0
-    assert bound(_outer, "twice", {"_scale": _thrice})(1.0) == 40.0  # of one name, and yet another
 
 
 # --- an objective of one's own is one file: here, to stand on x = −2 and wait
@@ -164,20 +125,6 @@ def test_two_parts_with_a_parameter_of_one_name_are_refused() -> None:
     twice = replace(WAIT, parameters=lambda scenario, path: {"radius": 1.0})
     with pytest.raises(ValueError, match="wait: two parts of the model have a parameter radius"):
         compose(CROSSING, twice, unknown_car(), start=(-3.5, 0.0), gap=30.0)
-
-
-def test_parameters_are_found_by_the_name_of_their_class() -> None:
-    """Code that is kept on disk refers to it; in another process it is made anew."""
-    model = compose(CROSSING, WAIT, known_basic_car(1.0), start=(-3.5, 0.0), gap=30.0)
-    kind = type(model.parameters)
-    kept = pickle.dumps(kind)
-    assert pickle.loads(kept) is kind
-    composer._parameters_class.cache_clear()
-    again = pickle.loads(kept)
-    assert again is not kind
-    assert again._fields == kind._fields
-    with pytest.raises(AttributeError, match="no attribute nonsense"):
-        _ = composer.nonsense
 
 
 def test_objectives_are_found_by_name() -> None:

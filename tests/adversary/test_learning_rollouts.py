@@ -216,27 +216,6 @@ def test_a_state_is_found_until_its_row_is_given_to_another(data: st.DataObject,
     assert len(owner) == (table.used > 0).sum()
 
 
-def test_the_state_met_longest_ago_makes_room_and_those_of_this_rollout_do_not() -> None:
-    table = no_experience(4, 1, 1, 1)  # as many rows as places: all states compete
-    rows = [row_of(table, np.array([float(number)]), now) for number, now in ((1, 3), (2, 1), (3, 4), (4, 2))]
-    assert sorted(rows) == [0, 1, 2, 3]
-    assert row_of(table, np.array([5.0]), 5) == rows[1]
-    assert row_of(table, np.array([6.0]), 5) == rows[3]
-    assert row_of(table, np.array([7.0]), 5) == rows[0]
-    assert row_of(table, np.array([8.0]), 5) == rows[2]
-    assert row_of(table, np.array([9.0]), 5) == -1
-    assert row_of(table, np.array([9.0]), 6) >= 0
-
-
-def test_whole_numbers_are_spread_over_the_table() -> None:
-    """Of 2¹⁰ states in 2¹² rows hardly any lacks room: with four places each for a state, by chance about 1 in 100."""
-    table = no_experience(1 << 12, 2, 1, 1)
-    rows = [row_of(table, np.array([x, y], float), 1) for x in range(32) for y in range(32)]
-    assert sum(row < 0 for row in rows) <= 30
-    assert len(set(rows)) == sum(row >= 0 for row in rows) + any(row < 0 for row in rows)
-    assert np.ptp(rows) > 3000
-
-
 def test_the_best_of_what_was_tried() -> None:
     table = no_experience(1, 1, 3, 1)
     assert best_tried(table, 0) == (-1, -np.inf)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from skd_evaluator.margin.basic_margins import (
     unknown_for,
     yardstick,
 )
-from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
+from skd_evaluator.margin.margin_cache import MarginCache, margins_key
 from skd_evaluator.measure.equivalent_multiplier import Difference
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.geometry.trajectory import Trajectory
@@ -87,30 +86,6 @@ def test_a_car_that_cannot_be_hit_and_one_that_always_is(folder):
     assert above.value == math.inf == -below.value
 
 
-def test_what_is_damaged_is_computed_anew(tmp_path):
-    cache = MarginCache(tmp_path)
-    whole = basic(0.8, cache, InProcessRunner(1))
-    (path,) = tmp_path.iterdir()
-    text = path.read_text(encoding="utf-8")
-    content = json.loads(text)
-    key = content["key"]
-    assert path.name == f"{key}.json"
-    for row, other in zip(cache.load(key, 3, 4, 5.0) or [], whole, strict=True):
-        assert row.tobytes() == other.tobytes()
-    digit = content["margins"][0][0]
-    for damaged in (
-        "", text[:-20], "[]", "{}", "null", "[" * 100_000, text.replace(key, "0" * 64),
-        text.replace(repr(digit), repr(digit + 0.25)), json.dumps({**content, "margins": [[6.0] * 4] * 3}),
-    ):  # fmt: skip
-        path.write_text(damaged, encoding="utf-8")
-        assert cache.load(key, 3, 4, 5.0) is None, damaged[:80]
-        assert np.array_equal(basic(0.8, cache, InProcessRunner(1)), whole)
-        assert path.read_text(encoding="utf-8") == text
-    assert cache.load(key, 4, 3, 5.0) is None  # of another shape
-    assert cache.load(key, 3, 4, 0.01) is None  # beyond η_max
-    assert [one.name for one in tmp_path.iterdir()] == [path.name]
-
-
 def test_what_the_margins_depend_on_is_in_their_name():
     key = margins_key(CROSSING, SAFE, 3, 4, 0.8)
     moved = Trajectory(SAFE[0].positions + np.array([0.0, 1e-9]), 0.3)
@@ -124,20 +99,6 @@ def test_what_the_margins_depend_on_is_in_their_name():
     ]  # fmt: skip
     assert len({key, *others}) == 8
     assert margins_key(replace(CROSSING, name="mine", description="renamed"), SAFE, 3, 4, 0.8) == key
-
-
-def test_the_cache_is_the_users(tmp_path, monkeypatch):
-    monkeypatch.delenv("SKD_CACHE_DIR", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    users_cache().save("a" * 64, [np.zeros(2)])
-    kept = tmp_path / "skd" / "margins"
-    assert [one.name for one in kept.iterdir()] == [f"{'a' * 64}.json"]
-    kept.chmod(0o777)  # now anybody may have written to it
-    assert users_cache().load("a" * 64, 1, 2, 5.0) is None
-    kept.chmod(0o700)
-    assert users_cache().load("a" * 64, 1, 2, 5.0) is not None
-    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
-    users_cache().save("a" * 64, [np.zeros(2)])  # nowhere, without a word
 
 
 def test_the_yardstick_is_one_for_all_cars():
@@ -195,15 +156,3 @@ def test_all_that_is_read_off_stands_between_neighbours(truth, reach, narrower, 
 def test_how_many_phi_has_to_fit():
     with pytest.raises(ValueError, match="2 φ and 3 φ"):
         equivalent_of(PLAN, SAFE, [[1.0], [1.0]], Refuses(1), silent, MarginCache(None))
-
-
-def test_a_good_guess_spares_most_of_the_work():
-    asked: set[int] = set()
-
-    def compared(hundredths: int) -> Difference:
-        asked.add(hundredths)
-        mean = 1.08 - hundredths / 100
-        return Difference(mean, (mean, mean), (mean, mean), 10)
-
-    search(compared, 108)
-    assert asked <= {106, 107, 108, 109, 110}

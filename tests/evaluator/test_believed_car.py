@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from report_support import edited
 from shapely import Polygon
 from skd_adversary.adversary import make_adversary
 from skd_adversary.model.crossing import CAR_S, CAR_SPEED
@@ -19,7 +18,6 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.encounter.road import right_and_along
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Mode
-from skd_sim.errors import UsageError
 
 
 @pytest.fixture(scope="module")
@@ -101,21 +99,3 @@ def test_what_is_shown_is_beside_the_true_place_and_held_at_the_end(folder, stor
     assert middle.bounds[1] == pytest.approx(middle.bounds[3]) == pytest.approx(front)
     along_phi = int(np.flatnonzero(stored.mode == Mode.REPLAY)[0])
     assert EpisodePicture(shown_episode(subject, along_phi))._believed == []
-
-
-@pytest.mark.parametrize(("column", "value"), [(1, -0.1), (0, np.inf)])
-def test_a_belief_that_cannot_be_is_refused(folder, tmp_path, column, value):
-    other = edited(folder, tmp_path / "other")
-    with np.load(other / "episodes.npz") as arrays:
-        content = dict(arrays)
-    content["belief"][-40, column] = value
-    np.savez(other / "episodes.npz", **content)
-    with pytest.raises(UsageError, match="belief"):
-        read_episodes(other)
-    content["belief"] = content["belief"][:-1]
-    np.savez(other / "episodes.npz", **content)
-    with pytest.raises(UsageError, match="do not go together"):
-        read_episodes(other)
-    del content["belief"]
-    np.savez(other / "episodes.npz", **content)
-    assert read_episodes(other).belief == ()

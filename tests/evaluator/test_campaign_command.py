@@ -25,11 +25,10 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessing import pipeline
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore, StoreError
+from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.ros import rated, session
-from skd_evaluator.ros.readiness.failures import Failures
+from skd_evaluator.ros import rated
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Mode
 
@@ -140,14 +139,6 @@ def test_planned_figures_of_unlike_knowledge_are_not_ranked(here, skd_here, monk
     head = "".join(done.stdout.splitlines()[1:3])
     assert head.index("margin") < head.index("planned")
     assert "nothing" in done.stdout or "learned" in done.stdout
-
-
-def test_planned_figures_of_unlike_planners_are_not_compared(here, skd_here):
-    write(here, "cars: [{controller: basic}]\nsweep: {particles: [3, 40]}", margin_limit=0)
-    done = skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
-    assert done.returncode == 0, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if "planned figures" in line]
-    assert "the cells have particles 3 and 40" in line
 
 
 def test_what_would_be_run_is_said_without_running_it(here, skd_here):
@@ -272,34 +263,6 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
     assert figures(cell)["command_age"]["held"] == len(whole)
     assert (cell / "logs" / "simulator.log").read_text() == "hello"
     assert not list((here / "out").glob(".skd-*"))
-
-
-def test_a_stack_that_removes_its_logs_costs_no_other_cell(here, skd_here, monkeypatch):
-    @contextmanager
-    def begun(_options, *, log_folder, **_others):
-        if "C0.9" in log_folder.name:
-            shutil.rmtree(log_folder)
-            raise FileNotFoundError(2, "No such file or directory", str(log_folder / "simulator.log"))
-        yield Graph(100)
-        shutil.rmtree(log_folder)
-
-    monkeypatch.setattr(rated, "graphs_session", begun)
-    monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
-    write(here, "cars: [{graph: true, multiplier: 0.9}, {graph: true}]")
-    done = skd_here("campaign", "campaign.yaml", "--out", "out")
-    assert done.returncode == 1
-    assert "basic-C0.9: failed: its graph cannot run: [Errno 2]" in done.stderr
-    assert [row["state"] for row in campaign(here)["cells"]] == ["failed", "done"]
-    assert not (here / "out" / "basic-C1" / "logs").exists()
-
-
-def test_a_store_that_cannot_be_written_ends_a_campaign_of_graphs_too(tmp_path):
-    """It was said to be a fault of the cell, and the next one began."""
-    with (
-        pytest.raises(StoreError, match=r"it cannot be written; log: "),
-        session._telling_of_logs(tmp_path, Failures(print)),
-    ):
-        raise StoreError("it cannot be written")
 
 
 class Fleeting(InProcessRunner):

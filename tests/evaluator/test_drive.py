@@ -17,16 +17,15 @@ from rich.console import Console
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_evaluator.driving import paced
 from skd_evaluator.driving.hand import Controls, Hand, Wish
 from skd_evaluator.driving.keyboard import key_names
 from skd_evaluator.driving.paced import LeftError, driving_in_process
-from skd_evaluator.driving.screen import KEYS, Lines, Screen
+from skd_evaluator.driving.screen import KEYS, Screen
 from skd_evaluator.driving.situation import Onlooker, Situation
 from skd_evaluator.driving.top_view import top_view
 from skd_evaluator.measure.surrogate.clearance import clearance_at
 from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.state import AdversaryState, CarState
 from terminals import Terminal
 
@@ -36,21 +35,6 @@ NORTH = 0.5 * math.pi
 
 def of_keys(**changes: float) -> Episode:
     return Plan(replace(SCENARIO, **changes)).episode(Mode.SAFE, 0, 0, None)
-
-
-@pytest.mark.parametrize(
-    ("sent", "names"),
-    [
-        ("\x1b[A\x1bOB", ["up", "down"]),
-        ("\x1b[1;5Cq", ["right", "q"]),  # with Ctrl held
-        ("W +", ["w", " ", "+"]),
-        ("\x1b", ["escape"]),
-        ("\x1b[3~\x1b[D", ["left"]),  # Delete means nothing
-        ("\x1b[", []),
-    ],
-)
-def test_keys_have_names(sent, names):
-    assert list(key_names(sent)) == names
 
 
 @given(st.text(max_size=30))
@@ -103,19 +87,6 @@ def test_an_episode_that_is_watched_is_the_same(tmp_path):
     assert max(one.strayed for one in seen) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_it_keeps_the_pace_of_the_wall_clock(monkeypatch):
-    clock = [100.0]
-    monkeypatch.setattr(paced.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(paced.time, "sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))
-    episode, seen = of_keys(horizon=3.0), []
-    hand = Hand(SCENARIO)
-    with driving_in_process(
-        episode.car, 0.5, lambda _episode: hand, lambda _situation: seen.append(clock[0]), lambda: Wish.NONE
-    ) as drive:
-        assert drive(episode).outcome == Outcome.TIMEOUT
-    assert np.diff(seen) == pytest.approx(0.6)  # 0.3 s of the episode at half speed
-
-
 def test_who_has_seen_enough_leaves():
     controls = Controls()
     controls.press("r")
@@ -159,30 +130,12 @@ def test_both_are_in_the_picture(y, x):
     assert set(shown) & set("█▀▄")
 
 
-@given(
-    st.floats(-8.0, 8.0), st.floats(-30.0, 30.0), st.floats(-math.pi, math.pi), st.integers(1, 200), st.integers(1, 60)
-)
-def test_any_situation_can_be_drawn(x, y, heading, width, height):
-    shown = top_view(situation(CarState(x, y, heading, 3.0), AdversaryState(2.0, 1.0, 0.0, 0.0)), width, height)
-    assert [len(line) for line in shown.plain.split("\n")] == [width] * height
-
-
 @given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0))
 def test_the_clearance_is_the_distance_to_the_rectangle(x, y):
     """To an axis-parallel rectangle, in closed form."""
     found = clearance_at(SCENARIO, CarState(0.0, 0.0, NORTH, 1.0), AdversaryState(x, y, 0.0, 0.0))
     away = math.hypot(max(abs(x) - 0.9, 0.0), max(abs(y) - 2.25, 0.0)) - 0.25
     assert found == pytest.approx(max(away, 0.0), abs=1e-12)
-
-
-def test_a_line_is_said_for_each_second():
-    said: list[str] = []
-    lines, onlooker = Lines(said.append), Onlooker(of_keys())
-    for tick in (0, 0, *range(12)):
-        lines.show(
-            onlooker.see(tick, 0, CarState(0.0, -10.0, NORTH, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0), 0.0, 0.1)
-        )
-    assert [line.partition(",")[0] for line in said] == ["time 0.0 s", "time 1.2 s", "time 2.1 s", "time 3.0 s"]
 
 
 def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():

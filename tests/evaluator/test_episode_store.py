@@ -6,11 +6,9 @@ import dataclasses
 import math
 import os
 import signal
-import sqlite3
 import struct
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -105,19 +103,6 @@ def test_a_record_knows_all_that_a_log_holds():
         "episode", "outcome", "adversary", "car", "impact_time", "impact_speed", "depletions", "reason", "clipped",
         "timing", "belief", "own_contact", "strayed",
     ]  # fmt: skip
-
-
-def test_a_record_of_another_length_is_none():
-    data = to_bytes(log_of(episode(0)))
-    for wrong in (b"", data[:10], data[:-1], data + b"\0"):
-        with pytest.raises(ValueError, match="it is"):
-            from_bytes(wrong, episode(0))
-
-
-def test_a_record_refuses_what_it_would_change():
-    single = dataclasses.replace(log_of(episode(0)), car=np.zeros((3, 3), np.float32))
-    with pytest.raises(ValueError, match="float32"):
-        to_bytes(single)
 
 
 def test_whatever_is_specified_is_in_the_digest():
@@ -242,17 +227,6 @@ def test_damage_is_never_a_wrong_number(whole, tmp_path_factory, data):
     assert len(said.splitlines()) <= 1
 
 
-def test_a_turned_bit_in_an_episode_is_said(tmp_path):
-    episodes, keys = filled(tmp_path)
-    path = tmp_path / FILE_NAME
-    content = bytearray(path.read_bytes())
-    place = content.index(log_of(episodes[5]).adversary.tobytes())
-    content[place] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(StoreError, match=rf"{FILE_NAME}: damaged \(episode {episodes[5].episode_id}: .*--resume"):
-        read_all(tmp_path, episodes, keys)
-
-
 def test_what_is_no_database_is_said(tmp_path):
     (tmp_path / FILE_NAME).write_bytes(b"no database at all, though long enough to be one" * 100)
     with pytest.raises(StoreError, match="damaged"):
@@ -318,47 +292,3 @@ def test_a_runner_that_is_to_stop_asks_for_nothing_more(tmp_path):
 
 
 # --- stores of others
-
-
-def _forge(path: Path, *statements: str) -> None:
-    with closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        for statement in statements:
-            connection.execute(statement)
-
-
-@pytest.mark.parametrize(
-    "statements",
-    [
-        # Who counts the rows of this one never ends.
-        (
-            "DROP TABLE episodes",
-            "CREATE VIEW episodes AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
-            "SELECT x AS cell, x AS specification, x AS log, x AS checksum FROM c",
-        ),
-        ("CREATE TRIGGER t AFTER INSERT ON episodes BEGIN DELETE FROM episodes; END",),
-        ("CREATE TABLE other (x)",),
-    ],
-    ids=["view", "trigger", "table"],
-)
-def test_a_store_holds_its_table_and_nothing_else(tmp_path, statements):
-    path = tmp_path / FILE_NAME
-    EpisodeStore(path).close()
-    _forge(path, *statements)
-    with pytest.raises(StoreError, match="damaged"):
-        EpisodeStore(path)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [(b"tableepisodes", b"table\xfdpisodes"), (b"PRIMARY KEY", b"\nPRIMARY\n'Y")],
-    ids=["bytes", "lines"],
-)
-def test_what_a_damaged_store_says_is_one_line(tmp_path, old, new):
-    path = tmp_path / FILE_NAME
-    EpisodeStore(path).close()
-    content = path.read_bytes()
-    assert content.count(old) == 1
-    path.write_bytes(content.replace(old, new))
-    with pytest.raises(StoreError, match="damaged") as refused:
-        EpisodeStore(path)
-    assert "\n" not in str(refused.value)

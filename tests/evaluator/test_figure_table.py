@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import json
 import re
 from importlib import resources
@@ -15,7 +14,6 @@ from skd_evaluator.campaign.judge.figure_table import (
     OF_OBJECTIVES,
     OF_PHI,
     Of,
-    columns,
     shown_in,
 )
 from skd_evaluator.campaign.judge.rating import rate
@@ -30,22 +28,7 @@ from skd_evaluator.risk.assessment_risk import with_risks
 from skd_sim.choices.objective import DEFAULT_OBJECTIVES
 from skd_sim.encounter.scenario import load_scenario
 
-OUTPUTS = ("summary", "details", "chart", "difference", "campaign", "sweep", "compare", "junit")
 MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"
-SWEEP = (
-    "margin", "margin_ci95", "deformation", "deformation_ci95_attempts", "deformation_ci95",
-    "deformation_of_successes", "deformation_success_rate", "closeness", "closeness_ci95", "skd", "skd_ci95_pairs",
-    "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate", "collision_rate",
-    "collision_rate_ci95_runs", "collision_rate_ci95",
-)  # fmt: skip
-CAMPAIGN = (
-    "margin", "margin_ci95", "margin_converged", "margin_budget", "margin_how", "margin_beyond", "impact_speed",
-    "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95", "deformation", "deformation_ci95_attempts",
-    "deformation_ci95", "deformation_of_successes", "deformation_success_rate", "equivalent_multiplier",
-    "equivalent_multiplier_ci95_these_phi", "collision_rate", "collision_rate_ci95_runs", "collision_rate_ci95",
-    "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
-    "aborted", "eta_max", "seconds",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -75,19 +58,6 @@ def test_the_schema_that_comes_with_skd_is_that_of_the_table():
     text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
     assert json.loads(text) == assessment_schema()
     assert text == as_text(assessment_schema()) + "\n"
-
-
-def test_columns_of_files_stay_where_they_were():
-    """Whoever reads them by place finds them; what has come since stands behind."""
-    assert columns("sweep")[: len(SWEEP)] == SWEEP
-    assert columns("campaign")[: len(CAMPAIGN)] == CAMPAIGN
-
-
-@pytest.mark.parametrize("output", OUTPUTS)
-def test_no_two_figures_have_one_place(output):
-    places = collections.Counter(getattr(one, output) for one in shown_in(output))
-    assert places
-    assert set(places.values()) == {1}
 
 
 def test_what_is_shown_to_people_has_a_name_and_a_figure_behind_it(result):

@@ -11,12 +11,8 @@ import numpy as np
 import pytest
 from common import run_skd
 from scipy import stats
-from skd_evaluator.campaign.store import stored_result
-from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.fusion.estimate.control_variate import fitted_line
 from skd_evaluator.fusion.estimate.planning import trials_for_width, width_alone, width_fused
-from skd_evaluator.fusion.simulated import read_simulated
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])
@@ -79,21 +75,6 @@ def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.Captu
     assert "where ρ = 0.60" in capsys.readouterr().out
 
 
-def test_a_plan_says_what_was_to_be_said_of_what_it_plans_with(
-    fused: Path, sweep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    for source, name in ((fused, "fusion.json"), (sweep / "synthetic" / "C_0.5", "assessment.json")):
-        doubted = tmp_path / name
-        shutil.copytree(source, doubted)
-        (doubted / "manifest.sha256").unlink()
-        content = json.loads((doubted / name).read_text("utf-8"))
-        (doubted / name).write_text(json.dumps({**content, "warnings": [f"{NOT_CREDIBLE}it counts"]}), "utf-8")
-        words = ("plan", "--physical", "--figure", "clearance", "--width", "0.1", doubted)
-        for json_too in ((), ("--json",)):
-            assert run_skd(*words, *json_too) == 0
-            assert f"{NOT_CREDIBLE}it counts" in capsys.readouterr().err
-
-
 PLAN = ("plan", "--physical", "--figure", "clearance", "--width", "0.1")
 
 
@@ -106,15 +87,6 @@ def edited_fusion(fused: Path, folder: Path, manifest: bool, figure: dict[str, o
     content["figures"]["clearance"].update(figure)
     (folder / "fusion.json").write_text(json.dumps({**content, **top}), "utf-8")
     return folder
-
-
-def test_a_fusion_that_was_changed_is_refused(fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    folder = edited_fusion(fused, tmp_path / "a", manifest=True, figure={"deviation": 0.03})
-    assert run_skd(*PLAN, folder) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "fusion.json: is not what was written: its SHA-256 is another than in manifest.sha256" in line
-    assert run_skd(*PLAN, edited_fusion(fused, tmp_path / "b", manifest=False, figure={})) == 0
-    assert "has no manifest.sha256: nothing says that fusion.json is what skd fuse wrote" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -146,43 +118,6 @@ def test_entries_that_a_fusion_cannot_have(
     assert run_skd(*PLAN, edited_fusion(fused, tmp_path / "a", manifest=False, figure=figure, **top)) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
-
-
-def test_words_of_others_begin_no_line(fused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    """Neither in the warnings of a file, nor in the name of a φ."""
-    folder = edited_fusion(fused, tmp_path / "a", manifest=False, figure={}, warnings=["x\nskd plan: fine"])
-    assert run_skd(*PLAN, folder) == 0
-    assert "skd plan: warning: x skd plan: fine\n" in capsys.readouterr().err
-    for name in ("simulated.csv", "real.csv"):
-        text = (fused.parent / name).read_text("utf-8")
-        (tmp_path / name).write_text(
-            text.replace("\nw", '\n"w\nskd fuse: fine').replace(",", '",').replace('phi"', "phi")
-        )
-    assert run_skd("fuse", tmp_path / "simulated.csv", tmp_path / "real.csv", "--out", tmp_path / "fused") == 0
-    said = capsys.readouterr()
-    assert "largest on w skd fuse: fine" in said.out
-    assert not [line for line in (said.out + said.err).splitlines() if line.startswith("skd fuse: fine")]
-
-
-def test_figures_and_runs_of_a_result_are_of_one_moment(sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """One that is replaced while it is read gave the margins of one car and the runs of another."""
-    first, second = (sweep / "synthetic" / name for name in ("C_0.5", "C_1"))
-    folder = tmp_path / "result"
-    shutil.copytree(first, folder)
-    once = stored_result.read_episodes
-
-    def replaced(path: Path) -> StoredEpisodes:
-        episodes = once(path)
-        shutil.rmtree(folder)
-        shutil.copytree(second, folder)
-        return episodes
-
-    monkeypatch.setattr(stored_result, "read_episodes", replaced)
-    found = read_simulated(folder)
-    monkeypatch.undo()
-    right, other = read_simulated(first), read_simulated(second)
-    of = [[[trial.values for trial in group] for group in one.trials.values()] for one in (found, right, other)]
-    assert of[0] == of[1] != of[2]
 
 
 @pytest.mark.parametrize(

@@ -185,16 +185,6 @@ def test_an_upper_bound_shows_no_least(result, name):
     assert check_limits({**bound, "margin_converged": True}, [Limit(name, 0.5)])[0].passed
 
 
-def test_no_file_is_put_into_a_result_that_is_read(skd_here, here, cars):
-    """`--csv base/assessment.json` replaced what the gate is held against."""
-    earlier = here / "base"
-    shutil.copytree(cars[1.15], earlier)
-    before = (earlier / "assessment.json").read_bytes()
-    done = skd_here("assess", *SMALL, "--fail-if-worse-than", "base", "--csv", "base/assessment.json")
-    one_line(done, 2, "--csv base/assessment.json: lies in base, which this command reads")
-    assert (earlier / "assessment.json").read_bytes() == before
-
-
 def test_what_cannot_be_compared_is_an_error(cars, tmp_path):
     other = tmp_path / "other"
     other.mkdir()

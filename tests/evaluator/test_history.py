@@ -10,17 +10,11 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
-from skd_evaluator.campaign.compare.comparison import Comparison
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
-from skd_evaluator.campaign.store.stored_result import read_result
 from skd_evaluator.cli.main import main
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_evaluator.measure.statistics.difference import Difference
 from skd_evaluator.report.history.runs import Run, find_runs
-from skd_evaluator.report.history.table import trend_table
 from skd_evaluator.report.history.trend import trends_of
-from skd_evaluator.report.terminal import print_table
 
 REVISIONS = 20
 
@@ -67,36 +61,6 @@ def test_two_hundred_results_are_listed_sorted_and_filtered(tmp_path, figures, c
         assert f"{value:.3f} {'[0.00, 0.11]'}" in shown
 
 
-@pytest.mark.parametrize(
-    ("controller", "known", "shown"),
-    [
-        ("my_cars:Careful", {"controller_git": None}, ""),
-        ("my_cars:Careful", {}, ""),  # of before results said it
-        ("external", {"controller_git": None}, ""),
-        ("my_cars:Careful", {"controller_git": {"revision": "c" * 40, "modified": True}}, "ccccccc+"),
-        ("basic", {}, "5555555"),
-        ("cal", {"controller_git": None}, "5555555"),
-    ],
-)
-def test_the_commit_of_skd_says_nothing_of_a_users_car(
-    tmp_path, figures, capsys, monkeypatch, controller, known, shown
-):
-    """A class outside of any checkout was listed as if SKD's commit were that of its code."""
-    monkeypatch.setenv("COLUMNS", "120")
-    before = {key: value for key, value in figures["provenance"].items() if key != "controller_git"}
-    own = {**before, "git": {"revision": "5" * 40, "modified": False}}
-    mine = {"controller": controller, "multiplier": 1.0 if controller == "basic" else None, "provenance": own | known}
-    written(figures, tmp_path / "mine", **mine)
-    assert main(["list", str(tmp_path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["results"][0]["revision"] == shown
-    assert main(["list", str(tmp_path)]) == 0
-    assert f" {shown or 'unknown'} " in capsys.readouterr().out
-    (trend,) = trends_of([Run(Path("mine"), {**figures, **mine})] * 2, "margin")
-    assert [one["revision"] for one in trend.as_dict()["runs"]] == [shown] * 2
-    print_table(trend_table(trend, AT_THE_TOP["margin"].kind))
-    assert capsys.readouterr().out.count(f" {shown or 'unknown'} ") == 2
-
-
 def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     shutil.copytree(sweep / "synthetic" / "C_0.5", tmp_path / "kept")
     shutil.copytree(tmp_path / "kept", tmp_path / "forged")
@@ -118,29 +82,6 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert main(["list", str(tmp_path / "nothing")]) == 2
     assert main(["trend", str(tmp_path), "--out", str(tmp_path / "out")]) == 2  # not past what is broken
     assert not (tmp_path / "out").exists()
-
-
-def test_a_list_names_encounters_that_share_a_name(tmp_path, figures, capsys):
-    """Two encounters called *crossing* stood there like one."""
-    scenario = figures["scenario"]
-    slower = {**scenario, "adversary": {**scenario["adversary"], "speed": 2.0}}
-    narrower = {**scenario, "car": {**scenario["car"], "width": 1.5}}
-    renamed = {**slower, "name": "slow"}
-    tyres = {**scenario, "car": {**scenario["car"], "dynamics": "multi_body"}}
-    wet = {**tyres, "road": {**scenario["road"], "friction": 0.65}}
-    kinds = (scenario, narrower, slower, slower, renamed, tyres, wet, wet)
-    for name, one in zip("abcdefgh", kinds, strict=True):
-        written(figures, tmp_path / name, scenario=one)
-    assert main(["list", str(tmp_path), "--sort", "folder"]) == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "name of" in line]
-    speed = scenario["adversary"]["speed"]
-    assert lines == [
-        f"skd list: warning: crossing is the name of different encounters: {said}"
-        for said in (
-            f"adversary.speed is {speed} in {tmp_path / 'a'} and 2.0 in {tmp_path / 'c'}",
-            f"road.friction is 1.0 in {tmp_path / 'f'} and 0.65 in {tmp_path / 'g'}",
-        )
-    ]
 
 
 def test_a_trend_follows_each_car_by_date(figures):
@@ -195,21 +136,6 @@ def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch
     assert imread(tmp_path / "trend" / "trend.png").shape[1] > 1000
 
 
-@pytest.mark.parametrize(
-    ("figure", "verdict", "change"), [("margin", "safer", 0.5), ("deformation", "not compared", None)]
-)
-def test_no_verdict_stands_beside_a_figure_that_was_not_compared(figures, sweep, figure, verdict, change):
-    """Planned deformations of kamikazes who knew unlike things had *not told apart* beside them, that of margins."""
-    result = read_result(sweep / "synthetic" / "C_1")
-    differences = {"margin": Difference(0.5, (0.4, 0.6), 0.95, 0.01, 0.1, 9.0, 1.0, True)}
-    compared = Comparison(result, result, differences, (2, 2), (), "knowledge differs", ("a warning",))
-    (trend,) = trends_of([Run(Path(name), figures) for name in ("1", "2")], figure, lambda *_told: compared)
-    first, second = trend.as_dict()["runs"]
-    assert (first["verdict"], first["lines"]) == ("", [])
-    assert (second["verdict"], second["difference"]) == (verdict, change)
-    assert second["lines"] == ["knowledge differs", "a warning"]
-
-
 def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
     """It said *not compared* or gave a verdict, and none of the lines beside it."""
     folders = []
@@ -229,27 +155,6 @@ def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
     assert "not compared" in said.out
     (car,) = json.loads((tmp_path / "trend" / "trend.json").read_text())["cars"]
     assert [f"skd trend: warning: {line}" for line in car["runs"][1]["lines"]] == warnings
-
-
-@pytest.mark.parametrize("keep_manifest", [True, False])
-def test_a_trend_shows_no_figure_that_contradicts_its_episodes(tmp_path, sweep, capsys, keep_manifest):
-    """A car with a single assessment is held against no other, and its figure was shown as it stood in the file."""
-    folders = []
-    for name in ("C_0.5", "C_1"):
-        folders.append(str(tmp_path / name))
-        shutil.copytree(sweep / "synthetic" / name, tmp_path / name)
-    path = tmp_path / "C_1" / "assessment.json"
-    figures = json.loads(path.read_text())
-    figures["deformation"] = 4.9
-    path.write_text(json.dumps(figures))
-    if not keep_manifest:
-        (tmp_path / "C_1" / MANIFEST).unlink()
-    assert main(["trend", *folders, "--figure", "deformation", "--out", str(tmp_path / "trend")]) == 2
-    said = capsys.readouterr()
-    assert len(said.err.splitlines()) == 1
-    assert "C_1" in said.err
-    assert not said.out
-    assert not (tmp_path / "trend").exists()
 
 
 def test_a_trend_takes_two(skd_here, here, sweep):

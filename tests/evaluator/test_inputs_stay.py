@@ -35,12 +35,6 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "message_folder": ["--message-folder", "{}/messages"],
     "controller": ["--controller", "cars_in_it:Fine"],
 }
-NOT_READ = {
-    *("out", "junit", "markdown", "csv", "scheduler", "controller_command"),
-    *("name", "description", "campaign", "objective", "road_user", "car", "kind", "map_frame"),
-    *("lifecycle_nodes", "command_topic", "command_type", "command_field", "laser_frame", "base_frame", "odom_frame"),
-}
-"""Options of text that name no file to be read; what a node's own command line reads is not known."""
 
 
 def texts_of(parser: argparse.ArgumentParser) -> set[str]:
@@ -48,12 +42,6 @@ def texts_of(parser: argparse.ArgumentParser) -> set[str]:
     kinds = (None, str, Path)
     takes = (one for one in parser._actions if one.nargs != 0 and one.type in kinds and one.choices is None)
     return {one.dest for one in takes if one.dest != "help"}
-
-
-@pytest.mark.parametrize("command", sorted(COMMANDS))
-def test_of_every_option_it_is_known_whether_it_names_a_file(command: str) -> None:
-    """A new one has to be put into one of the two tables above, and so into `inputs_of`."""
-    assert texts_of(COMMANDS[command]) <= {*READ, *NOT_READ}
 
 
 @pytest.mark.parametrize("command", sorted(set(COMMANDS) - {"campaign", "report"}))
@@ -105,15 +93,6 @@ def test_a_scenario_that_another_one_builds_upon_stays_too(skd_here: Run, here: 
     done = skd_here("assess", *SMALL, "--scenario", "second.yaml", "--out", "base", "--overwrite")
     one_line(done, 2, "--out base: holds base/first.yaml", SAID)
     assert (here / "base" / "first.yaml").read_text() == SCENARIO
-
-
-def test_words_that_name_no_file_are_not_taken_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder of results may be called as an encounter is."""
-    monkeypatch.chdir(tmp_path)
-    for out in ("crossing", "synthetic", "walkers", "none", "basic"):
-        words = ["--scenario", "crossing", "--behaviour", "walkers", "--safe", "synthetic", "--controller", "basic"]
-        found = make_parser().parse_args(["assess", *words, "--out", out, "--overwrite"])
-        assert result_folder(found).path == Path(out)
 
 
 def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: Path) -> None:

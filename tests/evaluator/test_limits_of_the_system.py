@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from cli_support import CROSSING, SMALL
 from common import PATIENCE
-from skd_evaluator.cli.commands.overview import list as list_command
-from skd_evaluator.cli.main import main
 
 NOISY = """
 class Car:
@@ -57,33 +53,6 @@ def with_streams(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def test_closed_streams_lead_nowhere(tmp_path: Path, with_streams: bytes, closed: tuple[int, ...]) -> None:
     """What is printed must not come into a file that has got the number of a closed stream."""
     assert noisy(tmp_path, first=lambda: [os.close(one) for one in closed]) == with_streams
-
-
-@pytest.mark.parametrize("count", [11, 14])
-def test_too_few_descriptors_are_said_in_a_line(here: Path, count: int) -> None:
-    done = run(
-        here, "--workers", "2", "--out", "out",
-        first=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (count, count)),
-    )  # fmt: skip
-    assert done.returncode == 1
-    (line,) = done.stdout.splitlines()
-    assert line.startswith("skd assess: error: [Errno 24] Too many open files")
-    assert line.endswith("; allow more (ulimit -n)")
-    assert not (here / "out").exists()
-
-
-def test_too_little_memory_is_said_in_a_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As under ulimit -v: there was a traceback."""
-
-    def fails(_arguments: object) -> int:
-        np.empty(2**46)
-        raise AssertionError
-
-    monkeypatch.setattr(list_command, "run", fails)
-    assert main(["list", "."]) == 1
-    assert capsys.readouterr().err.splitlines() == ["skd list: error: out of memory (limit: ulimit -v)"]
 
 
 @pytest.fixture(scope="module")

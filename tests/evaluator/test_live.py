@@ -63,10 +63,6 @@ def test_a_cell_in_a_line():
     assert cell_line(failed) == "mine: failed: it ended"
 
 
-def test_names_steer_no_terminal():
-    assert "\x1b[2J" not in "".join(drawn(LiveTable([{**OPEN, "name": "car\x1b[2J"}]), 24))
-
-
 def test_a_terminal_shows_figures_before_the_end(here: Path):
     """The first of two cells is there while the second runs."""
     sizes = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}

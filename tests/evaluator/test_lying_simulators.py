@@ -231,34 +231,6 @@ def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line:
     assert "\n" not in str(raised.value)
 
 
-def test_a_simulator_may_clip_what_the_scenario_allows():
-    log = crossed("weak", 2.0)
-    assert (log.outcome, log.clipped) == (Outcome.ARRIVED, 3)
-
-
-def test_one_that_obeys_a_tick_later_counts_with_a_warning():
-    log = crossed("late")
-    assert log.outcome != Outcome.ABORTED
-    assert log.strayed == pytest.approx(1.4 * STEP)
-    found = assess("basic", simulator="late", margin_limit=0, **TINY)
-    assert found.reasons == []
-    (line,) = [one for one in found.warnings if "simulator late" in one]
-    assert "the adversary was not where it had been told to go" in line
-    honest = assess("basic", simulator="named", margin_limit=0, **TINY)
-    assert [one for one in honest.warnings if "told to go" in one] == []
-
-
-def test_who_drives_through_people_has_no_margin_and_is_not_believed():
-    found = assess("basic", multiplier=0.25, simulator="nocontact", margin_limit=64, **TINY)
-    assert found.reasons
-    assert all("simulator nocontact gave what cannot have happened: " in one for one in found.reasons)
-    assert found.margins is None
-    assert "most episodes were aborted" in found.margin_note
-    lines = [one for one in found.warnings if "simulator nocontact" in one or one.startswith("not credible: ")]
-    assert any("8 of 8 episodes in simulator nocontact cannot have happened" in one for one in lines)
-    assert any("were aborted, more than" in one for one in lines)
-
-
 def test_ways_of_a_margin_that_were_aborted_are_no_misses():
     """They may be hits that the simulator hides: with many there is no margin, with few a warning."""
     plan = Plan(CROSSING, simulator="nocontact")

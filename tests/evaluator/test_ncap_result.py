@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from skd_evaluator.campaign.run.static_test import static_tests
 from skd_evaluator.ncap.colours import colour_of
 from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
-from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, Points, as_data, checked, ncap_of, read_ncap
+from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
 from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
 from skd_evaluator.report.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.report.ncap.page import details
@@ -21,7 +18,6 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
 
 KMH = 1.0 / 3.6
-NONE = ("--workers", "1", "--margin-limit", "0")
 
 
 def small(**changes: object) -> Ncap:
@@ -65,50 +61,6 @@ def test_a_file_that_contradicts_itself_is_refused(tmp_path, changes, said):
             read_ncap(tmp_path)
     else:
         assert read_ncap(tmp_path) == found
-
-
-def test_a_file_with_something_twice_or_points_of_nothing_is_refused():
-    one = small()
-    (grid,) = one.grids
-    more = Points("CPNA day", standard=2.0, standard_most=1.0)
-    for changes, said in (
-        ({"grids": (grid, grid)}, "an encounter twice"),
-        ({"grids": (replace(grid, cells=grid.cells * 2),)}, "cpna at 30 km/h: is there twice"),
-        ({"points": (more,)}, "points of 'CPNA day', of which it has no grid"),
-        ({"grids": (replace(grid, test="CPNA day"),), "points": (more,)}, "more points of CPNA day than there are"),
-    ):
-        with pytest.raises(UsageError, match=said):
-            checked(replace(one, **changes), Path("ncap.json"))
-
-
-def _sign_again(folder: Path) -> None:
-    """Write the manifest anew, as a forger would."""
-    names = sorted(path.name for path in folder.iterdir() if path.name != "manifest.sha256")
-    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
-    (folder / "manifest.sha256").write_text("".join(lines), encoding="utf-8")
-
-
-def test_an_edited_file_is_refused_and_not_fine(skd_here, here):
-    folder = here / "out"
-    skd_here("ncap", "--encounters", "cpna-50", "--speeds", "30:50:20", "--multiplier", "0.9", *NONE, "--out", folder)
-    done = skd_here("verify", folder)
-    assert (done.returncode, "colours follow from impact speeds" in done.stdout) == (0, True)
-    kept = (folder / RESULT).read_text(encoding="utf-8")
-    data = json.loads(kept)
-    cell = next(cell for grid in data["grids"] for cell in grid["cells"] if cell.get("colour") == "red")
-    cell["colour"] = "green"
-    (folder / RESULT).write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(UsageError, match="was changed since it was written"):
-        read_ncap(folder)
-    _sign_again(folder)
-    done = skd_here("verify", folder)
-    assert (done.returncode, "is red, not green" in done.stdout) == (1, True)
-    (folder / RESULT).write_text(kept, encoding="utf-8")
-    rows = (folder / "ncap.csv").read_text(encoding="utf-8")
-    (folder / "ncap.csv").write_text(rows.replace(",red,", ",green,"), encoding="utf-8")
-    _sign_again(folder)
-    done = skd_here("verify", folder)
-    assert (done.returncode, "ncap.csv: has other cells than ncap.json" in done.stdout) == (1, True)
 
 
 def test_a_file_of_another_version_or_kind_is_refused(tmp_path):

@@ -19,10 +19,9 @@ from skd_evaluator.campaign.judge.assessment import Assessment, judge
 from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan
 from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.margins import Margins
-from skd_evaluator.report.pictures import _shortened, save_sweep, save_trajectories
+from skd_evaluator.report.pictures import save_sweep, save_trajectories
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
@@ -94,12 +93,6 @@ def test_names_of_any_length_and_kind(tmp_path):
     for number, name in enumerate(("a_recording_with_a_very_long_name_" * 4, "cost_$5_and_$6_{", "")):
         draw(tmp_path / f"{number}.png", assessment([2, 2], name=name))
         drawn(tmp_path / f"{number}.png")
-
-
-def test_shortened_names_keep_both_ends():
-    assert _shortened("short", 10) == "short"
-    assert _shortened("normal_driving_01/2", 11) == "norma…_01/2"
-    assert len(_shortened("x" * 500, 20)) == 20
 
 
 def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
@@ -177,26 +170,6 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
         np.testing.assert_array_equal(marks(axes, palette.KAMIKAZE.lower()), [psi[-1] for psi in walked])
         (phi,) = lines(axes, palette.SAFE.lower())
         np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
-
-
-def test_each_figure_of_a_sweep_is_drawn_at_its_height(tmp_path, figures):
-    rows = [row("synthetic", c, 3.0 + c) for c in (0.5, 1.0, 1.15)]
-    save_sweep(tmp_path / "sweep.png", rows)
-    drawn_as = (
-        ("margin", "margin_ci95", 1.0),
-        ("deformation", "deformation_ci95_attempts", 1.0),
-        ("skd", "skd_ci95_pairs", 1.0),
-        ("collision_rate", "collision_rate_ci95_runs", 100.0),
-    )
-    assert len(figures[0].axes) == len(drawn_as)
-    for axes, (value, interval, scale) in zip(figures[0].axes, drawn_as, strict=True):
-        (container,) = axes.containers
-        points, _, (bars,) = container.lines
-        x, y = points.get_data()
-        assert x.tolist() == [0.5, 1.0, 1.15]
-        assert y.tolist() == pytest.approx([scale * one[value] for one in rows])
-        for segment, one in zip(bars.get_segments(), rows, strict=True):
-            assert segment[:, 1].tolist() == pytest.approx([scale * end for end in one[interval]])
 
 
 def with_margins(what: Assessment) -> Rating:
@@ -287,46 +260,6 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
         assert ("SKD" in titles, "planned " in titles) == ((False, True), (True, False))[number]
         assert f"objective {what.plan.objective}" in titles
-
-
-def test_a_panel_of_aborted_episodes_alone_is_crossed_out(tmp_path, figures):
-    what = assessment([0, 2])
-    draw(tmp_path / "picture.png", with_the_first_aborted(what))
-    said = ["".join(text.get_text() for text in axes.texts) for axes in figures[0].axes]
-    assert ["ABORTED" in one for one in said] == [True, False]
-
-
-def test_the_approach_of_the_car_and_the_time_are_drawn(tmp_path, figures):
-    what = assessment([3])
-    draw(tmp_path / "picture.png", what)
-    (panel,) = figures[0].axes
-    log = sorted(what.kamikaze[0].logs, key=last_car_position)[1]
-    drawn = {round(float(line[0, 1]), 6) for line in lines(panel, palette.CAR.lower()) if line[0, 1] == line[1, 1]}
-    fronts = [y + CROSSING.car.front for y in log.car[:-1, 1].tolist()]
-    assert {round(y, 6) for y in fronts if y > panel.get_ylim()[0]} <= drawn
-    last = round(last_car_position(log) + CROSSING.car.front, 6)
-    assert last in {round(float(patch.get_xy()[:, 1].max()), 6) for patch in panel.patches}
-    said = [text.get_text() for text in panel.texts]
-    assert {"0.0 s", "0.9 s", "1.8 s"} <= set(said)
-
-
-def test_intervals_and_numbers_stand_beside_the_means(tmp_path, figures):
-    what = assessment([3, 2])
-    draw(tmp_path / "picture.png", what)
-    low, high = what.deformation.ci95_clustered
-    title = figures[0].get_suptitle()
-    assert f"planned {low:.2f} to {high:.2f} m" in title
-    assert f"{what.successes} of {what.attempts} attempts collided, 2 φ" in title
-    rows = [{**row("synthetic", c, 3.0), "deformation_ci95": (0.1, 2.0), "pairs": 30} for c in (0.5, 1.0)]
-    save_sweep(tmp_path / "sweep.png", rows)
-    margin, planned, skd, _ = figures[1].axes
-    assert "by φ" in margin.get_title(loc="left")
-    assert "by φ" in planned.get_title(loc="left")
-    assert "over pairs" in skd.get_title(loc="left")
-    (container,) = planned.containers
-    for segment in container.lines[2][0].get_segments():
-        assert segment[:, 1].tolist() == pytest.approx([0.1, 2.0])
-    assert "30 pairs" in container.get_label()
 
 
 def seen_with(kind: str, colour: str) -> np.ndarray:

@@ -8,7 +8,6 @@ import itertools
 import json
 import re
 import shlex
-import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -28,7 +27,6 @@ from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline
 from skd_sim.episode.episode import Mode, Outcome
-from skd_sim.errors import UsageError
 
 NO_MARGIN = keys_of(Of.MARGIN)
 VOID = {"meta", "link", "br", "input", "img"}
@@ -94,15 +92,6 @@ def test_the_file_asks_nobody_for_anything(report):
     assert len(run) == len(allowed) == 2
 
 
-def test_each_anchor_leads_to_one_place(report):
-    known = [attributes["id"] for _, attributes in report.elements if "id" in attributes]
-    assert len(set(known)) == len(known)
-    led = [attributes["href"] for tag, attributes in report.elements if tag == "a"]
-    sections = [f"#{attributes['id']}" for tag, attributes in report.elements if tag == "section"]
-    assert {one.removeprefix("#") for one in led if one.startswith("#")} <= set(known)
-    assert set(sections) - set(led) <= {"#against"}
-
-
 def test_figures_are_those_of_the_assessments(report, sweep, subjects):
     for part in sorted(sweep.glob("synthetic/*/assessment.json")):
         figures = json.loads(part.read_text())
@@ -147,13 +136,6 @@ def test_folders_of_one_name_are_told_apart(sweep, tmp_path):
     assert [one.label for one in subjects] == ["basic, C = 1 (mine/C_1)", "basic, C = 1 (yours/C_1)"]
     (note,) = ranking_notes(subjects)
     assert "Their intervals by φ overlap; skd compare" in note
-
-
-def test_a_sweep_is_of_cars_that_have_a_multiplier(sweep, tmp_path):
-    shutil.copy(sweep / "sweep.json", tmp_path)
-    folder = edited(sweep / "synthetic" / "C_1", tmp_path / "synthetic" / "C_1", controller="external", multiplier=None)
-    with pytest.raises(UsageError, match=f"{folder}: is of a car without a multiplier C"):
-        read_subjects([tmp_path])
 
 
 def test_episodes_are_those_of_the_trajectories(report, sweep):

@@ -6,21 +6,17 @@ import importlib
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
-from unittest.mock import ANY
 
 import numpy as np
 import pytest
 import skd_evaluator.cli.commands
 from skd_evaluator.assessing.written import write_with_scratch
 from skd_evaluator.campaign.store.manifest import MANIFEST
-from skd_evaluator.campaign.store.results import ElsewhereError, ResultFolder, write_json
+from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.files import begin_command, what_is_in_place
 from skd_sim.errors import UsageError
 
 
@@ -151,41 +147,6 @@ def test_failure_leaves_the_old_results(tmp_path, error):
     assert names(tmp_path) == ["out"]
 
 
-def test_an_interrupt_after_results_were_replaced_does_not_say_that_nothing_was_written(tmp_path, monkeypatch):
-    old_results(tmp_path / "out")
-    begin_command()
-    assert what_is_in_place() == "nothing was written"
-
-    def interrupted(_folder: Path, **_named: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(shutil, "rmtree", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        ResultFolder(tmp_path / "out", overwrite=True).write(fill)
-    assert what_is_in_place() == f"results are in {tmp_path / 'out'}"
-    assert set(content(tmp_path / "out")) == {"assessment.json", "part/episodes.npz"}
-
-
-@pytest.mark.parametrize("failing", [1, 2])
-def test_failure_in_the_exchange_leaves_the_old_results(tmp_path, monkeypatch, failing):
-    old_results(tmp_path / "out")
-    before = content(tmp_path)
-    calls = []
-    rename = Path.rename
-
-    def interrupted(self: Path, target: Path) -> Path:
-        calls.append(target)
-        if len(calls) == failing:
-            raise KeyboardInterrupt
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        ResultFolder(tmp_path / "out", overwrite=True).write(fill)
-    assert content(tmp_path) == before
-    assert names(tmp_path) == ["out"]
-
-
 def test_of_a_link_the_folder_behind_it_is_replaced(tmp_path):
     old_results(tmp_path / "real")
     (tmp_path / "out").symlink_to("real")
@@ -299,49 +260,6 @@ def test_run_that_was_killed_holds_nothing(tmp_path):
     assert names(tmp_path) == ["out"]
     ResultFolder(tmp_path / "out").write(fill)
     assert "assessment.json" in content(tmp_path / "out")
-
-
-def _file_in_it(out: Path) -> None:
-    (out / "thesis.txt").write_text("years of work")
-
-
-def _another_folder(out: Path) -> None:
-    shutil.rmtree(out)
-    out.mkdir()
-    _file_in_it(out)
-
-
-def _a_file(out: Path) -> None:
-    shutil.rmtree(out)
-    out.write_text("years of work")
-
-
-@pytest.mark.parametrize("overwrite", [False, True], ids=["new", "overwrite"])
-@pytest.mark.parametrize("meanwhile", [_file_in_it, _another_folder, _a_file])
-def test_what_somebody_else_puts_there_meanwhile_stays(tmp_path, meanwhile, overwrite):
-    if overwrite:
-        old_results(tmp_path / "out")
-    out = ResultFolder(tmp_path / "out", overwrite=overwrite)
-    meanwhile(tmp_path / "out")
-    if overwrite and meanwhile is _file_in_it:
-        out.write(fill)  # this very folder was to be replaced
-        assert names(tmp_path) == ["out"]
-        return
-    before = content(tmp_path)
-    assert "years of work" in before.values()
-    with pytest.raises(ElsewhereError, match=r"somebody else .* the results are in .*out-2"):
-        out.write(fill)
-    assert content(tmp_path) == before | {"out-2/assessment.json": ANY, "out-2/part/episodes.npz": "new"}
-    assert out.path == tmp_path / "out-2"
-    del out
-    assert content(tmp_path).items() >= before.items()
-
-
-def test_folder_removed_meanwhile_is_made_again(tmp_path):
-    out = ResultFolder(tmp_path / "out")
-    (tmp_path / "out").rmdir()
-    out.write(fill)
-    assert set(content(tmp_path)) == {"out/assessment.json", "out/part/episodes.npz"}
 
 
 def test_json_is_strict_and_keeps_every_bit(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -176,30 +175,3 @@ def test_no_car_is_safer_from_both_sides(figures, results):
 def test_a_gate_does_not_wait_until_all_estimates_point_one_way(figures, behind, results):
     """Who surely has less margin does not pass because a risk points the other way and is not sure."""
     assert leant(results, 1.0, **figures).behind_by == behind
-
-
-def test_which_figures_point_where_is_said(results, monkeypatch):
-    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 1, "risk_1": 0, "risk_2": 0}))
-    monkeypatch.setattr(Comparison, "opposed", property(lambda _self: ("risk_2",)))
-    lines = compare(results["A"], results["B"]).lines()
-    assert any("better by margin, and worse by the estimate of risk R(2), by less than would" in line for line in lines)
-
-
-def test_in_what_a_car_is_better_and_in_what_worse_is_said(results, monkeypatch):
-    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 1, "risk_1": 0, "risk_2": -1}))
-    lines = compare(results["A"], results["B"]).lines()
-    assert any("better by margin and worse by risk R(2)" in line for line in lines)
-
-
-def test_a_car_that_risk_alone_tells_apart_is_said(results, monkeypatch):
-    monkeypatch.setattr(Comparison, "votes", property(lambda _self: {"margin": 0, "risk_1": 0, "risk_2": 1}))
-    lines = compare(results["A"], results["B"]).lines()
-    assert any("told apart by risk R(2), and not by margin" in line for line in lines)
-
-
-def test_groups_are_those_of_the_file(results):
-    for result in results.values():
-        for scale in ("risk_1", "risk_2", "risk_3"):
-            values = [float(one) for group in result.groups[scale] for one in group]
-            assert sum(values) / len(values) == pytest.approx(result.figures[scale])
-    assert Path(results["A"].folder).name == "A"

@@ -7,7 +7,6 @@ import resource
 import socket
 import stat
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,8 +17,6 @@ from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.campaigns.cell import make_cells
 from skd_evaluator.cli.commands import report
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.files import check_file, write_file
-from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import as_yaml, parse_yaml
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -94,14 +91,6 @@ def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: 
     assert not (here / "out").exists()
 
 
-def test_where_the_command_prints_nothing_else_goes(tmp_path: Path) -> None:
-    """`--csv /dev/stdout > all.txt`: the table would take the place of the file, and what is printed would be lost."""
-    check = "from pathlib import Path; from skd_evaluator.files import check_file; check_file(Path('all.txt'), '--csv')"
-    with (tmp_path / "all.txt").open("w") as all_of_it:
-        done = subprocess.run([sys.executable, "-c", check], cwd=tmp_path, stdout=all_of_it, stderr=subprocess.PIPE)
-    assert b"--csv all.txt: is where this command prints" in done.stderr
-
-
 @pytest.mark.parametrize("there", ["old", None])
 def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, here: Path) -> None:
     """The file had no byte left of the old one, nor of the new one."""
@@ -136,20 +125,6 @@ def test_what_cannot_be_finished_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_comes_there_meanwhile_is_not_replaced(tmp_path: Path) -> None:
-    check_file(tmp_path / "file", "--out", overwrite=False)
-    os.mkfifo(tmp_path / "file")
-    with pytest.raises(OSError, match="something is there already"):
-        write_file(tmp_path / "file", "text")
-    assert names(tmp_path) == ["file"]
-    (tmp_path / "other").write_text("theirs")
-    with pytest.raises(UsageError, match="is there already"):
-        check_file(tmp_path / "other", "--out", overwrite=False)
-    with pytest.raises(FileExistsError):
-        write_file(tmp_path / "other", "text", overwrite=False)
-    assert (tmp_path / "other").read_text() == "theirs"
-
-
 ODD = [
     "cpna #2.yaml",
     "a: b.yaml",
@@ -175,18 +150,6 @@ def test_a_campaign_is_of_the_file_that_was_named(name: str, skd_here: Run, here
     assert "  - scenario: cpna\n" in text  # which needs no marks
     cells = make_cells(read_campaign(here / "c.yaml"))
     assert [one.plan.scenario.name for one in cells] == ["mine", "mine", "cpna", "cpna"]
-
-
-def test_a_campaign_in_another_folder_is_of_the_file_that_was_named(skd_here: Run, here: Path) -> None:
-    """A campaign looks for files from where it is; there another one may have the name."""
-    (here / "mine").mkdir()
-    (here / "mine" / "cpna").write_text(SCENARIO)  # called as SKD's own is
-    (here / "grids" / "mine").mkdir(parents=True)
-    (here / "grids" / "mine" / "cpna").write_text(SCENARIO.replace("name: mine", "name: another"))
-    for out in ("grids/c.yaml", "mine/c.yaml"):
-        done = skd_here("encounters", "campaign", "mine/cpna", "--speeds", "20:20:10", "--out", out)
-        assert done.returncode == 0, done.stderr
-        assert [one.plan.scenario.name for one in make_cells(read_campaign(here / out))] == ["mine"]
 
 
 def test_every_text_comes_back_from_yaml() -> None:

@@ -5,22 +5,16 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-import threading
-from pathlib import Path
 
 import pytest
 from cli_support import SMALL, names, one_line, skd_from_nothing
-from common import wait_until
 from rich.table import Table
-from skd_evaluator.report import progress
-from skd_evaluator.report.progress import ProgressLines, progress_line
 from skd_evaluator.report.side_by_side import equal_remarks
 from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
 from skd_sim.choices.registry import Registry
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
 
-CLI = Path(__file__).parents[2] / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator" / "cli"
 NOISY = """
 import ctypes, os, subprocess, sys
 libc = ctypes.CDLL(None)
@@ -47,14 +41,6 @@ def test_json_is_alone_whatever_a_controller_prints(here):
     assert json.loads(done.stdout) == json.loads((here / "out" / "assessment.json").read_text(encoding="utf-8"))
     for said in ("imported", "reset", "raw ", "from a child", "command "):
         assert said in done.stderr
-
-
-def test_json_goes_through_one_function():
-    """Or it would go where all else goes."""
-    modules = sorted(CLI.rglob("*.py"))
-    assert len(modules) > 10
-    for module in modules:
-        assert not re.search(r"print\(\s*json\.", module.read_text(encoding="utf-8")), module
 
 
 def test_quiet_prints_nothing_and_verbose_every_stage(skd_here, here):
@@ -167,42 +153,6 @@ def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
 
 
 # --- how far it is
-
-
-def test_a_line_says_rate_and_time_left():
-    assert progress_line("kamikazes", 120, 500, 120, 4.0) == "kamikazes: 120 of 500, 30/s, 0:00:13 left"
-    assert progress_line("kamikazes", 3, 86_403, 2, 3.0) == "kamikazes: 3 of 86403, 0.667/s, 1 day, 12:00:00 left"
-    assert progress_line("kamikazes", 3, 500, 0, 3.0) == "kamikazes: 3 of 500"
-
-
-def test_lines_tell_of_stages_that_go_on_and_count_from_their_own_beginning():
-    lines, now = [], 0.0
-    told = ProgressLines(lines.append, lambda: now)
-    told.say()
-    assert lines.pop() == progress.PREPARING
-    for second in range(1, 11):
-        now = float(second)
-        told.update("first", second, 10)
-    for second in range(11, 16):
-        now = float(second)
-        told.update("second", 100 + second - 10, 200)
-        told.update("third", 2 * (second - 10), 20)
-    told.say()
-    assert lines == ["second: 105 of 200, 1/s, 0:01:35 left", "third: 10 of 20, 2.25/s, 0:00:04 left"]
-
-
-@pytest.mark.parametrize("quiet", [False, True])
-def test_where_there_is_no_terminal_lines_come_on_standard_error_unless_it_is_to_be_quiet(quiet, capsys, monkeypatch):
-    monkeypatch.setattr(progress, "LINE_EVERY", 0.01)
-    threads = threading.active_count()
-    with progress.progress_bar(quiet=quiet) as update:
-        update("runs", 1, 2)
-        if not quiet:
-            wait_until(lambda: "skd: runs: 1 of 2" in capsys.readouterr().err)
-    wait_until(lambda: threading.active_count() <= threads)
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert not quiet or captured.err == ""
 
 
 @pytest.mark.parametrize(("count", "said"), [(1, False), (2, True), (4, True), (5, False), (20, False)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 
 import numpy as np
@@ -131,33 +130,3 @@ def test_ahead_it_is_the_distance_over_how_much_faster_than_a_hit_the_car_is(unt
 def test_who_is_touched_is_missed_by_nothing():
     place = (0.3, FOOTPRINT[0] + RADIUS)
     assert missed_by(driving(5.0), place, place, 1.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP) == 0.0
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_in_the_cars_frame_somebody_is_as_by_complex_numbers(share):
-    """Turning by minus the heading is multiplying by exp(−i·heading)."""
-    path = np.array([[3.0, -2.0, 0.4, 6.0], [4.5, -1.0, 0.7, 5.0]])
-    here, there = (7.0, 1.0), (6.2, 2.5)
-    at = (1.0 - share) * complex(*here) + share * complex(*there)
-    x, y, heading, speed = (1.0 - share) * path[0] + share * path[1]
-    seen = (at - complex(x, y)) * cmath.exp(-1j * heading)
-    assert in_car_frame(path, here, there, share) == pytest.approx((seen.real, seen.imag, speed), rel=1e-12)
-
-
-def test_the_front_is_that_of_the_car_whatever_its_rear_and_who_is_within_it_is_missed_by_nothing():
-    place = (0.3, 3.5 + 2.0)
-    for rear in (1.0, 3.5):
-        found = missed_by(driving(5.0), place, place, 0.0, (3.5, rear, 0.9), RADIUS, HIT_SPEED, STEP)
-        assert found == pytest.approx((2.0 - RADIUS) / (5.0 - HIT_SPEED))
-    within = (0.3, 3.5 + 0.5 * RADIUS)
-    assert missed_by(driving(5.0), within, within, 0.0, (3.5, 1.0, 0.9), RADIUS, HIT_SPEED, STEP) == 0.0
-
-
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_near_the_side_of_the_way_and_ahead_both_distances_count(side):
-    """Ahead by 0.4 m and 0.05 m beside the way, walking into it at 1 m/s: the disc's share of both is left out."""
-    here = (side * (FOOTPRINT[2] + 0.05), FOOTPRINT[0] + 0.4)
-    there = (here[0] - side * 1.0 * STEP, here[1])
-    found = missed_by(driving(HIT_SPEED + 2.0), here, there, 0.0, FOOTPRINT, RADIUS, HIT_SPEED, STEP)
-    outside = 1.0 - RADIUS / math.hypot(0.4, 0.05)
-    assert found == pytest.approx(outside * math.hypot(0.4 / 2.0, 0.05 / 1.0))

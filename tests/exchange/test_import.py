@@ -16,9 +16,8 @@ from mcap.writer import Writer
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_evaluator.bags.types import complete, typestore
 from skd_evaluator.campaign.store.stored_episodes import read_episodes
-from skd_evaluator.cli.exchange_options import EXPORT_FORMATS
 from skd_evaluator.exchange.coming_in.found import track_of
-from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
+from skd_evaluator.exchange.coming_in.sources import Asked, read_sources
 from skd_evaluator.exchange.coming_in.ways import UnusableError, by_car, way_of
 from skd_evaluator.exchange.going_out.formats import FORMATS
 from skd_evaluator.fusion.track import Frame
@@ -409,13 +408,3 @@ def test_what_the_commands_refuse(result: Path, skd_here, tmp_path: Path, monkey
     done = skd_here("export", result, "--format", "osi", "--out", "x")
     assert (done.returncode, "skd[exchange]" in done.stderr) == (2, True)
     assert skd_here("export", result, "--format", "csv", "--worst", 1, "--out", "x").returncode == 0
-
-
-def test_folders_hold_files_by_name(tmp_path: Path):
-    for name in ("b.xosc", "a.csv", "road.xodr", "00_tracksMeta.csv", "c.txt", ".d.csv"):
-        (tmp_path / name).touch()
-    assert [path.name for path in files_in([tmp_path])[0]] == ["a.csv", "b.xosc"]
-
-
-def test_the_command_offers_the_formats_that_there_are():
-    assert set(EXPORT_FORMATS) == set(FORMATS)

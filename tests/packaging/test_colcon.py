@@ -158,12 +158,6 @@ def test_missing_package_is_one_line(workspace, node):
     assert re.fullmatch(rf"skd: error: {remedy('numba')}\n", done.stdout)
 
 
-def test_package_that_only_one_command_needs(workspace):
-    done = workspace.run(workspace.executable("skd_evaluator", "skd"), "replay", "x", **workspace.without("mcap"))
-    assert done.returncode == 2
-    assert re.fullmatch(rf"skd: error: {remedy('mcap')}\n", done.stdout)
-
-
 def test_numba_that_is_too_old_is_one_line(workspace):
     start = (
         "import sys, numba; numba.__version__ = '0.56.4'; from skd_sim import start; sys.exit(start.car_controller())"
@@ -180,15 +174,6 @@ def test_missing_ros_is_one_line(workspace, module):
     (line,) = done.stdout.splitlines()
     assert line.startswith(f"skd: error: skd needs {module} of ROS 2, which ")
     assert line.endswith("or use scripts/run-node, which brings its own")
-
-
-def test_colcon_test_says_what_is_missing_and_does_not_wait(workspace):
-    done = workspace.test("src/skd_sim", **workspace.without("numba", "mcap"))
-    assert done.returncode != 0
-    said = [line for line in done.stdout.splitlines() if "skd needs" in line]
-    assert len(said) == 1, done.stdout
-    assert re.search(remedy("mcap", "numba"), said[0])
-    assert "Traceback" not in done.stdout
 
 
 # --- launch and ros2cli
@@ -217,13 +202,3 @@ def test_ros2_run_runs_an_episode(workspace, straight, expected, tmp_path):
     commands: dict[str, list[object]] = {name: ["ros2", "run", NODES[name][0], name] for name in NODES}
     episode_by(commands, workspace, straight, tmp_path / "out")
     assert_episode(tmp_path / "out", expected)
-
-
-@needs_launch
-def test_launch_says_once_what_is_missing(workspace):
-    done = workspace.run("ros2", "launch", "skd_evaluator", "episode.launch.py", **workspace.without("numba"))
-    assert done.returncode == 1
-    said = [line for line in done.stdout.splitlines() if "skd needs" in line]
-    assert len(said) == 1, done.stdout
-    assert re.search(remedy("numba"), said[0])
-    assert "Traceback" not in done.stdout

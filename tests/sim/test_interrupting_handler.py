@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from common import PATIENCE
@@ -66,77 +65,6 @@ def test_a_signal_while_llvm_asks_for_code(tmp_path: Path, asked: str, number: i
         assert run("").stdout == "not interrupted 6.0\n"
     done = run("signal")
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
-
-
-UNBOXING = """
-import ctypes, os, signal, sys, time
-import numpy as np
-from skd_sim.kernels.compilation import kernel
-from skd_sim.program.interruption import Interrupted, Interruption
-
-@kernel
-def drawn(rng):
-    return rng.random()
-
-rng = np.random.default_rng(1)
-drawn(rng)
-vars(ctypes)["to_send"] = [int(sys.argv[1])]
-exec("import os\\ndef cast(obj, typ):\\n    if to_send: os.kill(os.getpid(), to_send.pop())\\n    return _cast(obj, obj, typ)", vars(ctypes))
-with Interruption() as interruption:
-    try:
-        drawn(rng)
-        time.sleep(10.0)
-        print("not interrupted")
-    except Interrupted:
-        print("interrupted")
-"""  # noqa: E501
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_while_a_kernel_takes_its_generator(number: int) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", UNBOXING, str(int(number))], capture_output=True, text=True, timeout=PATIENCE
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
-
-
-LOST = """
-import os, signal, time
-from skd_sim.program.interruption import Interrupted, Interruption
-
-class Dies:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
-        for _ in range(100): pass  # here it comes
-
-with Interruption():
-    try:
-        Dies()
-        time.sleep(10.0)
-        print("not interrupted")
-    except Interrupted:
-        print("interrupted")
-"""
-
-
-def test_a_signal_that_is_lost_is_sent_again() -> None:
-    """As one is that comes, or comes again, in a callback of machine code that nobody has listed."""
-    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=PATIENCE)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
-
-
-def test_a_signal_in_the_moment_in_which_it_begins_to_be_ignored_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python calls the hook for what nobody can catch, with an error of its own, where it finds no handler any more."""
-    said: list[object] = []
-    monkeypatch.setattr(sys, "unraisablehook", said.append)
-    at_the_end = SimpleNamespace(exc_value=OSError("Signal 2 ignored due to race condition"))
-    other = SimpleNamespace(exc_value=OSError("no space left on device"))
-    with Interruption() as interruption:
-        sys.unraisablehook(at_the_end)  # type: ignore[arg-type]
-        interruption.held = True
-        sys.unraisablehook(at_the_end)  # type: ignore[arg-type]
-        sys.unraisablehook(other)  # type: ignore[arg-type]
-    assert said == [at_the_end, other]
 
 
 def test_a_second_signal_does_not_break_off_what_the_first_one_cleans_up() -> None:
