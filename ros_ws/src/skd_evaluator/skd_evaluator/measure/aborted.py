@@ -1,7 +1,7 @@
 """What aborted episodes may hide: they count for nothing, and a car can end its process just before it hits.
 
 So beside each figure stands how many of its episodes were aborted, and what it would be at worst: if the car had hit in
-all of them. Everything follows from the content of assessment.json, so older results are judged in the same way.
+all of them. Everything follows from the content of assessment.json, so stored results are judged in the same way.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def lost_in(figures: Figures) -> list[Lost]:
         every, label = one["runs"] + one["aborted"], f"R({one['scale']:g})"
         found.append(Lost(_crossings(one), one["aborted"], every, f"risk.scales.{number}.value", label, True))
     for number, one in enumerate(_budgets(figures)):
-        lost = one.get("aborted", 0)  # older results do not say
+        lost = one["aborted"]
         name, label = f"vulnerability_curve.budgets.{number}.probability", "the share of these that are hit"
         found.append(Lost(_held(one), lost, one["attempts"] + lost, name, label, True))
     tests = figures.get("static_tests") or ()

@@ -51,7 +51,7 @@ class Cell(Frozen):
         beyond: attempts in which nobody could have been hit within η_max, as far as was found.
         converged: whether the search for the margin has converged.
         margin_is: `at least` where attempts without a hit count as η_max in the margin, `at most` where the search has
-            not converged; empty: neither. A file of an older version does not say it.
+            not converged; empty: neither.
         margin_why: why there is no margin.
         deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
         equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.

@@ -109,7 +109,7 @@ NO_RATING = "They are no rating: they depend on who walks, and along φ nobody a
 
 
 def surrogate_groups(figures: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """Return who walks, and what the measures come to; nothing where a result is of before them."""
+    """Return who walks, and what the measures come to; nothing where there are none."""
     found = figures.get("surrogate_measures")
     if not found:
         return []

@@ -71,7 +71,7 @@ def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:
 
 
 def failures_in(figures: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the failures of assessment.json; None where there are none, as in those of older versions."""
+    """Return the failures of assessment.json; None where there are none."""
     risk = figures.get("risk")
     found: Mapping[str, Any] | None = risk.get("failures") if risk else None
     return found
