@@ -12,6 +12,8 @@ from skd_sim.nodes.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
 from skd_sim.nodes.support import GraphNode, declare, run_node
 from skd_sim.simulation.named_simulator import NamedSimulator
 
+_SETTINGS = SIMULATOR_SETTINGS
+
 
 class VehicleSimulator(GraphNode):
     """The world, and its clock."""
@@ -19,7 +21,7 @@ class VehicleSimulator(GraphNode):
     def __init__(self) -> None:
         """Declare parameters; then wait for an episode."""
         super().__init__("vehicle_simulator")
-        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, SIMULATOR_SETTINGS))
+        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, _SETTINGS))
 
 
 def main(args: Sequence[str] | None = None) -> int:
