@@ -271,8 +271,6 @@ def test_the_command_line_decides(skd_here, here, cars):
         (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
         (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
         (["--fail-below", "deformation=much"], ["FIGURE=NUMBER"]),
-        (["--fail-below", "margin=1_0"], ["FIGURE=NUMBER"]),  # 10, for Python alone
-        (["--fail-below", "margin=٣"], ["FIGURE=NUMBER"]),
         (["--fail-above", "hit_rate=5"], ["--fail-above hit_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
         (["--fail-below", "objectives.paper.deformation=-1"], ["at least 0"]),

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.choices.options import Option, options_of
-from skd_sim.inputs.numbers import real, whole
 
 from skd_evaluator.assessing.graph_options import GraphOptions
 from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
@@ -25,7 +24,7 @@ def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
 
     def parse(text: str) -> int:
         try:
-            value = whole(text)
+            value = int(text)
         except ValueError:
             value = low - 1
         if not low <= value <= high:
@@ -41,7 +40,7 @@ def real_number(low: float, high: float = math.inf, *, above: bool = False) -> C
 
     def parse(text: str) -> float:
         try:
-            value = real(text)
+            value = float(text)
         except ValueError:
             value = -math.inf
         if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
@@ -62,7 +61,7 @@ def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]
 
     def parse(text: str) -> list[float]:
         try:
-            first, last, step = (real(part) for part in text.split(":"))
+            first, last, step = (float(part) for part in text.split(":"))
             count = int((last - first) / step + 1e-9) + 1
         except (ValueError, ZeroDivisionError, OverflowError):
             first, last, step, count = 0.0, 0.0, 0.0, 0
@@ -165,7 +164,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
 def percentage(text: str) -> float:
     """Parse a percentage from 0 to 100, and return it as a share."""
     try:
-        value = real(text)
+        value = float(text)
     except ValueError:
         value = -1.0
     if not 0.0 <= value <= 100.0:
@@ -176,7 +175,7 @@ def percentage(text: str) -> float:
 def frame_place(text: str) -> tuple[float, float, float]:
     """Parse X,Y,DEGREES: where one frame lies in another."""
     try:
-        x, y, degrees = (real(part) for part in text.split(","))
+        x, y, degrees = (float(part) for part in text.split(","))
     except ValueError:
         x = y = degrees = math.nan
     if not all(math.isfinite(one) for one in (x, y, degrees)):
