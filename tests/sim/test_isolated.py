@@ -251,3 +251,15 @@ def test_what_is_printed_goes_to_standard_error_and_nothing_is_read() -> None:
     )
     assert done.stdout == "first, without a new line''\n"
     assert done.stderr.splitlines() == ["by print", "by a program", "by number"]
+
+
+def test_a_child_ends_where_nobody_learns_how() -> None:
+    """As below a shell, or a service, that ignores SIGCHLD."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        with pytest.raises(LostProcessError):
+            isolated("mine", leave, 3)
+        assert isolated("mine", double, 1) == 2
+        end_children()
+    finally:
+        signal.signal(signal.SIGCHLD, before)

@@ -186,7 +186,7 @@ class IsolatedProcess:
         try:
             self._connection.send_bytes(question)
             while not self._connection.poll(_POLL):
-                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                if self._has_ended():
                     raise EOFError  # a process that it has left may hold its end of the pipe
                 if 0.0 < self._call[0] < time.monotonic():
                     self._lose(AbortKind.NO_ANSWER, f"no answer within {self._call[1]:g} s")
@@ -219,17 +219,22 @@ class IsolatedProcess:
         self.is_open = False
         self._connection.close()
         latest = time.monotonic() + patience
-        while not (found := os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)):
-            if time.monotonic() > latest:
-                break
+        while not (ended := self._has_ended()) and time.monotonic() < latest:
             time.sleep(0.001)
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
-        if not found:
+        if not ended:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)  # it may have no group of its own yet
-        self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        with contextlib.suppress(ChildProcessError):
+            self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
         return self._code
+
+    def _has_ended(self) -> bool:
+        try:
+            return bool(os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT))
+        except ChildProcessError:  # where SIGCHLD is ignored nobody learns how
+            return True
 
 
 def portable(error: BaseException) -> BaseException:
