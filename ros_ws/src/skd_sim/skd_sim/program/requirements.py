@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 PACKAGES = (
-    "PIL", "jinja2", "matplotlib", "mcap", "numba", "numpy", "rich", "rosbags", "scipy", "vl_convert", "yaml",
+    "PIL", "jinja2", "matplotlib", "mcap", "numba", "numpy", "pydantic", "rich", "rosbags", "scipy", "vl_convert", "yaml",
 )  # fmt: skip
 """Modules of the packages that SKD needs beside ROS 2."""
 
