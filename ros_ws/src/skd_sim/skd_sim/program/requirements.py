@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 PACKAGES = (
-    "PIL", "altair", "jinja2", "matplotlib", "mcap", "numba", "numpy", "pydantic", "rich", "rosbags", "scipy", "vl_convert",
-    "yaml",
+    "PIL", "altair", "jinja2", "matplotlib", "mcap", "numba", "numpy", "pydantic", "rich", "rosbags", "scipy",
+    "vl_convert", "yaml",
 )  # fmt: skip
 """Modules of the packages that SKD needs beside ROS 2."""
 
