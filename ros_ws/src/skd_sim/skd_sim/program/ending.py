@@ -1,4 +1,4 @@
-"""Ends of a process: in time and with its exit code, whatever hangs in it; and with the process that started it.
+"""An end of this process that comes in time and with its exit code, whatever hangs in it.
 
 A middleware may hang while a node is taken down, in a loop that holds Python's global lock (eProsima/Fast-DDS issue
 6513): no Python thread and no signal handler of Python's runs then. A timer of the C library needs neither: its thread
@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import signal
 import sys
 from collections.abc import Iterator
 
 END_LIMIT = 1.5
 """Seconds that taking a node down may take, and Python's own end after it."""
 _CLOCK_MONOTONIC, _SIGEV_THREAD = 1, 2
-_PR_SET_PDEATHSIG = 1
 
 
 class _Event(ctypes.Structure):
@@ -78,9 +76,3 @@ def _deleting(libc: ctypes.CDLL, timer: ctypes.c_void_p) -> Iterator[None]:
         yield
     finally:
         libc.timer_delete(timer)
-
-
-def end_with_parent() -> None:
-    """Have the kernel kill this process when the thread that started it ends; on Linux alone (prctl(2))."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
