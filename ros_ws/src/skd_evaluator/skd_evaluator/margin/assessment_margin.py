@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.arrays import FloatArray
 from skd_sim.choices.simulators import is_own_world
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
@@ -26,20 +25,17 @@ from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.search.attempts import LIMIT, searched_margins
-from skd_evaluator.margin.search.episode_search import LIMIT as WALKED_LIMIT
-from skd_evaluator.margin.search.episode_search import WalkedMargins, walked_margins, why_not_walked
-from skd_evaluator.margin.search.search import DEFAULT_BUDGET, search_margin
+from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
+from skd_evaluator.margin.searching import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.measure.margins import Excess, Margins
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m
-_APART = 0.01  # m that a car may be elsewhere after the same ways: more than a rounding, less than any figure shows
 WALKED_ATTEMPTS = 5
 """Attempts on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
@@ -51,7 +47,7 @@ def warm_up_margins() -> None:
     for episode in warm_up_episodes():
         if episode.mode == Mode.KAMIKAZE:
             exact_margin(episode)
-            search_margin(episode, 20)
+            search_margins([episode], {}, one_by_one, Effort(8, 8))
 
 
 def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
@@ -59,7 +55,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
 
     Args:
         plan: the plan of the assessment, which says what the car is.
-        limit: how many ticks the search may simulate in each attempt; 0: no margin was asked for.
+        limit: how many candidates may be driven in a trial; 0: no margin was asked for.
         walked: an attempt that would be searched by whole episodes; None: whole episodes cannot be run.
     """
     if limit == 0:
@@ -67,7 +63,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     if not repeats_itself(plan.simulator) or (walked is None and not is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
     if walked is not None:
-        return why_not_walked(walked)
+        return ""
     if plan.car.is_external:
         return (
             "the margin of a node of its own is searched by whole episodes, in lockstep: leave out --pacing real_time"
@@ -83,17 +79,6 @@ def attempts_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
     ]
 
 
-def planned_ways(rating: Rating) -> dict[int, list[FloatArray]]:
-    """Return the ways on which planned kamikazes were hit, by the id of their episode: positions per tick, m."""
-    found: dict[int, list[FloatArray]] = {}
-    for assessment in rating.assessments:
-        for group in assessment.kamikaze:
-            for log in group.logs:
-                if log.hit:
-                    found.setdefault(log.episode.episode_id, []).append(log.trajectory.positions)
-    return found
-
-
 def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
     """Return what kamikazes of all objectives did, by the id of their episode."""
     found: dict[int, list[EpisodeLog]] = {}
@@ -107,7 +92,7 @@ def exact_or_found(episode: Episode) -> LeastWay | None:
     try:
         return exact_margin(episode)
     except UsageError:
-        return search_margin(episode, LIMIT).way
+        return search_margins([episode], {}, one_by_one).ways[0]
 
 
 def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress: Progress) -> list[LeastWay | None]:
@@ -121,45 +106,58 @@ def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress:
 
 @dataclass(frozen=True, eq=False)
 class LeastWays:
-    """The least ways of some attempts, exact or as far as found.
+    """The hits of least deviation of some trials, exact or as far as found.
 
     Attributes:
-        ways: one way for each attempt; None: nobody can be hit within η_max, or no such way was found.
-        budget: ticks of the car that the search was allowed in an attempt; None: they are exact.
-        converged: whether twice as many changed the mean by less than 2 %; exact ones are.
-        unfound: attempts in which the search found no hit, and had not tried everything.
+        ways: one for each trial; None: nobody can be hit within η_max, or no such hit was found.
+        budget: candidates that were driven in a trial; None: they are exact.
+        converged: whether their mean may be taken for the margin; exact ones may.
+        excess: how much too high their mean may be; None: not at all, or nothing says.
     """
 
     ways: list[LeastWay | None]
     budget: int | None = None
     converged: bool = True
-    unfound: int = 0
+    excess: Excess | None = None
 
 
 def least_ways(
     episodes: Sequence[Episode],
-    planned: Callable[[], Sequence[Sequence[FloatArray]]],
+    logs: Mapping[int, Sequence[EpisodeLog]],
     runner: ExecutorRunner,
     progress: Progress,
     limit: int,
 ) -> LeastWays:
-    """Return the least ways of attempts of a car that runs in process: exact where it is known, else searched for.
+    """Return the hits of least deviation of a car that runs in process: exact where it is known, else searched for.
 
     Args:
-        episodes: kamikaze mode, of one car, at least one.
-        planned: returns ways to begin with, for each episode; called only if there is something to search.
+        episodes: the trials: kamikaze mode, of one car, at least one.
+        logs: what happened to kamikazes in them, by the id of their episode.
         runner: computes them, in several processes.
         progress: called with how far the work is.
-        limit: ticks of the car that the search may simulate in an attempt, at most.
+        limit: candidates that may be driven in a trial.
 
     Raises:
-        AssessmentError: the car fails, or answers differently to the same ways.
+        AssessmentError: the car fails, or answers differently to the same trajectories.
     """
     first = episodes[0]
     if foretold(first.car, first.scenario):
         return LeastWays(exact_margins(episodes, runner, progress))
-    searched = searched_margins(episodes, planned(), runner, progress, min(DEFAULT_BUDGET, limit), limit)
-    return LeastWays([one.way for one in searched.results], searched.budget, searched.converged, searched.unfound)
+    found = search_margins(episodes, logs, in_processes(runner, progress), _effort(IN_PROCESS, limit))
+    hits, again = repeated(found, runner)
+    if again < hits:
+        raise AssessmentError(
+            f"controller {first.controller} answers differently to the same trajectories: of {hits} hits {again} came "
+            "again. What it draws at random has to come from the generator that reset gives it, and reset has to undo "
+            "all that an episode has left"
+        )
+    return LeastWays(found.ways, found.budget, found.converged, found.excess)
+
+
+def _effort(usual: Effort, limit: int) -> Effort:
+    """Return an effort with another limit, in candidates of a car in process."""
+    most = max(1, limit * usual.limit // IN_PROCESS.limit)
+    return usual._replace(first=min(usual.first, most), limit=most)
 
 
 def with_planned_hits(
@@ -204,40 +202,34 @@ def _otherwise(plan: Plan, number: int, attempts: int) -> str:
     )
 
 
-def _hardly_found(unfound: int, attempts: int, eta_max: float) -> tuple[str, ...]:
-    """Return, in one line, that the mean stands still because hardly anything was found; nothing where it does not.
-
-    An attempt without a hit counts as η_max whatever the search does, until there is one; so the mean of many of them
-    hardly changes, and that it does not says little of the search.
-    """
-    if 2 * unfound <= attempts:
-        return ()
-    return (
-        f"the search for the margin has found no hit in {unfound} of {attempts} attempts, and had not tried everything "
-        f"in them: each counts as {eta_max:g} m, so that the mean hardly changed says little of how well was searched, "
-        "and the margin may be less",
-    )
-
-
-def _walked_warnings(walked: WalkedMargins, plan: Plan) -> tuple[str, ...]:
-    """Return what a reader should know of a margin that another simulator's episodes have given, a line each.
+def _driven(
+    episodes: Sequence[Episode],
+    logs: Mapping[int, Sequence[EpisodeLog]],
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    limit: int,
+) -> tuple[SearchedMargins, str, tuple[str, ...]]:
+    """Return what whole episodes have found, how, in a few words, and what a reader should know, a line each.
 
     Raises:
-        AssessmentError: more of the ways were aborted than may be: on such a way nobody was hit.
+        AssessmentError: the car fails, or more episodes were aborted than may be.
     """
-    lost = f"of {walked.episodes} ways that were walked {walked.aborted} were aborted"
-    if walked.aborted > MAXIMUM_ABORTED * walked.episodes:
-        raise AssessmentError(f"{lost} ({walked.reasons[0]})")
-    found = []
-    if walked.aborted:
-        found.append(f"in the search for the margin, {lost} ({walked.reasons[0]}): the margin may be less")
-    if walked.repeated < walked.hits or walked.apart > _APART:
-        found.append(
+    found = search_margins(episodes, logs, by_episodes(runner, progress), _effort(WHOLE_EPISODES, limit))
+    hits, again = repeated(found, runner)
+    warnings = []
+    if found.reasons:
+        lost = f"{len(found.reasons)} episodes of the search for the margin were aborted ({found.reasons[0]})"
+        if len(found.reasons) > MAXIMUM_ABORTED * found.driven:
+            raise AssessmentError(lost)
+        warnings.append(f"{lost}: the margin may be less")
+    if again < hits and not is_own_world(plan.simulator):
+        warnings.append(
             f"{NOT_CREDIBLE}simulator {plan.simulator}, or controller {plan.controller}, does not repeat itself: of "
-            f"{walked.hits} ways of the margin {walked.repeated} hit again when walked once more, and the car was up "
-            f"to {walked.apart:.2g} m elsewhere after the same commands"
+            f"{hits} hits {again} came again"
         )
-    return tuple(found)
+    how = f"by up to {found.budget} whole episodes a trial; {again} of {hits} hits came again"
+    return found, how if hits else f"by up to {found.budget} whole episodes a trial; none hit", tuple(warnings)
 
 
 def with_margins(
@@ -249,7 +241,7 @@ def with_margins(
         rating: the rating, whose episodes have been run.
         runner: computes the margins, in several processes.
         progress: called with how far the work is.
-        limit: ticks of the car that the search may simulate in an attempt, at most; 0: no margin.
+        limit: candidates that may be driven in a trial; 0: no margin.
         graph: runs whole episodes of a car that is a node of its own, in lockstep, or of one in another simulator than
             SKD's own world; None: such a car has no margin.
     """
@@ -267,34 +259,27 @@ def with_margins(
     episodes = [episode for group in per_phi for episode in group]
     settings: dict[str, Any] = {}
     try:
+        logs = logs_of(rating)
         if walks:
             assert graph is not None
-            most = min(WALKED_LIMIT, max(1, limit // plan.scenario.ticks))
-            walks_in = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            walked = walked_margins(walks_in, logs_of(rating), graph, progress, limit=most)
-            ways = walked.ways
-            settings = {"budget": walked.budget, "converged": walked.converged, "how": walked.text}
-            unfound = walked.unfound
-            if not is_own_world(plan.simulator):
-                rating = replace(rating, warnings=(*rating.warnings, *_walked_warnings(walked, plan)))
+            trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
+            searched, how, warnings = _driven(trials, logs, plan, graph, progress, limit)
+            ways: list[LeastWay | None] = searched.ways
+            settings = {"budget": searched.budget, "converged": searched.converged, "excess": searched.excess}
+            settings["how"] = how
+            rating = replace(rating, warnings=(*rating.warnings, *warnings))
         else:
-            planned = planned_ways(rating)
-            found = least_ways(
-                episodes, lambda: [planned.get(one.episode_id, []) for one in episodes], runner, progress, limit
-            )
-            ways, settings = found.ways, {"budget": found.budget, "converged": found.converged}
-            unfound = found.unfound
+            found = least_ways(episodes, logs, runner, progress, limit)
+            ways = found.ways
+            settings = {"budget": found.budget, "converged": found.converged, "excess": found.excess}
             if found.budget is not None:
-                ways, shorter = with_planned_hits(episodes, ways, logs_of(rating))
-                if shorter and limit >= DEFAULT_BUDGET:  # else it may not have come to all of these ways
+                ways, shorter = with_planned_hits(episodes, ways, logs)
+                if shorter:
                     rating = replace(rating, warnings=(*rating.warnings, _otherwise(plan, shorter, len(episodes))))
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(rating, margin_note=f"its search ended: {error}")
-    if settings["converged"]:
-        warning = _hardly_found(unfound, len(episodes), plan.scenario.eta_max)
-        rating = replace(rating, warnings=(*rating.warnings, *warning))
     sizes = [len(group) for group in per_phi]
     starts = [sum(sizes[:index]) for index in range(len(sizes))]
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))

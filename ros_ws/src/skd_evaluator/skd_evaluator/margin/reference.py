@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
-from skd_sim.arrays import FloatArray
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.episode.episode import Mode
@@ -73,7 +71,7 @@ def reference_sweep(
         multipliers: the C.
         runner: computes margins, in several processes.
         progress: called with how far the work is.
-        limit: ticks of the car that the search may simulate in an attempt, at most.
+        limit: candidates that may be driven in a trial.
     """
     found = {}
     for multiplier in multipliers:
@@ -88,10 +86,9 @@ def reference_sweep(
         def told(_label: str, done: int, total: int, multiplier: float = multiplier) -> None:
             progress(f"{asked.name}, C = {multiplier:g}", done, total)
 
-        unplanned: list[tuple[FloatArray, ...]] = [()] * len(episodes)
-        ways = least_ways(episodes, partial(list, unplanned), runner, told, limit)
+        ways = least_ways(episodes, {}, runner, told, limit)
         grouped = tuple(tuple(ways.ways[start : start + count]) for start in range(0, len(episodes), count))
-        found[multiplier] = Margins(grouped, plan.scenario.eta_max, ways.budget, ways.converged)
+        found[multiplier] = Margins(grouped, plan.scenario.eta_max, ways.budget, ways.converged, ways.excess)
     return found
 
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,21 @@ CLOSENESS_WARNING = 1.5
 _ROUNDING = 1e-9  # m: a mean margin that is not above it is 0
 
 
+@dataclass(frozen=True)
+class Excess:
+    """How much too high the mean of a search may still be, estimated from trials that were searched much deeper.
+
+    Attributes:
+        mean: m, ≥ 0.
+        error: standard error of `mean`, m.
+        trials: how many were searched deeper.
+    """
+
+    mean: float
+    error: float
+    trials: int
+
+
 @dataclass(frozen=True, eq=False)
 class Margins:
     """The least ways of all attempts, and what is reported of them.
@@ -35,17 +51,19 @@ class Margins:
         ways: for each φ the least way of each attempt, in the order of their numbers; None: nobody can be hit within
             η_max, or no such way was found.
         eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
-        budget: ticks of the car, or whole episodes where there is a `how`, that the search was allowed in an attempt;
-            None: the margins are exact.
-        converged: whether the mean changed by less than 2 % when the budget was doubled; exact ones are.
+        budget: candidates that the search drove in a trial; None: the margins are exact.
+        converged: whether the mean may be taken for the margin, see `skd_evaluator.margin.search.search`; else it is an
+            upper bound. Exact ones are.
+        excess: how much too high the mean may be; None: not at all, or nothing says.
         confidence: confidence of the intervals over φ.
-        how: what was searched, in a few words, if it was not the car itself in this process; else empty.
+        how: what was driven, in a few words, if it was not the car itself in this process; else empty.
     """
 
     ways: tuple[tuple[LeastWay | None, ...], ...]
     eta_max: float
     budget: int | None = None
     converged: bool = True
+    excess: Excess | None = None
     confidence: float = 0.95
     how: str = ""
 
@@ -78,8 +96,15 @@ class Margins:
 
     @property
     def ci95(self) -> Interval | None:
-        """Interval of the margin over φ, m; None below two φ."""
-        return self.clustered.interval if self.clustered else None
+        """Interval of the margin over φ, m, down to what the search may have missed; None below two φ."""
+        if self.clustered is None or self.clustered.interval is None:
+            return None
+        low, high = self.clustered.interval
+        if self.excess is None:
+            return low, high
+        z = NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
+        below = math.hypot(self.mean - low, z * self.excess.error) + self.excess.mean
+        return max(0.0, self.mean - below), high
 
     @property
     def exact(self) -> bool:
@@ -116,6 +141,7 @@ class Margins:
             "margin_p10": float(np.quantile(self.values, 0.1)),
             "margin_converged": self.converged,
             "margin_budget": self.budget,
+            "margin_excess": None if self.excess is None else asdict(self.excess),
             "margin_gap": self.gap,
             "margin_attempts": int(self.values.size),
             "margin_beyond": self.beyond,
@@ -126,12 +152,7 @@ class Margins:
 
 def stopped_at(figures: Mapping[str, Any]) -> str:
     """Return, of a search that has not converged, where it stopped, from the content of assessment.json."""
-    return f"had not converged at {figures['margin_budget']} {unit_of_search(figures)} an attempt"
-
-
-def unit_of_search(figures: Mapping[str, Any]) -> str:
-    """Return of what `margin_budget` is a number, from the content of assessment.json."""
-    return "whole episodes" if figures["margin_how"] else "ticks"
+    return f"had not converged at {figures['margin_budget']} candidates a trial"
 
 
 def impact_figures(speeds: FloatArray) -> dict[str, float] | None:

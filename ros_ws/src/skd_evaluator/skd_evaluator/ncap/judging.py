@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
 from skd_sim.dynamics.limits import clipped_line, command_limits
 from skd_sim.encounter.scenario import load_scenario
@@ -169,18 +168,13 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
             return replace(cell, margin_why=why)
         episodes = [plan.episode(Mode.KAMIKAZE, 0, attempt, phi) for attempt in range(plan.kamikaze_count)]
         by_id = {log.episode.episode_id: [log] for log in logs}
-
-        def planned() -> list[list[FloatArray]]:
-            hits = [[log for log in by_id.get(one.episode_id, ()) if log.hit] for one in episodes]
-            return [[log.trajectory.positions for log in found] for found in hits]
-
-        found = least_ways(episodes, planned, runner, lambda *_told: None, asked.margin_limit)
+        found = least_ways(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
         ways, _ = with_planned_hits(episodes, found.ways, by_id)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
-    margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged)
+    margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged, found.excess)
     if asked.equivalent:
         cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
     searched = replace(

@@ -19,7 +19,7 @@ from skd_sim.inputs.printable import one_line
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.credibility import not_credible
-from skd_evaluator.measure.margins import CLOSENESS_WARNING, unit_of_search
+from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
 from skd_evaluator.report.risk.failures import failures_in, how_many
@@ -56,26 +56,31 @@ def headline(result: Mapping[str, Any]) -> str:
     return f"{said.capitalize()} (the warnings say why): {_found(result)}" if said else _found(result)
 
 
+def _trajectories(result: Mapping[str, Any]) -> str:
+    """Return how many nominal trajectories there are, and how many of them are distinct if not all are."""
+    count, distinct = len(result["per_safe_trajectory"]), result["distinct_safe_trajectories"]
+    return f"{count} trajectories" if distinct == count else f"{count} trajectories, {distinct} of them distinct"
+
+
 def _found(result: Mapping[str, Any]) -> str:
     car, eta_max = car_name(result), f"{result['eta_max']:g} m"
     if result["margin"] is None:
         return f"{car}: the margin is not known ({result['margin_note']})."
-    attempts = f"{result['margin_attempts']} attempts over {len(result['per_safe_trajectory'])} safe trajectories"
-    if result["margin_beyond"] == result["margin_attempts"]:
-        found = f"nobody who strays up to {eta_max} from a safe trajectory is hit by the moving car"
-        found = f"{car}: {found}, as far as was found in {attempts}."
+    trials, beyond = result["margin_attempts"], result["margin_beyond"]
+    how_many = f"{trials} trials, {_trajectories(result)}"
+    if beyond == trials:
+        found = f"{car}: no hit found within {eta_max} ({how_many})."
         if result.get("hit_rate"):
-            found += f" But it hit in {_percent(result['hit_rate'])} of the runs along safe trajectories."
-    else:
-        found = (
-            f"{car}: somebody who strays {result['margin']:.2f} m from a safe trajectory, at the worst moment and on "
-            f"average over {attempts}, can be hit by the moving car."
-        )
-    if not result["margin_converged"]:
-        found += (
-            f" The search had not converged when it stopped at {result['margin_budget']} {unit_of_search(result)} an "
-            "attempt: the margin may be less (--margin-limit)."
-        )
+            found += f" But {_percent(result['hit_rate'])} of the runs along nominal trajectories collide."
+        return found
+    at_most = "" if result["margin_converged"] else "at most "
+    interval = result["margin_ci95"]
+    around = f"95 % CI {interval[0]:.2f}–{interval[1]:.2f}; " if interval else ""
+    found = f"{car}: safety margin {at_most}{result['margin']:.2f} m ({around}{how_many})."
+    if beyond:
+        found += f" No hit found in {beyond} of {trials} trials: each counts as {eta_max}."
+    if at_most:
+        found += " The search has not converged: give a larger --margin-limit."
     return found
 
 
@@ -210,7 +215,7 @@ def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
     gap, budget = result["margin_gap"], result["margin_budget"]
     if budget is not None:
         stopped = "converged" if result["margin_converged"] else "[red]not converged[/]"
-        table.add_row(f"margin: {unit_of_search(result)} searched, per attempt", str(budget), stopped)
+        table.add_row("margin: candidates driven in a trial", str(budget), stopped)
     elif gap:
         table.add_row("margin: the least is at most this much less (m)", f"{gap:.4f}", "")
     table.add_row(

@@ -203,15 +203,17 @@ FIGURES = (
     Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
            "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE,
            details=2, campaign=25, compare=24),
-    Figure("margin_converged", FLAG_OR_NULL, "whether doubling the budget of the search changed it by less than 2 %; "
+    Figure("margin_converged", FLAG_OR_NULL, "whether the search has converged; if not, the margin is an upper bound; "
            "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
-    Figure("margin_budget", COUNT_OR_NULL, "ticks of the car, or with margin_how whole episodes, that the search was "
-           "allowed in an attempt; null: it is exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
+    Figure("margin_budget", COUNT_OR_NULL, "candidate trajectories that the search drove in a trial; "
+           "null: it is exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
+    Figure("margin_excess", Kind(or_null(ref("margin_excess"))), "how much too high the margin may still be, estimated "
+           "from trials that were searched deeper; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
     Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_attempts", COUNT_OR_NULL, of=_MARGIN, compare=6),
     Figure("margin_beyond", COUNT_OR_NULL, "attempts in which nobody is hit within eta_max", _MARGIN,
            campaign=5, compare=7),
-    Figure("margin_how", TEXT_OR_NULL, "what was searched, where it was not the car itself in process", _MARGIN,
+    Figure("margin_how", TEXT_OR_NULL, "what was driven, where it was not the car itself in process", _MARGIN,
            told=Told.SEARCH, campaign=4, compare=4),
     Figure("impact_speed", SPEEDS, "speed of the car when it hits on the ways of the margin, m/s: mean and 90 % "
            "quantile", _MARGIN, "impact speed", _LESS, summary=4, first=True, campaign=6, compare=13),
@@ -310,6 +312,7 @@ FIGURES = (
     Figure("collision_rate", SHARE, of=Of.PHI_TOP),
     Figure("collision_runs", COUNT, of=Of.PHI_TOP),
     Figure("safe", FLAG, "whether φ is safe with this car: not hit in nearly all runs along it", Of.PHI_TOP),
+    Figure("distinct_safe_trajectories", COUNT, "how many φ differ from one another"),
     Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory"))),
     Figure("per_safe_trajectory", _typed("array", items=ref("safe_trajectory_of_objective")), of=_OBJECTIVE),
     Figure("objectives", _typed("object", minProperties=1, additionalProperties=ref("objective")),

@@ -296,6 +296,7 @@ class Rating:
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
             **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
+            "distinct_safe_trajectories": len({one.positions.tobytes() for one in self.safe}),
             "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
             "objectives": objectives,
             "surrogate_measures": self.surrogates.as_dict(),

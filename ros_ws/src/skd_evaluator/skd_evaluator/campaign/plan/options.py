@@ -17,7 +17,7 @@ RECORDED = "bags"
 MAXIMUM_ABORTED = 0.05
 """Share of episodes that may be aborted before an assessment counts as failed."""
 MOST_WORKERS = 1024
-DEFAULT_MARGIN_LIMIT = 1024
+DEFAULT_MARGIN_LIMIT = 512
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
@@ -68,11 +68,10 @@ class AssessmentOptions:
 
     margin_limit: int = option(
         DEFAULT_MARGIN_LIMIT,
-        "how many ticks the search for the margin may simulate in each attempt, at most. The search doubles its "
-        "budget until the mean changes by less than 2 percent. With 0 there is no margin. The margin of the basic car "
-        "is exact and needs no search",
+        "how many candidate trajectories the search for the margin may drive in each trial. The search doubles the "
+        "number until the mean hardly changes. 0: no margin. The margin of the basic car is exact and needs no search",
         low=0,
-        high=10_000_000,
+        high=1_000_000,
         metavar="N",
         commands=("assess", "sweep", "replay", "ncap", "reference"),
     )

@@ -24,7 +24,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes
 from skd_evaluator.campaign.store.stored_failures import with_failures
 from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.measure.margins import Excess, Margins
 from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch
 
 
@@ -132,7 +132,9 @@ def _margins(
             found[way.attempt] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, way.gap)
         ways.append(tuple(found))
     budget, converged = figures["margin_budget"], figures["margin_converged"]
-    return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), confidence, figures["margin_how"] or "")
+    excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
+    how = figures["margin_how"] or ""
+    return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), excess, confidence, how)
 
 
 def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:

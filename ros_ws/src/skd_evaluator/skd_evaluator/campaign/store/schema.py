@@ -105,6 +105,9 @@ def _definitions() -> dict[str, Any]:
         "clustering": _object(
             safe_trajectories=_COUNT, values=_COUNT, standard_error=_FIGURE, degrees_of_freedom=_FIGURE,
             variance_between=_FIGURE, variance_within=_FIGURE, intraclass_correlation=_FIGURE, notes=_LINES),
+        "margin_excess": _object(
+            mean=_said(_NUMBER, "m"), error=_said(_NUMBER, "standard error, m"),
+            trials=_said(_COUNT, "trials that were searched deeper")),
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": _object(

@@ -1,1 +1,1 @@
-"""The margin of any other car, found by asking it."""
+"""The search for the safety margin of a car that is not known beforehand."""

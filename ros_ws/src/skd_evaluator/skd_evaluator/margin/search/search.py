@@ -1,197 +1,235 @@
-"""The margin of an attempt, found for any car that runs in process: never less than it, and nearer with more ticks.
+"""The margins of many trials of one car, searched in rounds of twice the effort until more of it hardly changes them.
 
-Of a car that is not known beforehand only its own answers tell what it does. So ways of the adversary are tried against
-the episode's own world and controller, with the episode's own draws, until a budget of simulated ticks of the car is
-spent. First are φ itself and the ways that are given, as of planned kamikazes. Then plans are made in a picture of the
-controller that was learned from all ticks so far (`planning`), and in turn with them searches that need no picture
-(`local`).
-
-A longer budget goes on where a shorter one stopped, so it never finds more deformation.
+What is found in one trial is offered to the others: within a group of trials of one φ at once, to other groups after
+each round. How far the mean may still be too high is estimated by searching some trials, drawn at random, several times
+as deep. What is found depends on the seed alone, not on who searches or how fast.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.arrays import FloatArray
-from skd_sim.episode.episode import Episode, Mode, until_contact
-from skd_sim.episode.randomness import Role, generator
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.branching import Branch, ControllerFactory
+from skd_sim.episode.episode import Episode, EpisodeLog
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin.search.local import LocalSearch
-from skd_evaluator.margin.search.picture import Picture
-from skd_evaluator.margin.search.planning import Planning
-from skd_evaluator.margin.search.tree import ENOUGH, Node, OverError, Tree
-from skd_evaluator.measure.distances.deformation import deformation
+from skd_evaluator.margin.search.group import OTHER, Group
+from skd_evaluator.margin.search.trial import Trial
 from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.measure.margins import Excess
 
-DEFAULT_BUDGET: Final = 256
-"""Simulated ticks of the car in an attempt."""
-FORMS_DIFFER: Final = 1e-4
-"""m by which a way may differ that is gone again by the other form of a policy, which may add up in another order."""
-_PLANNED_A_TICK, _HEAD_START = 250, 100  # moments that may be planned for each simulated tick, and ticks on credit
-_PLANS_FIRST = 4
-_WORTH = 0.1, 1.0, 2.0  # of best first, of changes, of plans: by what they were seen to find
-_MOMENTS = 250, 50  # that are planned count as a tick of a car that decides once in it, or more often
-_IN_VAIN = 0, 1, 8  # ticks that a turn counts as, beyond its own, in which nothing new was simulated
-_MOST_WORTH, _FADES = 8.0, 0.8  # of a search that finds less again and again; how soon that is forgotten
+CHANGE: Final = 0.02
+"""Of the mean, below which it may have converged: in the last doubling, and in the three beyond it of deep trials."""
+DEEPER: Final = 8
+"""Times as deep some trials are searched."""
+_DEEP_TRIALS: Final = 24
+_EXCESS: Final = 0.01, 0.025  # of the mean: estimated error of a search that has converged, and with its standard error
+_SAME_PHI, _OTHER_PHI = 8, 4  # sequences that a group is offered from others after each round
+
+
+class Effort(NamedTuple):
+    """How much is searched.
+
+    Attributes:
+        first: candidates a trial in the first round.
+        limit: candidates a trial at most, but for those that are searched deeper.
+        excursions: candidates a trial to begin with.
+        free_plans: whether driving takes so long that planning does not count.
+    """
+
+    first: int = 16
+    limit: int = 512
+    excursions: int = 12
+    free_plans: bool = False
+
+
+IN_PROCESS: Final = Effort()
+WHOLE_EPISODES: Final = Effort(first=8, limit=64, excursions=2, free_plans=True)
+"""Of a stack behind the node graph."""
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
-    """What a search has found.
+class SearchedMargins:
+    """What was found.
 
     Attributes:
-        way: the way of least deformation that hits, at most η_max; None: none was found. Its gap is infinite, or 0
-            where φ itself is hit or nothing was left to find.
-        trace: the least deformation, m, when 1, 2, 4, … ticks had been simulated, as far as the budget goes; infinity:
-            no hit yet. What half of a budget that is a power of two had found is the last but one.
-        simulated_ticks: how many ticks of the car were simulated.
-        exhausted: whether everything with less deformation than the way was tried: a longer budget finds nothing else.
-        samples: what was learned of the controller, n × 7; see `picture`.
+        ways: for each trial the hit of least deviation; None: none was found within η_max.
+        hits: the episodes that ended in them.
+        converged: whether the mean may be taken for the margin; else it is an upper bound.
+        budget: candidates a trial.
+        excess: how much too high the mean may be; None: no trial was searched deeper.
+        means: (candidates a trial, mean margin in m) after each round.
+        driven: episodes that were driven in all trials.
+        reasons: why some of them were aborted, one each.
     """
 
-    way: LeastWay | None
-    trace: FloatArray
-    simulated_ticks: int
-    exhausted: bool
-    samples: FloatArray
+    ways: list[LeastWay | None]
+    hits: list[Episode | None]
+    converged: bool
+    budget: int
+    excess: Excess | None
+    means: tuple[tuple[int, float], ...]
+    driven: int
+    reasons: tuple[str, ...]
+
+    @property
+    def without_hit(self) -> int:
+        """Number of trials in which no hit was found."""
+        return sum(way is None for way in self.ways)
 
 
-def search_margin(
-    episode: Episode,
-    budget: int = DEFAULT_BUDGET,
-    ways: Sequence[FloatArray] = (),
-    controller: ControllerFactory | None = None,
-    samples: FloatArray | None = None,
-    *,
-    walks: ControllerFactory | None = None,
-) -> SearchResult:
-    """Search for the way of least deformation that ends in a hit by the moving car.
+Rounds = Callable[[Sequence[Group], int], list[Group]]
+"""Searches groups until so many candidates a trial are spent, and returns them as they are then, in order."""
+
+
+def search_margins(
+    episodes: Sequence[Episode],
+    known: Mapping[int, Sequence[EpisodeLog]],
+    rounds: Rounds,
+    effort: Effort = IN_PROCESS,
+) -> SearchedMargins:
+    """Return the margins of trials.
 
     Args:
-        episode: kamikaze mode; its objective does not matter.
-        budget: ticks of the car that may be simulated.
-        ways: ways to begin with: positions of the adversary at each tick, n × 2, m, the last of them at the contact, if
-            there is one.
-        controller: makes the car under test, anew at each call; from the specification by default.
-        samples: samples of the same controller from other attempts, n × 7.
-        walks: makes the car anew, for the way that was found to be gone again; by default as `controller` does.
+        episodes: the trials: kamikaze mode, all of one car, at least one.
+        known: what happened to kamikazes in them, by the id of the episode.
+        rounds: searches.
+        effort: how much is searched.
 
     Raises:
-        ValueError: the episode is not in kamikaze mode, or the budget is below 1.
-        AssessmentError: the car answers differently to the same ways.
+        AssessmentError: the car fails.
     """
-    if episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None:
-        raise ValueError(f"only a kamikaze episode has a margin, not mode {episode.mode.name}")
-    if budget < 1:
-        raise ValueError(f"the budget must be at least 1 tick, got {budget}")
-    copies = Branch(episode, controller).can_be_copied()
+    searched = _Search(episodes, known, rounds, effort)
+    means = [(0, searched.mean)]
+    budget = min(effort.first, effort.limit)
     while True:
-        root = Branch(episode, controller, copies=copies)
-        picture = Picture(samples, not root.shares)
-        tree = Tree(episode, budget, root, picture)
-        exhausted = _run(tree, picture, ways)
-        way = None
-        if tree.found is not None:
-            gap, enough = 0.0 if exhausted else math.inf, ENOUGH if walks is None else FORMS_DIFFER
-            way = _walked(episode, tree, tree.found, walks or controller, gap, enough)
-        if tree.found is None or way is not None:
-            return SearchResult(way, _trace(tree, budget), tree.steps, exhausted, picture.gathered)
-        if walks is not None:
-            raise AssessmentError(
-                f"controller {episode.controller}: on a way that the search found with commands, command answers "
-                f"otherwise (episode {episode.episode_id}): both have to be the same car, without a memory of its own"
-            )
-        if not copies:
-            raise AssessmentError(
-                f"controller {episode.controller} answers differently to the same ways (episode {episode.episode_id}): "
-                "what it draws at random has to come from the generator that reset gives it"
-            )
-        copies = False  # it keeps something outside of what was copied
+        searched.round(budget)
+        means.append((budget, searched.mean))
+        if searched.is_done:
+            return searched.result(True, budget, None, means)
+        steady = len(means) > 2 and _near(means[-1][1], means[-2][1]) and not searched.has_new_hits
+        last = 2 * budget > effort.limit
+        if steady or last:
+            shallow = searched.mean
+            excess, brought = searched.deepen(budget)
+            least, most = (share * searched.mean for share in _EXCESS)
+            good = brought <= CHANGE * shallow and excess.mean <= least and excess.mean + excess.error <= most
+            if last or good:
+                return searched.result(steady and good, budget, excess, means)
+        budget *= 2
 
 
-def _run(tree: Tree, picture: Picture, ways: Sequence[FloatArray]) -> bool:
-    """Search until the budget is spent; tell whether nothing is left to find."""
-    episode = tree.episode
-    search = LocalSearch(tree, generator(episode.seed, episode.episode_id, Role.FLOOR))
-    try:
-        last = search.roll_out(tree.root, search.as_phi)
-        for way in ways:
-            search.follow(np.asarray(way, dtype=np.float64))
-        rng = generator(episode.seed, episode.episode_id, Role.FLOOR, 1)
-        _take_turns(tree, search, Planning(tree, picture, rng) if tree.is_pedestrian else None, last)
-    except OverError:
-        return tree.least <= ENOUGH
-    return True
+def _near(after: float, before: float) -> bool:
+    return abs(before - after) <= CHANGE * before
 
 
-def _take_turns(tree: Tree, search: LocalSearch, planning: Planning | None, last: Node) -> None:
-    """Let the searches take turns; a search that lately found less deformation gets more ticks."""
-    if planning is not None:
-        for _ in range(_PLANS_FIRST):
-            if _can_plan(planning, tree):
-                planning.turn()
-    # Of a car that decides once a tick one answer shows where all ways from a moment lead: best first finds more in it.
-    if planning is None and tree.within_ticks:
-        search.leave(last)
-    search.walk_up(last)
-    turns: list[Callable[[], object]] = [search.expand_best, search.vary]
-    if planning is not None:
-        turns.append(planning.turn)
-    spent, worth = [0.0] * len(turns), list(_WORTH)
-    while not search.exhausted:
-        able = len(turns) if planning is None or _can_plan(planning, tree) else len(turns) - 1
-        index = min(range(able), key=lambda one: spent[one])
-        least, steps = tree.least, tree.steps
-        planned = 0 if planning is None else planning.planned
-        turns[index]()
-        effort = 1 if planning is None else 1 + (planning.planned - planned) // _MOMENTS[tree.within_ticks]
-        if tree.steps == steps:
-            effort += _IN_VAIN[index]
-        worth[index] = (
-            min(_MOST_WORTH, 2.0 * worth[index]) if tree.least < least else max(_WORTH[index], _FADES * worth[index])
-        )
-        spent[index] += (tree.steps - steps + effort) / worth[index]
+class _Search:
+    """All groups, one for each number of φ."""
 
+    def __init__(
+        self,
+        episodes: Sequence[Episode],
+        known: Mapping[int, Sequence[EpisodeLog]],
+        rounds: Rounds,
+        effort: Effort,
+    ) -> None:
+        self._rounds = rounds
+        order: dict[int, list[Episode]] = {}
+        for episode in episodes:
+            order.setdefault(id(episode.safe_trajectory), []).append(episode)
+        self._groups = [Group(group, effort.excursions, effort.free_plans) for group in order.values()]
+        self._place = [episode.episode_id for episode in episodes]
+        self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(episodes[0].seed)))
+        self._deep: list[Group] = []
+        self.has_new_hits = True
+        for group in self._groups:
+            for trial in group.trials:
+                for log in known.get(trial.episode.episode_id, ()):
+                    trial.learn(None, log)
+                    if log.hit:
+                        group.offer(group.space.actions_along(log.trajectory.positions), OTHER)
 
-def _can_plan(planning: Planning, tree: Tree) -> bool:
-    """Tell whether plans have not yet cost too much for the ticks so far: plans cost most where no hit is possible."""
-    return planning.planned <= _PLANNED_A_TICK * (tree.steps + _HEAD_START)
+    @property
+    def _trials(self) -> list[Trial]:
+        return [trial for group in self._groups for trial in group.trials]
 
+    @property
+    def mean(self) -> float:
+        """Mean margin, m; a trial without a hit counts as η_max."""
+        return float(np.mean([trial.least for trial in self._trials]))
 
-def _trace(tree: Tree, budget: int) -> FloatArray:
-    found = math.inf if tree.found is None else tree.least
-    length = budget.bit_length()
-    return np.array([*tree.trace, *[found] * length][:length])
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing less can be found."""
+        return all(group.is_done for group in self._groups)
 
+    def round(self, budget: int) -> None:
+        """Search until so many candidates a trial are spent, and share what was found."""
+        hits = [trial.best is not None for trial in self._trials]
+        self._groups = self._rounds(self._groups, budget)
+        self.has_new_hits = hits != [trial.best is not None for trial in self._trials]
+        if self._aborted == sum(trial.driven for trial in self._trials):
+            raise AssessmentError(f"every candidate was aborted ({self._groups[0].reasons[0]})")
+        self._share(self._groups)
 
-def _walked(
-    episode: Episode, tree: Tree, best: Node, controller: ControllerFactory | None, gap: float, enough: float
-) -> LeastWay | None:
-    """Run the best way from the start in a world of its own; none unless it ends in the same hit, `enough` m off."""
-    assert episode.safe_trajectory is not None
-    branch = Branch(episode, controller)
-    user = branch.world.adversary
-    places, contact = [user[:2]], None
-    chain = best.chain
-    for before, after in itertools.pairwise(chain):
-        if contact is not None:
-            return None
-        user, contact = branch.go_on(user, tree.choices(before)[after.way])
-        places.append(user[:2])
-    if contact is None or not episode.scenario.collision.is_hit(contact.speed):
-        return None
-    duration = len(places) - 2 + contact.fraction
-    walked = until_contact(np.array(places), duration)
-    distance = deformation(episode.safe_trajectory.positions, walked, duration)
-    if abs(distance - best.strayed) > enough:
-        return None
-    return LeastWay(distance, Trajectory(walked, episode.scenario.time_step), duration, contact.speed, gap)
+    @property
+    def _aborted(self) -> int:
+        return sum(len(group.reasons) for group in self._groups)
+
+    def _share(self, sources: Sequence[Group]) -> None:
+        """Offer the best hits of each group to all groups: most to those of the same φ."""
+        paths = [group.space.path.tobytes() for group in self._groups]
+        best = [(source.space.path.tobytes(), actions) for source in sources for actions in source.found[:_SAME_PHI]]
+        firsts = [(source.space.path.tobytes(), source.found[0]) for source in sources if source.found]
+        for path, group in zip(paths, self._groups, strict=True):
+            mine = [actions for of, actions in best if of == path][: 2 * _SAME_PHI]
+            others = [actions for of, actions in firsts if of != path]
+            drawn = self._rng.permutation(len(others))[:_OTHER_PHI].tolist()
+            for actions in (*mine, *(others[number] for number in drawn)):
+                group.offer(actions, OTHER)
+
+    def deepen(self, budget: int) -> tuple[Excess, float]:
+        """Search some trials several times as deep and share what was found.
+
+        Returns:
+            What that says of the mean, and by how much the mean of those trials fell, m.
+        """
+        trials = self._trials
+        before = {trial.episode.episode_id: trial.least for trial in trials}
+        if not self._deep:
+            chosen = self._rng.permutation(len(trials))[: min(_DEEP_TRIALS, len(trials))]
+            ids = {trials[number].episode.episode_id for number in chosen.tolist()}
+            self._deep = [group.part(ids) for group in self._groups]
+            self._deep = [group for group in self._deep if group.trials]
+        else:
+            for group in self._deep:
+                group.take({trial.episode.episode_id: trial for trial in trials})
+        self._deep = self._rounds(self._deep, DEEPER * budget)
+        deep = {trial.episode.episode_id: trial for group in self._deep for trial in group.trials}
+        gains = np.array([before[number] - min(before[number], trial.least) for number, trial in deep.items()])
+        for group in self._groups:
+            group.take(deep)
+        self._share(self._deep)
+        self._groups = self._rounds(self._groups, budget)  # offers alone, for the budget is spent
+        rest = [
+            before[one.episode.episode_id] - one.least for one in self._trials if one.episode.episode_id not in deep
+        ]
+        # What deeper search brought was offered to the rest, too: what that did not bring there is still missing.
+        missing = gains.mean() - (np.mean(rest) if rest else 0.0)
+        share = len(rest) / len(trials) if rest else 1.0
+        error = float(gains.std(ddof=1)) / math.sqrt(len(gains)) if rest and len(gains) > 1 else 0.0
+        return Excess(share * max(0.0, float(missing)), share * error, len(gains)), float(gains.mean())
+
+    def result(
+        self, converged: bool, budget: int, excess: Excess | None, means: Sequence[tuple[int, float]]
+    ) -> SearchedMargins:
+        """Return what was found."""
+        trials = {trial.episode.episode_id: trial for trial in self._trials}
+        found = [trials[one] for one in self._place]
+        reasons = tuple(reason for group in (*self._groups, *self._deep) for reason in group.reasons)
+        ways, hits = [one.best for one in found], [one.hit for one in found]
+        driven = sum(trial.driven for group in (*self._groups, *self._deep) for trial in group.trials)
+        return SearchedMargins(ways, hits, converged, budget, excess, tuple(means), driven, reasons)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
-from skd_evaluator.measure.margins import CLOSENESS_WARNING, unit_of_search
+from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import NOTHING, PAGE, counted, interval, ninety, number, percent, percent_interval
 from skd_evaluator.report.html.subjects import Subject
@@ -134,7 +134,7 @@ def _margin_details(subject: Subject) -> list[Row]:
     if figures["margin"] is not None:
         if figures["margin_budget"] is not None:
             stopped = "converged" if figures["margin_converged"] else "not converged"
-            name = f"margin: {unit_of_search(figures)} searched, per attempt"
+            name = "margin: candidates driven in a trial"
             rows.append(Row(name, f"{figures['margin_budget']:,}", basis=stopped))
         elif figures["margin_gap"]:
             rows.append(Row("margin: the least is at most this much less (m)", number(figures["margin_gap"], 4)))

@@ -1,8 +1,8 @@
-"""A learned picture of a controller: what acceleration was seen in situations like this one.
+"""A surrogate model of a controller: the acceleration that was seen in the situation most like this one.
 
 A sample is one simulated tick of the car: the situation as the car could see it, and the acceleration that followed,
-freed of the tick's known noise. A situation is the gap ahead of the front, how far to the right the adversary is, the
-car's speed, its acceleration in the tick before, and the adversary's velocity to the right and along the road: that of
+freed of the tick's known noise. A situation is the gap ahead of the front, how far to the right the road user is, the
+car's speed, its acceleration in the tick before, and the road user's velocity to the right and along the road: that of
 the tick before for a car that decides once a tick, of this tick for one that decides within it. The answer is that of
 the nearest sample. Situations are relative to the car, so samples of other episodes teach as well.
 """
@@ -24,6 +24,7 @@ RADIUS: Final = 1.5
 _SURPRISE = 0.25, 0.1  # m/s² that an answer may be off before it is kept: of a car that decides once a tick, or within
 _LOOKED = 48
 _CANDIDATES, _ASKED = 12, 64
+_MOST = 2000  # samples
 _KEPT, _DROPPED, _SPREAD = 0.5, 0.1, 0.5  # share of numbers that count, factor of the others, log-normal
 
 
@@ -88,45 +89,50 @@ def left_out_error(samples: FloatArray, count: int, weights: FloatArray, most: i
     return total / max(1, asked)
 
 
-class Picture:
+@kernel
+def _learn(
+    samples: FloatArray, count: int, weights: FloatArray, situations: FloatArray, seen: FloatArray, surprise: float
+) -> int:
+    """Insert what was not foreseen into samples, in the order of their gaps; return how many there are then."""
+    for i in range(seen.shape[0]):
+        row, away = nearest_sample(samples, count, weights, situations[i])
+        if row >= 0 and away < 0.5 * RADIUS and abs(samples[row, SITUATION] - seen[i]) <= surprise:
+            continue
+        if count == samples.shape[0]:
+            return count
+        at = count
+        while at > 0 and samples[at - 1, 0] > situations[i, 0]:
+            samples[at] = samples[at - 1]
+            at -= 1
+        samples[at, :SITUATION] = situations[i]
+        samples[at, SITUATION] = seen[i]
+        count += 1
+    return count
+
+
+class Surrogate:
     """Samples of one controller, in the order of their gaps."""
 
-    def __init__(self, known: FloatArray | None, within_ticks: bool) -> None:
+    def __init__(self, within_ticks: bool, samples: FloatArray | None = None) -> None:
         """Begin with known samples (n × 7), of a car that decides within a tick or only at its begin."""
-        rows = np.empty((0, SITUATION + 1)) if known is None else np.asarray(known, dtype=np.float64)
-        self._rows = np.empty((max(256, 2 * len(rows)), SITUATION + 1))
-        self._rows[: len(rows)] = rows[np.argsort(rows[:, 0], kind="stable")]
-        self.count = len(rows)
+        self.rows = np.empty((_MOST, SITUATION + 1))
+        self.count = 0 if samples is None else min(_MOST, len(samples))
+        if samples is not None:
+            self.rows[: self.count] = samples[: self.count]
         self._surprise = _SURPRISE[1] if within_ticks else _SURPRISE[0]
         self._weights = np.array(WEIGHTS)
-        self._new: list[FloatArray] = []
 
     @property
-    def rows(self) -> FloatArray:
-        """Samples, `count` of which count."""
-        return self._rows
+    def samples(self) -> FloatArray:
+        """All samples, n × 7."""
+        return self.rows[: self.count]
 
-    @property
-    def gathered(self) -> FloatArray:
-        """What was added, n × 7, in the order in which it was seen."""
-        return np.array(self._new).reshape(-1, SITUATION + 1)
-
-    def learn(self, situation: FloatArray, acceleration: float) -> None:
+    def learn(self, situations: FloatArray, accelerations: FloatArray) -> None:
         """Keep what was seen unless it was foreseen."""
-        row, away = nearest_sample(self._rows, self.count, self._weights, situation)
-        if row >= 0 and away < 0.5 * RADIUS and abs(self._rows[row, SITUATION] - acceleration) <= self._surprise:
-            return
-        if self.count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        at = int(np.searchsorted(self._rows[: self.count, 0], situation[0], side="right"))
-        self._rows[at + 1 : self.count + 1] = self._rows[at : self.count].copy()
-        self._rows[at, :SITUATION] = situation
-        self._rows[at, SITUATION] = acceleration
-        self._new.append(self._rows[at].copy())
-        self.count += 1
+        self.count = _learn(self.rows, self.count, self._weights, situations, accelerations, self._surprise)
 
-    def telling(self, rng: np.random.Generator) -> FloatArray:
-        """Return those of some random weights by which samples foretell each other best.
+    def telling_weights(self, rng: np.random.Generator) -> FloatArray:
+        """Return those of some random weights by which samples predict each other best.
 
         Some numbers of a situation mean next to nothing to a controller, and which these are differs.
         """
@@ -134,7 +140,7 @@ class Picture:
         for _ in range(_CANDIDATES):
             kept = np.where(rng.random(SITUATION) < _KEPT, 1.0, _DROPPED)
             weights = self._weights * kept * np.exp(_SPREAD * rng.standard_normal(SITUATION))
-            error = left_out_error(self._rows, self.count, weights, _ASKED)
+            error = left_out_error(self.rows, self.count, weights, _ASKED)
             if error < least:
                 found, least = weights, error
         return found
@@ -143,5 +149,5 @@ class Picture:
         """Return the hardest braking (at most −1) and the strongest speeding up (at least 0) that was seen, m/s²."""
         if not self.count:
             return -1.0, 0.0
-        seen = self._rows[: self.count, SITUATION]
+        seen = self.samples[:, SITUATION]
         return min(-1.0, float(seen.min())), max(0.0, float(seen.max()))
