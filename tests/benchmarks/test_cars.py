@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 
 import numpy as np
@@ -25,7 +24,6 @@ from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.branching import Branch
 from skd_sim.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
@@ -81,22 +79,6 @@ def test_a_car_forgets_an_episode_before_the_next(car):
         np.testing.assert_array_equal(log.adversary, first.adversary)
         assert (log.outcome, log.clipped) == (first.outcome, 0)
     assert np.ptp(first.car[:, 2]) > 0.5 or car.family == "basic"  # it does something
-
-
-@pytest.mark.parametrize("car", HERE, ids=lambda car: car.label)
-def test_a_copy_drives_on_as_the_car_does(car):
-    """What a search for the margin builds on."""
-    options = {"controller": car.controller, "multiplier": car.multiplier}
-    branch = Branch(Episode(car.scenario, Mode.KAMIKAZE, 0, 3, HESITANT, **options))
-    adversary = branch.world.adversary
-    for _ in range(3):
-        adversary, _ = branch.go_on(adversary, (2.5, 0.0))
-    other, there = branch.copy(), copy.copy(adversary)
-    for velocity in ((0.0, 0.0), (0.0, 0.0), (2.5, 0.0)):
-        adversary, _ = branch.go_on(adversary, velocity)
-        there, _ = other.go_on(there, velocity)
-        assert branch.world.car == other.world.car
-        assert adversary == there
 
 
 def test_curves_are_refused_by_who_knows_none():

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 from skd_evaluator.campaign.plan.plan import Stage, episode_id
+from skd_evaluator.margin.search.search import Effort, search_margins
+from skd_evaluator.margin.searching import one_by_one
+from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, Mode
 from skd_sim.geometry.trajectory import Trajectory
@@ -34,6 +37,11 @@ def kamikaze_episode(
         safe_trajectory=Trajectory(np.array(points, dtype=float), TIME_STEP),
         simulations=simulations,
     )
+
+
+def search_margin(episode: Episode, budget: int) -> LeastWay | None:
+    """Return the hit of least deviation that the search finds in one trial."""
+    return search_margins([episode], {}, one_by_one, Effort(min(32, budget), budget)).ways[0]
 
 
 def bent(rng: np.random.Generator, count: int) -> np.ndarray:

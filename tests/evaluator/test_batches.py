@@ -11,8 +11,8 @@ import pytest
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin.search import attempts
-from skd_evaluator.margin.search.attempts import searched_margins
+from skd_evaluator.margin import searching
+from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
@@ -164,21 +164,20 @@ def margins(policy, safe, *, together):
     episodes = [plan.episode(Mode.KAMIKAZE, k % 2, k // 2, safe[k % 2]) for k in range(5)]
     with InProcessRunner(1, isolated=True) as runner, pytest.MonkeyPatch.context() as patch:
         if not together:
-            patch.setattr(attempts, "can_be_together", lambda _episode: False)
-        return searched_margins(episodes, [()] * 5, runner, lambda *_told: None, 32, 32).results
+            patch.setattr(searching, "takes_batches", lambda _controller: False)
+        rounds = searching.in_processes(runner, lambda *_: None)
+        return search_margins(episodes, {}, rounds, Effort(16, 32)).ways
 
 
 def test_margins_side_by_side_are_those_one_by_one_to_the_bit(safe):
     both = [margins("batch_policies:Anticipating", safe, together=one) for one in (False, True)]
     for single, side_by_side in zip(*both, strict=True):
-        np.testing.assert_array_equal(single.trace, side_by_side.trace)
-        np.testing.assert_array_equal(single.samples, side_by_side.samples)
-        assert (single.way is None) == (side_by_side.way is None)
-        if single.way is not None and side_by_side.way is not None:
-            np.testing.assert_array_equal(single.way.trajectory.positions, side_by_side.way.trajectory.positions)
-    assert any(one.way is not None for one in both[1])
+        assert (single is None) == (side_by_side is None)
+        if single is not None and side_by_side is not None:
+            np.testing.assert_array_equal(single.trajectory.positions, side_by_side.trajectory.positions)
+    assert any(one is not None for one in both[1])
 
 
 def test_a_margin_by_commands_that_command_does_not_confirm_is_said(safe):
-    with pytest.raises(AssessmentError, match="both have to be the same car"):
+    with pytest.raises(AssessmentError, match="commands answers"):
         margins("own_policies:Memory", safe, together=True)

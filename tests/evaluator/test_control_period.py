@@ -16,7 +16,8 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
 from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.search.search import search_margin
+from skd_evaluator.margin.search.search import Effort, search_margins
+from skd_evaluator.margin.searching import one_by_one
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.choices.objective import Objective
@@ -263,43 +264,26 @@ def test_synthetic_phi_do_not_depend_on_the_clock_of_the_car() -> None:
 # --- margins and recordings
 
 
-class Sequence:
-    """An adversary that does what is written."""
-
-    depletions = 0
-
-    def __init__(self, episode: Episode, velocities: np.ndarray) -> None:
-        self._velocities = iter([(float(vx), float(vy)) for vx, vy in velocities])
-
-    def act(self, _car: CarState) -> tuple[float, float]:
-        return next(self._velocities)
-
-
 @pytest.mark.parametrize("name", ["basic", "cal"])
-def test_the_search_finds_what_can_be_walked(name: str) -> None:
-    """It says of its way what the way is, is the same again, and not above the episode's own kamikaze."""
+def test_the_search_finds_what_can_be_driven(name: str) -> None:
+    """Its hit is what it says of it, the same again, and not above the trial's own kamikaze."""
     episode = episode_of(name, 2)
-    log = run_episode(episode)
-    result = search_margin(episode, 120, [log.trajectory.positions])
-    found = result.way
-    assert found is not None
-    assert result.simulated_ticks <= 120
-    whole = len(found.trajectory.positions) - 1
-    velocities = np.diff(found.trajectory.positions, axis=0) / episode.scenario.time_step
-    velocities[-1] /= found.duration - (whole - 1)  # the last tick ends at the contact
-    walked = run_episode(episode, adversary=Sequence(episode, velocities))
-    assert walked.hit
-    np.testing.assert_allclose(walked.trajectory.positions, found.trajectory.positions, atol=1e-9)
-    assert walked.impact_speed == pytest.approx(found.impact_speed)
     assert episode.safe_trajectory is not None
     phi = episode.safe_trajectory.positions
+    log = run_episode(episode)
+    known = {episode.episode_id: [log]}
+    margins = search_margins([episode], known, one_by_one, Effort(16, 64))
+    (found,), (hit,) = margins.ways, margins.hits
+    assert found is not None
+    assert hit is not None
+    driven = run_episode(hit)
+    assert driven.hit
+    np.testing.assert_array_equal(driven.trajectory.positions, found.trajectory.positions)
+    assert driven.impact_speed == found.impact_speed
     assert deformation(phi, found.trajectory.positions, found.duration) == pytest.approx(found.distance)
     if log.hit:
         kamikaze = deformation(phi, log.trajectory.positions, log.impact_time / 0.3)
         assert found.distance <= kamikaze + 1e-9
-    again = search_margin(episode, 120, [log.trajectory.positions]).way
-    assert again is not None
-    assert np.array_equal(again.trajectory.positions, found.trajectory.positions)
 
 
 def test_what_is_exact_is_of_a_car_that_decides_once_a_tick() -> None:

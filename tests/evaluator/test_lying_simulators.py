@@ -13,11 +13,8 @@ import numpy as np
 import pytest
 from cli_support import SMALL, skd_from_nothing
 from skd_evaluator import assess
-from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin.assessment_margin import _walked_warnings
-from skd_evaluator.margin.search.episode_search import WalkedMargins
 from skd_sim.choices.simulators import SIMULATORS
 from skd_sim.controllers import BasicController
 from skd_sim.encounter.scenario import load_scenario
@@ -229,18 +226,6 @@ def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line:
         crossed(simulator)
     assert str(raised.value).startswith(line)
     assert "\n" not in str(raised.value)
-
-
-def test_ways_of_a_margin_that_were_aborted_are_no_misses():
-    """They may be hits that the simulator hides: with many there is no margin, with few a warning."""
-    plan = Plan(CROSSING, simulator="nocontact")
-    walked = WalkedMargins([None], True, 20, 3, 3, 0.0, 100, ("refuted: it touches",) * 5)
-    (line,) = _walked_warnings(walked, plan)
-    assert line.startswith("in the search for the margin, of 100 ways ")
-    assert "5 were aborted (refuted: it touches): the margin may be less" in line
-    assert _walked_warnings(replace(walked, reasons=()), plan) == ()
-    with pytest.raises(AssessmentError, match=r"of 100 ways that were walked 6 were aborted \(refuted: it touches\)$"):
-        _walked_warnings(replace(walked, reasons=walked.reasons + walked.reasons[:1]), plan)
 
 
 def test_who_says_that_it_repeats_itself_has_to():

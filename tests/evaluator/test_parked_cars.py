@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_support import one_line, skd
+from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
 from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
@@ -17,7 +18,6 @@ from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.search.search import search_margin
 from skd_evaluator.measure.distances.least_way import LeastWay
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.choices.objective import Objective
@@ -88,7 +88,7 @@ def test_without_the_cars_they_would_have_gone_through() -> None:
 def test_the_margin_goes_around_and_is_no_less_than_without() -> None:
     scenario = parked(edge=-1.25)
     for blocked, free in zip(episodes(scenario, 6), episodes(CROSSING, 6), strict=True):
-        found, least = search_margin(blocked, 512).way, exact_margin(free)
+        found, least = search_margin(blocked, 256), exact_margin(free)
         assert isinstance(found, LeastWay)
         assert least is not None
         assert_free(scenario, found.trajectory.positions, CROSSING.adversary.core)

@@ -207,8 +207,8 @@ def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
     assert draw_warnings([draw(), draw()], 0.05) == []
     said = draw_warnings([draw(), draw(margin_converged=False, margin_budget=1024), draw(margin_beyond=5)], 0.05)
     assert said == [
-        "in 1 of 3 draws the search for the margin had not converged at 1024 whole episodes an attempt: the margin may "
-        "be less",
+        "in 1 of 3 draws the search for the margin had not converged at 1024 candidates a trial: the margin may be "
+        "less",
         "in 1 of 3 draws nobody could be hit within η_max (5 m) in attempts of which the margin is made, 5 of 36 in "
         "all; they count as η_max: the margin may be more",
     ]

@@ -19,7 +19,6 @@ from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.simulation.branching import Branch
 from skd_sim.state import CarState, RoadUserState, Scene
 
 BASE = load_scenario("crossing").as_dict()
@@ -118,9 +117,6 @@ def test_a_controller_sees_everybody_if_it_asks_for_the_scene() -> None:
         assert isinstance(scene, Scene)
         assert scene.adversary[:2] == (-6.0, 0.0)
         assert scene.others == scenario.others_at(tick)
-    branch = Branch(Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=ASIDE), lambda: car)
-    branch.go_on(branch.world.adversary, (0.0, 0.0))
-    assert car.seen[-1].others == scenario.others_at(0)
     with_an_adversary_alone = load_scenario("crossing")
     played(with_an_adversary_alone, car)
     assert car.seen[0].others == ()

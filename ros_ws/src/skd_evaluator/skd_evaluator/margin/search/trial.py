@@ -239,7 +239,7 @@ def prescribed(episode: Episode, positions: FloatArray) -> Episode:
     car = replace(episode.scenario.car, meet_safe_trajectory=False, start_gap=episode.start_gap)
     path = Trajectory(positions, episode.scenario.time_step, name="candidate")
     started = replace(episode.scenario, car=car)
-    return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=path, shown=episode.shown_scenario)
+    return replace(episode, mode=Mode.REPLAY, scenario=started, safe_trajectory=path, public=episode.public_scenario)
 
 
 def least_clearance(log: EpisodeLog) -> tuple[float, int]:
