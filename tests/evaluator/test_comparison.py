@@ -242,7 +242,7 @@ def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift
 def test_a_margin_that_had_not_converged_is_named() -> None:
     open_ended = result("b", values(1, shift=1.0), margin_converged=False, margin_budget=800)
     (line,) = compare(result("a", values(1)), open_ended).lines()
-    assert line.startswith("the search for the margin of b had not converged at 800 ticks an attempt")
+    assert line.startswith("the search for the margin of b had not converged at 800 candidates a trial")
     assert compare(result("a", values(1)), open_ended).verdict == SAFER
 
 

@@ -175,7 +175,7 @@ def test_an_upper_bound_shows_no_least(result, name):
     bound = {**result, name: 0.8, "margin_converged": False, "margin_budget": 16}
     (passed,) = check_limits(bound, [Limit(name, 0.5)])
     assert (passed.failed, passed.error) == (False, True)
-    assert "had not converged at 16 ticks an attempt, so this is an upper bound" in passed.text
+    assert "had not converged at 16 candidates a trial, so this is an upper bound" in passed.text
     (failed,) = check_limits(bound, [Limit(name, 0.9)])
     assert (failed.failed, failed.error) == (True, False)
     (most,) = check_limits(bound, [Limit(name, 0.9, is_least=False)])

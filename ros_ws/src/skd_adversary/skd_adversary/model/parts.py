@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Generic, ParamSpec, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 from skd_sim.arrays import FloatArray
@@ -243,6 +243,26 @@ class RoadUserKernels:
     early: tuple[int, ...]
 
 
+Own = tuple[float, float]
+"""What the kind remembers, in units of its own."""
+
+
+class Motion(NamedTuple):
+    """How a kind moves that remembers two numbers of how it moved, outside kernels.
+
+    Attributes:
+        first: (scenario, φ) → what it remembers before its first step.
+        after: (remembered, vx, vy) → what it remembers after a step at a velocity, m/s.
+        velocity: (scenario, remembered, action) → the velocity of an action, m/s.
+        nearest: (scenario, remembered, vx, vy) → the velocity that it can have that comes nearest to a wanted one, m/s.
+    """
+
+    first: Callable[[Scenario, FloatArray], Own]
+    after: Callable[[Own, float, float], Own]
+    velocity: Callable[[Scenario, Own, int], tuple[float, float]]
+    nearest: Callable[[Scenario, Own, float, float], tuple[float, float]]
+
+
 @dataclass(frozen=True)
 class RoadUserModel:
     """A kind of road user: how the adversary can move, and all else that is special to it.
@@ -259,6 +279,7 @@ class RoadUserModel:
         height: height of its body in pictures and messages, m.
         called: what another simulator, a format or a data set calls it, by their names: `{"carla":
             "walker.pedestrian.0001", "openscenario": "pedestrian"}`; data sets of levelXdata are `levelxdata`.
+        motion: how it moves, of a kind that remembers how it moved.
     """
 
     name: str
@@ -269,6 +290,7 @@ class RoadUserModel:
     fastest: float
     height: float
     called: Mapping[str, str] = field(default_factory=dict)
+    motion: Motion | None = None
 
 
 class CarPrediction(Protocol):

@@ -4,33 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.encounter.scenario import Scenario
 
-from skd_adversary.model.parts import RoadUserKernels, RoadUserModel
+from skd_adversary.model.parts import Motion, Own, RoadUserKernels, RoadUserModel
 from skd_adversary.model.safe_path import path_velocities
-
-Own = tuple[float, float]
-"""What the kind remembers, in units of its own."""
-
-
-class Motion(NamedTuple):
-    """How such a kind moves, outside kernels.
-
-    Attributes:
-        first: (scenario, φ) → what it remembers before its first step.
-        after: (remembered, vx, vy) → what it remembers after a step at a velocity, m/s.
-        choices: (scenario, remembered) → velocities of all its actions, m/s.
-        nearest: (scenario, remembered, vx, vy) → the velocity that it can have that comes nearest to a wanted one, m/s.
-    """
-
-    first: Callable[[Scenario, FloatArray], Own]
-    after: Callable[[Own, float, float], Own]
-    choices: Callable[[Scenario, Own], list[tuple[float, float]]]
-    nearest: Callable[[Scenario, Own, float, float], tuple[float, float]]
 
 
 def road_user(
@@ -43,12 +24,13 @@ def road_user(
 ) -> RoadUserModel:
     """Return a kind that moves so; for the other arguments see `RoadUserModel`."""
     choices, as_phi = functools.partial(_choices, motion, kernels.action_count), functools.partial(_as_phi, motion)
-    return RoadUserModel(name, kernels, parameters, choices, as_phi, fastest, height)
+    return RoadUserModel(name, kernels, parameters, choices, as_phi, fastest, height, motion=motion)
 
 
 def _choices(motion: Motion, action_count: int, scenario: Scenario, path: FloatArray, way: FloatArray) -> FloatArray:
     """Return the velocities of all actions in each tick of a way; see `RoadUserModel`."""
-    found = [motion.choices(scenario, own) for own in _so_far(motion, scenario, path, way)]
+    actions = range(action_count)
+    found = [[motion.velocity(scenario, own, one) for one in actions] for own in _so_far(motion, scenario, path, way)]
     return np.array(found).reshape(-1, action_count, 2)
 
 

@@ -15,9 +15,9 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.interfaces import USER_ROW
-from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
+from skd_adversary.model.parts import Motion, Own, RoadUserKernels, RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.road_user.motion import Motion, Own, road_user
+from skd_adversary.model.road_user.motion import road_user
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, STAY, compass_velocity
 from skd_adversary.model.safe_path import path_velocities
 
@@ -114,7 +114,7 @@ KERNELS = RoadUserKernels(
 def walker(name: str, acceleration: float, *, fastest: float, height: float) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
     motion = Motion(
-        _first, _after, functools.partial(_choices, acceleration), functools.partial(_nearest, acceleration)
+        _first, _after, functools.partial(_velocity, acceleration), functools.partial(_nearest, acceleration)
     )
     return road_user(name, KERNELS, functools.partial(_parameters_of, acceleration), motion, fastest, height)
 
@@ -135,10 +135,10 @@ def _after(own: Own, vx: float, vy: float) -> Own:
     return vx, vy
 
 
-def _choices(acceleration: float, scenario: Scenario, own: Own) -> list[tuple[float, float]]:
-    """Return the velocities of all actions, from the velocity before."""
-    most = acceleration * scenario.time_step
-    return [nearest_walked(most, *own, *wanted) for wanted in pedestrian.velocities(scenario).tolist()]
+def _velocity(acceleration: float, scenario: Scenario, own: Own, action: int) -> tuple[float, float]:
+    """Return the velocity of an action, from the velocity before, m/s."""
+    vx, vy = pedestrian.action_velocity(action, scenario.adversary.speed)
+    return nearest_walked(acceleration * scenario.time_step, *own, vx * scenario.end.crossing, vy)
 
 
 def _nearest(acceleration: float, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:

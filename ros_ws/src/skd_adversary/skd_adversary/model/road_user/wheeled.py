@@ -18,9 +18,9 @@ from skd_sim.geometry.contact import first_contact_of_boxes
 from skd_sim.kernels.compilation import kernel
 
 from skd_adversary.model.interfaces import USER_ROW
-from skd_adversary.model.parts import RoadUserKernels, RoadUserModel, template
+from skd_adversary.model.parts import Motion, Own, RoadUserKernels, RoadUserModel, template
 from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.road_user.motion import Motion, Own, road_user
+from skd_adversary.model.road_user.motion import road_user
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7
@@ -242,7 +242,7 @@ KERNELS = RoadUserKernels(
 
 def wheeled(name: str, limits: Limits, *, fastest: float, height: float) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
-    motion = Motion(_first, _after, functools.partial(_choices, limits), functools.partial(_nearest, limits))
+    motion = Motion(_first, _after, functools.partial(_velocity, limits), functools.partial(_nearest, limits))
     return road_user(name, KERNELS, functools.partial(_parameters_of, limits), motion, fastest, height)
 
 
@@ -275,10 +275,9 @@ def _after(own: Own, vx: float, vy: float) -> Own:
     return settled(own[0], vx, vy)
 
 
-def _choices(limits: Limits, scenario: Scenario, own: Own) -> list[tuple[float, float]]:
-    """Return the velocities of all actions, from the heading and the speed before."""
-    most, step = scenario.adversary.speed, scenario.time_step
-    return [ridden(limits, *own, action, most, step) for action in range(ACTION_COUNT)]
+def _velocity(limits: Limits, scenario: Scenario, own: Own, action: int) -> tuple[float, float]:
+    """Return the velocity of an action, from the heading and the speed before, m/s."""
+    return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
 
 
 def _nearest(limits: Limits, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:

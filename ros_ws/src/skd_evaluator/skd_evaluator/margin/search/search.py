@@ -26,6 +26,7 @@ CHANGE: Final = 0.02
 DEEPER: Final = 8
 """Times as deep some trials are searched."""
 _DEEP_TRIALS: Final = 24
+_FEW: Final = 64  # trials
 _EXCESS: Final = 0.01, 0.025  # of the mean: estimated error of a search that has converged, and with its standard error
 _SAME_PHI, _OTHER_PHI = 8, 4  # sequences that a group is offered from others after each round
 
@@ -104,7 +105,8 @@ def search_margins(
     """
     searched = _Search(episodes, known, rounds, effort)
     means = [(0, searched.mean)]
-    budget = min(effort.first, effort.limit)
+    scaled = effort.first * max(1, _FEW // len(episodes))  # where trials are few, they learn little from one another
+    budget = min(max(effort.first, min(effort.limit // 4, scaled)), effort.limit)
     while True:
         searched.round(budget)
         means.append((budget, searched.mean))

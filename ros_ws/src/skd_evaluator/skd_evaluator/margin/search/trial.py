@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from skd_adversary.model.road_user import pedestrian
 from skd_adversary.model.road_users import road_user_named
+from skd_adversary.model.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.encounter.road import right_and_along, road_position
 from skd_sim.encounter.scenario import Scenario
@@ -86,7 +87,9 @@ class ActionSpace:
         self.scenario, self.path = scenario, np.ascontiguousarray(path, dtype=np.float64)
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
-        self.is_pedestrian = road_user_named(scenario.adversary.kind) is pedestrian.ROAD_USER
+        user = road_user_named(scenario.adversary.kind)
+        self.is_pedestrian, self._motion = user is pedestrian.ROAD_USER, user.motion
+        self._wanted = path_velocities(self.path, ticks, scenario.time_step).tolist()
         first = velocities(scenario, self.path, 0, self.path[:1])
         self.action_count = len(first)
         self.as_phi = pedestrian.AS_PHI if self.is_pedestrian else len(first) - 1
@@ -103,13 +106,31 @@ class ActionSpace:
             moved = self.table[np.arange(len(actions)), actions]
             positions = np.concatenate([self.path[:1], self.path[0] + np.cumsum(step * moved, axis=0)])
         else:
-            positions = np.repeat(self.path[:1], len(actions) + 1, axis=0)
-            for tick, action in enumerate(actions.tolist()):
-                moved = self._velocities(tick, positions[: tick + 1])[action]
-                positions[tick + 1] = positions[tick] + step * moved
+            positions = self._moved(actions)
         away = positions - self.phi
         deviations = np.maximum.accumulate(np.sqrt(away[:, 0] ** 2 + away[:, 1] ** 2))
         return Candidate(actions, positions, deviations, self._reaches(positions))
+
+    def _moved(self, actions: IntArray) -> FloatArray:
+        """Return where a road user with a state of its own goes, positions at ticks, m."""
+        scenario, step, motion = self.scenario, self.scenario.time_step, self._motion
+        if motion is None:
+            positions = np.repeat(self.path[:1], len(actions) + 1, axis=0)
+            for tick, action in enumerate(actions.tolist()):
+                positions[tick + 1] = positions[tick] + step * self._velocities(tick, positions[: tick + 1])[action]
+            return positions
+        own = motion.first(scenario, self.path)
+        x, y = self.path[0].tolist()
+        found = [(x, y)]
+        for action, (vx, vy) in zip(actions.tolist(), self._wanted, strict=True):
+            if action == self.as_phi:
+                vx, vy = motion.nearest(scenario, own, vx, vy)
+            else:
+                vx, vy = motion.velocity(scenario, own, action)
+            own = motion.after(own, vx, vy)
+            x, y = x + step * vx, y + step * vy
+            found.append((x, y))
+        return np.array(found)
 
     def _reaches(self, positions: FloatArray) -> BoolArray:
         if self._anywhere:
