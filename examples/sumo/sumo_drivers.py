@@ -144,8 +144,8 @@ class SumoDriver:
     """A driver of SUMO's, in the simulation that all drivers of a process share.
 
     A driver is what they have been told, and that is kept here. Where the simulation's driver knows something else, as
-    after a copy of this object was asked, SUMO begins anew and is told all of it again. So copies of this object are
-    copies of the driver. (EIDM has a memory by its law, but SUMO's other vehicles, too, carry more than their speed.)
+    after another object was asked, SUMO begins anew and is told all of it again. (EIDM has a memory by its law, but
+    SUMO's other vehicles, too, carry more than their speed.)
     """
 
     control_period = STEP

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 from skd_sim.controllers import Controller
@@ -62,16 +60,15 @@ def test_where_no_plan_is_free_it_brakes_fully():
 
 
 def test_answers_do_not_depend_on_what_other_cars_were_asked():
-    """The planner is one for all cars of a process; copies that part ways answer as cars that were never copied."""
+    """The planner is one for all cars of a process; cars that are asked by turns answer as each does alone."""
     first, second = AdversaryState(-1.5, 0.0, 1.25, 0.0), AdversaryState(0.0, 1.0, 0.0, 0.0)
     alone = []
     for way in ((first, second), (first, first)):
         car = ready()
         alone.append([car.command(at(-12.0 + step, 7.0), place) for step, place in enumerate(way)])
-    car = ready()
-    assert car.command(at(-12.0, 7.0), first) == alone[0][0]
-    copies = copy.deepcopy(car), car
-    together = [one.command(at(-11.0, 7.0), place) for one, place in zip(copies, (second, first), strict=True)]
+    cars = ready(), ready()
+    assert [car.command(at(-12.0, 7.0), first) for car in cars] == [alone[0][0]] * 2
+    together = [car.command(at(-11.0, 7.0), place) for car, place in zip(cars, (second, first), strict=True)]
     assert together == [alone[0][1], alone[1][1]]
 
 

@@ -1,10 +1,8 @@
-"""What a user's controller raises or answers is said in one line; copies of it go on by themselves."""
+"""What a user's controller raises or answers is said in one line."""
 
 from __future__ import annotations
 
-import copy
 import fractions
-import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -149,62 +147,3 @@ def test_a_class_whose_attributes_fail_cannot_be_loaded(tmp_path: Path, monkeypa
     with pytest.raises(UsageError, match="'shy_car:Car' cannot be loaded: RuntimeError: no laser"):
         make_controller("shy_car:Car")
     sys.modules.pop("shy_car", None)
-
-
-# --- copies
-
-
-class Drawing(Answers):
-    def reset(self, scenario: Any, rng: Any) -> None:
-        self.rng = rng
-
-    def command(self, car: Any, adversary: Any) -> float:
-        self.answer -= self.rng.random()
-        return float(self.answer)
-
-
-def test_a_copy_goes_on_by_itself_as_the_original_would() -> None:
-    controller = user_controller(Drawing(0.0), "mine")
-    controller.reset(CROSSING, np.random.default_rng(0))
-    again = copy.deepcopy(controller)
-    answers = [controller.command(CAR, ADVERSARY) for _ in range(3)]
-    assert [again.command(CAR, ADVERSARY) for _ in range(3)] == answers
-    assert len(set(answers)) == 3
-
-
-class Copies(Answers):
-    """Holds a file, which cannot be copied."""
-
-    def __init__(self) -> None:
-        super().__init__(0.0)
-        self.handle = Path(os.devnull).open()  # noqa: SIM115
-
-    def copy(self) -> Copies:
-        again = type(self)()
-        again.answer = self.answer
-        return again
-
-
-class CopiesItself(Copies):
-    def copy(self) -> Copies:
-        return self
-
-
-def test_a_class_copies_itself_by_its_own_method() -> None:
-    inner = Copies()
-    first = user_controller(inner, "mine")
-    second = copy.deepcopy(first)
-    inner.answer = -1.0
-    assert (first.command(CAR, ADVERSARY), second.command(CAR, ADVERSARY)) == (-1.0, 0.0)
-    with pytest.raises(AssessmentError, match="mine: copy must return another CopiesItself, got itself"):
-        copy.deepcopy(user_controller(CopiesItself(), "mine"))
-
-
-def test_what_cannot_be_copied_is_named() -> None:
-    class Holds(Answers):
-        handle = property(lambda self: None)
-
-    holds = Holds(0.0)
-    holds.answer = Path(os.devnull).open()  # noqa: SIM115
-    with pytest.raises(AssessmentError, match="controller mine: a copy failed with TypeError"):
-        copy.deepcopy(user_controller(holds, "mine"))

@@ -1,11 +1,10 @@
-"""A user's controller, which may raise anything or answer anything: what it says is checked, and copies are made of it.
+"""A user's controller, which may raise anything or answer anything: what it says is checked.
 
 Whatever goes wrong in it is an AssessmentError whose one line names the controller and the line of its code.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 import pickle
 import traceback
@@ -62,8 +61,6 @@ def _is_number(answer: Any) -> bool:
 
 class UserController:
     """A user's controller, whose failures name it instead of ending in a traceback of ours.
-
-    `copy.deepcopy` makes another one by the controller's own method `copy`, or else as it does with any object.
 
     Attributes:
         control_period: that it declares, s; none by default.
@@ -126,22 +123,6 @@ class UserController:
                 f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got {got}"
             )
         return accelerations
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> UserController:
-        inner: Any = self._controller
-        if not callable(getattr(inner, "copy", None)):
-            made = self._call("a copy", lambda: copy.deepcopy(inner))
-        else:
-            made = self._call("copy", lambda: inner.copy())
-            if made is inner or type(made) is not type(inner):
-                raise AssessmentError(
-                    f"controller {self._name}: copy must return another {type(inner).__name__}, got "
-                    f"{'itself' if made is inner else shown(made, repr, 80)}"
-                )
-        copied = object.__new__(type(self))
-        vars(copied).update(vars(self), _controller=made)
-        memo[id(self)] = copied
-        return copied
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         begin_call()

@@ -104,12 +104,6 @@ class BasicCar:
         """Draw both, so that a car that brakes and one that does not use up the same numbers."""
         return Noise(*_draw(*self._noise, stream_of(rng)))
 
-    def copy(self) -> BasicCar:
-        """Return another one; what it keeps is replaced and never changed."""
-        again = BasicCar.__new__(BasicCar)
-        again.__dict__.update(self.__dict__)
-        return again
-
     def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
         path = np.empty((2, 4))

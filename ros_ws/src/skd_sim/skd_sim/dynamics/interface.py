@@ -37,9 +37,6 @@ class CarDynamics(Protocol):
     def draw(self, rng: np.random.Generator) -> Noise:
         """Draw the noise of a tick; the same number of draws whatever the car does."""
 
-    def copy(self) -> CarDynamics:
-        """Return a car in the same state that is driven on its own."""
-
     def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Drive on under one command.
 

@@ -190,13 +190,6 @@ class MultiBodyCar:
         """Draw the command's perturbation; the speed has none."""
         return Noise(0.0, draw_relative(self._car.acceleration_noise, rng))
 
-    def copy(self) -> MultiBodyCar:
-        """Return another one with states and brake of its own."""
-        again = MultiBodyCar.__new__(MultiBodyCar)
-        again.__dict__.update(self.__dict__)
-        again.state, again._brake = self.state.copy(), self._brake.copy()
-        return again
-
     def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
         """Drive on; see `CarDynamics`.
 

@@ -29,10 +29,7 @@ ON_LANE = ("lane", "along", "aside")
 
 
 class Frozen:
-    """Base of a model whose objects nobody changes: unknown keys are refused, and a deep copy is the object itself.
-
-    Controllers keep their scenario, and the search for the margin copies controllers by the thousand.
-    """
+    """Base of a model whose objects nobody changes: unknown keys are refused, and a deep copy is the object itself."""
 
     __slots__ = ()
     __pydantic_config__ = ConfigDict(extra="forbid")

@@ -72,15 +72,6 @@ class World:
         self._dynamics = make_dynamics(scenario)
         self._dynamics.reset(self.car)
         self._origin = self.adversary  # where the adversary was when the tick began
-        self._draws: list[Noise] = []  # of the ticks so far, and of those to come that a copy has seen
-        self._drawn = 0
-
-    def copy(self) -> World:
-        """Return a world at the same moment. Both will see the same noise: it does not depend on what the car does."""
-        again = World.__new__(World)
-        again.__dict__.update(self.__dict__)
-        again._dynamics = self._dynamics.copy()
-        return again
 
     @property
     def dynamics(self) -> CarDynamics:
@@ -104,47 +95,33 @@ class World:
         vx, vy = float(velocity[0]), float(velocity[1])
         if self.period == 0:
             self._origin = self.adversary
-        path = self.drive(acceleration)
-        self.adversary, contact = self.meet(path, (vx, vy))
+        command = float(acceleration)
+        possible = self.limits.clip(command)
+        self.clipped += possible != command
+        self.adversary, contact = self._meet(self._advance(possible), (vx, vy))
         self.period += 1
         while contact is not None and self.period < self.scenario.control_periods:
-            self._advance(self.limits.clip(float(acceleration)))
+            self._advance(possible)
             self.period += 1
         if self.period == self.scenario.control_periods:
             self.tick, self.period = self.tick + 1, 0
             self._origin = self.adversary
         return contact
 
-    def drive(self, acceleration: float) -> FloatArray:
-        """Advance the car alone by one control period and return its path; see `CarDynamics.advance`.
-
-        What the car does in it does not depend on where the adversary goes in it: `meet` says what comes of that.
-        """
-        command = float(acceleration)
-        possible = self.limits.clip(command)
-        self.clipped += possible != command
-        return self._advance(possible)
-
     def _advance(self, acceleration: float) -> FloatArray:
         if self.period == 0:
-            self._noise = self._draw()
+            self._noise = self._dynamics.draw(self._rng)
         periods = self.scenario.control_periods
         noise = Noise(self._noise.speed / periods, self._noise.acceleration)
         path = self._dynamics.advance(acceleration, self.scenario.time_step / periods, noise)
         self.car = CarState(*path[-1].tolist())
         return path
 
-    def _draw(self) -> Noise:
-        if self._drawn == len(self._draws):
-            self._draws.append(self._dynamics.draw(self._rng))
-        self._drawn += 1
-        return self._draws[self._drawn - 1]
-
-    def meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[AdversaryState, Contact | None]:
+    def _meet(self, path: FloatArray, velocity: tuple[float, float]) -> tuple[AdversaryState, Contact | None]:
         """Return where the adversary is after a period beside the car's path, and the collision in it; change nothing.
 
         Args:
-            path: path of the car in the period, as from `drive`.
+            path: path of the car in the period; see `CarDynamics.advance`.
             velocity: velocity of the adversary, (East, North), m/s.
 
         Returns:
@@ -192,7 +169,7 @@ def first_contact_of(
 
     Args:
         scenario: fixed description of the test.
-        path: path of the car in the period, as from `World.drive`.
+        path: path of the car in the period, see `CarDynamics.advance`.
         adversary: state of the adversary when the tick began.
         velocity: velocity of the adversary over the tick, (East, North), m/s.
         heading: heading of the adversary's box in the tick, rad.
