@@ -245,7 +245,7 @@ def test_a_search_that_had_not_converged_is_said_first(subjects, tmp_path):
     changes = {"margin_converged": False, "margin_budget": 300, "margin_gap": None}
     (one,) = read_subjects([edited(subjects[0].folder, tmp_path / "one", **changes)])
     text = read(page.render([one])).text
-    assert "had not converged when it stopped at 300 ticks an attempt" in text[: text.index("What shares a φ")]
+    assert "The search has not converged" in text[: text.index("What shares a φ")]
     assert "not converged; " in text
 
 

@@ -150,7 +150,7 @@ def test_compare_shows_the_bracket_and_warns_once(skd_here, here, folders, tmp_p
     assert all("has no manifest.sha256" in line for line in unchecked)
     assert len(unchecked) == 2
     assert "planned figures are not compared" in first
-    assert "had not converged at 70 ticks an attempt" in second
+    assert "had not converged at 70 candidates a trial" in second
     content = json.loads((here / "both" / "comparison.json").read_text(encoding="utf-8"))
     assert content["ranked_by"] == "margin"
     (held,) = content["comparisons"]

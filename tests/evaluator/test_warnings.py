@@ -160,6 +160,7 @@ RESULT = {
     "margin_attempts": 12,
     "margin_beyond": 12,
     "per_safe_trajectory": [{}] * 3,
+    "distinct_safe_trajectories": 3,
     "closeness": None,
     "impact_speed": None,
     "scenario": {"collision": {"hit_speed": 0.556}},
@@ -178,13 +179,18 @@ def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hi
     assert any("have the same margin, so its interval has no width" in line for line in found) == (
         beyond == 12 and not hit
     )
-    assert ("But it hit in 8.3 % of the runs" in headline(result)) == said
+    assert ("But 8.3 % of the runs along nominal trajectories collide." in headline(result)) == said
 
 
-@pytest.mark.parametrize(
-    ("how", "unit"), [(None, "ticks"), ("by up to 16 whole episodes an attempt", "whole episodes")]
-)
-def test_a_search_that_has_not_converged_says_of_what_it_took_so_many(how: str | None, unit: str) -> None:
-    result = {**RESULT, "margin_converged": False, "margin_budget": 16, "margin_how": how}
-    assert f"it stopped at 16 {unit} an attempt" in headline(result)
-    assert f"had not converged at 16 {unit} an attempt" in margin_warnings(result, 0, 0)[0]
+def test_a_search_that_has_not_converged_gives_an_upper_bound() -> None:
+    found = {"margin": 2.0, "margin_ci95": (1.5, 2.5), "margin_beyond": 3, "margin_budget": 16}
+    result = {**RESULT, **found, "margin_converged": False}
+    said = headline(result)
+    assert "safety margin at most 2.00 m" in said
+    assert "No hit found in 3 of 12 trials: each counts as 5 m." in said
+    assert "--margin-limit" in said
+    assert "had not converged at 16 candidates a trial" in margin_warnings(result, 0, 0)[0]
+    converged = {**result, "margin_converged": True}
+    assert "at most" not in headline(converged)
+    assert "converged" not in headline(converged)
+    assert not margin_warnings(converged, 0, 0)
