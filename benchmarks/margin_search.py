@@ -1,11 +1,12 @@
-"""How near the margin's search comes to the exact margin of basic cars, and how much twice the budget finds more.
+"""What the margin's search says of cars, and what a hundred times the effort still finds.
 
-    python benchmarks/margin_search.py [--safe recorded_folder] [--attempts 5] [--workers 2]
+    python benchmarks/margin_search.py [--cars NAME ...] [--scenario NAME ...] [--seeds N ...] [--trials N] [--times N]
 
-Of each basic car, searched as if nothing were known of it: the mean margin found by simulated ticks of an attempt, over
-the exact mean; how far the search is below the exact least at most, which must be nothing; time an attempt.
-Of each car that decides often, for which there is no exact margin: the mean found by ticks, m. "twice" is by what share
-the mean of half the default budget exceeds that of all of it.
+Of each car, scenario and seed: the margin that the search says with the effort of an assessment, whether it has
+converged, its candidates a trial, and how much too high it estimates the margin to be. Some of the trials, drawn at
+random, are then searched anew with so many times the candidates that a trial may have by default. "deep / default" is
+the mean of the least that is known then, over the mean of the same trials before: 1 where nothing less was found.
+Basic cars, whose margins are exact, are left out.
 """
 
 from __future__ import annotations
@@ -17,92 +18,110 @@ from dataclasses import replace
 
 import numpy as np
 from cars.catalogue import CARS, Car, available
+from rich.console import Console
+from rich.table import Table
 from skd_evaluator.campaign.plan.options import SYNTHETIC
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.search.attempts import SearchedMargins, searched_margins
-from skd_evaluator.margin.search.search import DEFAULT_BUDGET
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, Effort, SearchedMargins, search_margins
+from skd_evaluator.margin.searching import in_processes
+from skd_sim.arrays import FloatArray
 from skd_sim.episode.episode import Episode, Mode
+from skd_sim.errors import UsageError
 
-MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15, 1.5)
-OFTEN = ("time to collision", "latched and delayed", "slows near anybody", "CAL", "Intelligent Driver Model")
-RECORDED = "citr_crossing"
-_SHOWN = 16  # ticks, the least that a table has
+COLUMNS = ("car", "scenario", "seed", "said (m)", "converged", "budget", "excess (m)", "deep / default", "s", "s deep")
+DEEP_TRIALS = 20
 
 
-def episodes_of(car: Car, arguments: argparse.Namespace) -> list[Episode]:
-    """Return the attempts of a car: `attempts` of each of `safe_count` trajectories of `safe`."""
-    scenario = car.scenario
-    if arguments.safe != SYNTHETIC:
-        scenario = replace(load_scenario(RECORDED), control_period=scenario.control_period)
+def episodes_of(car: Car, seed: int, safe: str, safe_count: int, trials: int) -> list[Episode]:
+    """Return so many trials of a car, equally many on each nominal trajectory."""
+    each = max(1, trials // safe_count)
     plan = Plan(
-        scenario,
+        car.scenario,
         controller=car.controller,
         multiplier=car.multiplier,
-        safe=arguments.safe,
-        safe_count=arguments.safe_count,
+        safe=safe,
+        safe_count=safe_count,
+        kamikaze_count=each,
+        seed=seed,
     )
-    with InProcessRunner(1) as runner:
-        safe = safe_trajectories(plan, runner)
+    with InProcessRunner() as runner:
+        trajectories = safe_trajectories(plan, runner)
     return [
-        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
-        for index, phi in enumerate(safe)
-        for attempt in range(arguments.attempts)
+        plan.episode(Mode.KAMIKAZE, index, trial, phi)
+        for index, phi in enumerate(trajectories)
+        for trial in range(each)
     ]
 
 
-def _searched(episodes: Sequence[Episode], arguments: argparse.Namespace) -> tuple[SearchedMargins, float]:
-    with InProcessRunner(arguments.workers) as runner:
-        begin = time.perf_counter()
-        found = searched_margins(
-            episodes, [()] * len(episodes), runner, lambda *_: None, arguments.budget, arguments.limit
-        )
-        return found, time.perf_counter() - begin
+def searched(episodes: Sequence[Episode], workers: int, effort: Effort) -> tuple[SearchedMargins, float]:
+    """Return what a search finds in trials, and how long it takes, s."""
+    begin = time.perf_counter()
+    with InProcessRunner(workers) as runner:
+        found = search_margins(episodes, {}, in_processes(runner, lambda *_told: None), effort)
+    return found, time.perf_counter() - begin
 
 
-def _row(label: str, found: SearchedMargins, scale: float, seconds: float, rest: str) -> str:
-    means = [f"{ticks}: {mean / scale:.3f}" for ticks, mean in found.means if ticks >= _SHOWN]
-    (_, before), (_, after) = found.means[-2:]
-    ticks = np.mean([one.simulated_ticks for one in found.results])
-    twice = f"twice {(before - after) / max(after, 1e-9):.1%}"
-    return f"{label:24} {'  '.join(means)}  {twice}  {ticks:.0f} ticks, {1e3 * seconds:.0f} ms an attempt{rest}"
+def margins(found: SearchedMargins, eta_max: float) -> FloatArray:
+    """Return the margin of each trial, m; η_max where no hit was found."""
+    return np.array([eta_max if way is None else way.distance for way in found.ways])
+
+
+def row(car: Car, episodes: Sequence[Episode], workers: int, times: int) -> list[str]:
+    """Return what a car's row says from "said" on."""
+    found, seconds = searched(episodes, workers, IN_PROCESS)
+    said = margins(found, car.scenario.eta_max)
+    drawn = np.random.default_rng(episodes[0].seed).permutation(len(episodes))[:DEEP_TRIALS]
+    chosen = np.sort(drawn).tolist()
+    # All of so few trials are searched DEEPER times the limit.
+    limit = max(1, times * IN_PROCESS.limit // DEEPER)
+    more, deep_seconds = searched(
+        [episodes[number] for number in chosen], workers, IN_PROCESS._replace(first=limit, limit=limit)
+    )
+    least = np.minimum(said[chosen], margins(more, car.scenario.eta_max))
+    before = float(said[chosen].mean())
+    excess = "–" if found.excess is None else f"{found.excess.mean:.3f} ± {found.excess.error:.3f}"
+    return [
+        f"{said.mean():.3f}",
+        "yes" if found.converged else "no",
+        str(found.budget),
+        excess,
+        f"{least.mean() / before:.3f}" if before > 0.0 else "–",
+        f"{seconds:.0f}",
+        f"{deep_seconds:.0f}",
+    ]
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the table."""
+    cars = [car for car in CARS if not car.is_basic]
+    labels = [car.label for car in cars]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--safe", default=SYNTHETIC)
-    parser.add_argument("--safe-count", type=int, default=20)
-    parser.add_argument("--attempts", type=int, default=5, help="of each safe trajectory")
-    parser.add_argument("--budget", type=int, default=DEFAULT_BUDGET)
-    parser.add_argument("--limit", type=int, default=DEFAULT_BUDGET, help="of the budget as it is doubled")
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--cars", choices=("basic", "often", "all"), default="all")
+    parser.add_argument("--cars", nargs="+", default=labels, choices=labels, metavar="NAME", help="as in the catalogue")
+    parser.add_argument("--scenario", nargs="+", default=[""], metavar="NAME", help="default: the car's own")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
+    parser.add_argument("--safe", default=SYNTHETIC, help="nominal trajectories, as in skd assess")
+    parser.add_argument("--safe-count", type=int, default=20, metavar="N")
+    parser.add_argument("--trials", type=int, default=500, metavar="N", help="in all (default 500)")
+    parser.add_argument("--times", type=int, default=100, metavar="N", help="the default limit (default 100)")
+    parser.add_argument("--workers", type=int, default=1, metavar="N")
     arguments = parser.parse_args()
-    eta_max = load_scenario("crossing").eta_max
-    if arguments.cars != "often":
-        print(f"found / exact, safe trajectories: {arguments.safe}")
-        for multiplier in MULTIPLIERS:
-            episodes = episodes_of(Car(f"basic, C = {multiplier:g}", "basic", "basic", multiplier), arguments)
-            ways = [exact_margin(episode) for episode in episodes]
-            least = np.array([eta_max if way is None else way.distance for way in ways])
-            gaps = np.array([0.0 if way is None else way.gap for way in ways])
-            found, seconds = _searched(episodes, arguments)
-            reached = np.array([eta_max if one.way is None else one.way.distance for one in found.results])
-            below = max(0.0, float((least - gaps - reached).max()))
-            rest = f"; exact {least.mean():.3f} m, at most {below:.1e} m below it"
-            print(
-                _row(f"basic, C = {multiplier:g}", found, float(least.mean()), seconds / len(episodes), rest),
-                flush=True,
-            )
-    if arguments.cars != "basic":
-        print(f"mean margin, m, safe trajectories: {arguments.safe}")
-        for car in available([car for car in CARS if car.label in OFTEN])[0]:
-            episodes = episodes_of(car, arguments)
-            found, seconds = _searched(episodes, arguments)
-            print(_row(car.label, found, 1.0, seconds / len(episodes), ""), flush=True)
+    table = Table(*COLUMNS)
+    made, missing = available([car for car in cars if car.label in arguments.cars])
+    for name in arguments.scenario:
+        for car in made:
+            other = replace(car, scenario_name=name or car.scenario_name)
+            for seed in arguments.seeds:
+                head = (other.label, other.scenario_name, str(seed))
+                try:
+                    episodes = episodes_of(other, seed, arguments.safe, arguments.safe_count, arguments.trials)
+                    table.add_row(*head, *row(other, episodes, arguments.workers, arguments.times))
+                except (AssessmentError, UsageError) as error:
+                    missing.append(f"{', '.join(head)}: {error}")
+    Console(width=max(120, Console().width)).print(table)
+    for line in missing:
+        print(line)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from stands in ranking_figures.py.
 
 The scale of the risk that is to rank, fixed beforehand, is 2: R(2).
 
-The margin is exact for the basic car, else searched for with up to --limit simulated ticks an attempt; its note in
+The margin is exact for the basic car, else searched for with up to --limit candidates an attempt; its note in
 --json says with how many, and whether it has converged.
 
 FILE keeps what has been computed; the same command goes on from there.
@@ -40,7 +40,7 @@ from ranking_figures import FIGURES, Found, Work
 from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
 from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.margin.search.attempts import LIMIT
+from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.measure.statistics.clustered import clustered_mean
 from skd_evaluator.measure.statistics.difference import Difference, difference
 from skd_evaluator.measure.statistics.statistics import wilson_interval
@@ -323,8 +323,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
     parser.add_argument("--attempts", type=int, default=5, metavar="N", help="per φ (default 5)")
+    usual = IN_PROCESS.limit
     parser.add_argument(
-        "--limit", type=int, default=LIMIT, metavar="N", help=f"ticks of the margin's search (default {LIMIT})"
+        "--limit", type=int, default=usual, metavar="N", help=f"candidates of the margin's search (default {usual})"
     )
     parser.add_argument("--crossings", type=int, default=25, metavar="N", help="of the risk, per φ (default 25)")
     parser.add_argument("--figures", nargs="*", default=list(FIGURES), choices=tuple(FIGURES), metavar="NAME")

@@ -13,7 +13,7 @@ from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
-from skd_evaluator.margin.search.attempts import LIMIT
+from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.measure.behaviour import WALKERS
 from skd_evaluator.measure.behaviour.model import load_behaviour
 from skd_evaluator.measure.distances.deformation import deformation
@@ -54,8 +54,8 @@ class Work:
     attempts: int
     seed: int
     runner: InProcessRunner
-    limit: int = LIMIT
-    """Ticks of the car that the margin's search may simulate in an attempt."""
+    limit: int = IN_PROCESS.limit
+    """Candidates that the margin's search may drive in an attempt."""
     crossings: int = 25
     """Of the risk, on each φ: as many as in an assessment."""
 

@@ -285,7 +285,7 @@ def main() -> None:
     parser.add_argument("--safe-count", type=int, default=10, metavar="N", help="φ (default 10)")
     parser.add_argument("--kamikaze-count", type=int, default=5, metavar="N", help="per φ and objective (default 5)")
     parser.add_argument("--knowledge", default="nothing", choices=("nothing", "learned"))
-    parser.add_argument("--margin-limit", type=int, default=1024, metavar="N", help="ticks an attempt (default 1024)")
+    parser.add_argument("--margin-limit", type=int, default=512, metavar="N", help="as in skd assess (default 512)")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     parser.add_argument("--workers", type=int, default=2, metavar="N")
     parser.add_argument("--json", action="store_true", help="print JSON")

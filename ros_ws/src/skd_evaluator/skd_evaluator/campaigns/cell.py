@@ -36,7 +36,7 @@ class Cell:
         plan: what to assess, whatever its objective.
         objectives: objectives of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
-        margin_limit: how many ticks the search for the margin may simulate in each attempt; 0: there is no margin.
+        margin_limit: how many candidates the search for the margin may drive in each trial; 0: there is no margin.
         curve: whether kamikazes are held to largest deformations.
         risk: what is asked of the risk.
         answer_limit: how long a call of a user's controller may take, s.

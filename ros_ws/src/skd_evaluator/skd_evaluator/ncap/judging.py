@@ -40,7 +40,7 @@ class Asked:
         plan: the car, and how its kamikazes are planned, in whatever scenario.
         control_period: time between two decisions that the controller declares, s; None: it declares none.
         speeds: test speeds, km/h; None: those of the matrix.
-        margin_limit: ticks that the search for the margin may simulate in each attempt; 0: no margin.
+        margin_limit: candidates that the search for the margin may drive in each trial; 0: no margin.
         planned: whether kamikazes are planned, too.
         equivalent: whether basic cars are compared in the same attempts, too.
     """

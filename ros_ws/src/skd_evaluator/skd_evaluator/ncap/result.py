@@ -140,7 +140,7 @@ class Ncap(Frozen):
         car: the car, as people read it.
         seed: of all draws.
         attempts: for each margin.
-        margin_limit: ticks that the search may simulate in each attempt.
+        margin_limit: candidates that the search may drive in each trial.
         room: margin below which a green test stands out, m.
         grids: one for each encounter.
         points: one for each matrix; empty where nobody computed any.
