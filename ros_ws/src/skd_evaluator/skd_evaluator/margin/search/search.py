@@ -112,13 +112,15 @@ def search_margins(
         means.append((budget, searched.mean))
         if searched.is_done:
             return searched.result(True, budget, None, means)
-        steady = len(means) > 2 and _near(means[-1][1], means[-2][1]) and not searched.has_new_hits
         last = 2 * budget > effort.limit
+        steady = len(means) > 2 and _near(means[-1][1], means[-2][1]) and not searched.has_new_hits
+        steady = steady and (last or searched.has_all_hits)  # a trial without a hit gets all the effort there is
         if steady or last:
             shallow = searched.mean
             excess, brought = searched.deepen(budget)
             least, most = (share * searched.mean for share in _EXCESS)
             good = brought <= CHANGE * shallow and excess.mean <= least and excess.mean + excess.error <= most
+            good = good and not searched.has_new_hits
             if last or good:
                 return searched.result(steady and good, budget, excess, means)
         budget *= 2
@@ -139,14 +141,16 @@ class _Search:
         effort: Effort,
     ) -> None:
         self._rounds = rounds
-        order: dict[int, list[Episode]] = {}
+        order: dict[tuple[int, bytes], list[Episode]] = {}
         for episode in episodes:
-            order.setdefault(id(episode.safe_trajectory), []).append(episode)
+            assert episode.safe_trajectory is not None
+            number, path = episode.episode_id >> 32, episode.safe_trajectory.positions.tobytes()
+            order.setdefault((number, path), []).append(episode)
         self._groups = [Group(group, effort.excursions, effort.free_plans) for group in order.values()]
         self._place = [episode.episode_id for episode in episodes]
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(episodes[0].seed)))
         self._deep: list[Group] = []
-        self.has_new_hits = True
+        self.has_new_hits = True  # whether the last search found a hit in a trial that had none
         for group in self._groups:
             for trial in group.trials:
                 for log in known.get(trial.episode.episode_id, ()):
@@ -168,11 +172,20 @@ class _Search:
         """Whether nothing less can be found."""
         return all(group.is_done for group in self._groups)
 
+    @property
+    def _hit(self) -> list[bool]:
+        return [trial.best is not None for trial in self._trials]
+
+    @property
+    def has_all_hits(self) -> bool:
+        """Whether a hit was found in each trial."""
+        return all(self._hit)
+
     def round(self, budget: int) -> None:
         """Search until so many candidates a trial are spent, and share what was found."""
-        hits = [trial.best is not None for trial in self._trials]
+        hit = self._hit
         self._groups = self._rounds(self._groups, budget)
-        self.has_new_hits = hits != [trial.best is not None for trial in self._trials]
+        self.has_new_hits = hit != self._hit
         if self._aborted == sum(trial.driven for trial in self._trials):
             raise AssessmentError(f"every candidate was aborted ({self._groups[0].reasons[0]})")
         self._share(self._groups)
@@ -199,7 +212,7 @@ class _Search:
         Returns:
             What that says of the mean, and by how much the mean of those trials fell, m.
         """
-        trials = self._trials
+        trials, hit = self._trials, self._hit
         before = {trial.episode.episode_id: trial.least for trial in trials}
         if not self._deep:
             chosen = self._rng.permutation(len(trials))[: min(_DEEP_TRIALS, len(trials))]
@@ -216,6 +229,7 @@ class _Search:
             group.take(deep)
         self._share(self._deep)
         self._groups = self._rounds(self._groups, budget)  # offers alone, for the budget is spent
+        self.has_new_hits = hit != self._hit
         rest = [
             before[one.episode.episode_id] - one.least for one in self._trials if one.episode.episode_id not in deep
         ]
