@@ -39,14 +39,6 @@ class Named(WorldSimulator):
     repeats_itself = True
 
 
-class NoContact(Named):
-    """Its car drives through people."""
-
-    def reset(self, episode: Episode) -> Frame:
-        thin = replace(episode.scenario.car, width=0.02, front=0.01, rear=0.01)
-        return super().reset(replace(episode, scenario=replace(episode.scenario, car=thin)))
-
-
 class NanSpeed(Named):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         frame = super().step(acceleration, velocity)
@@ -74,18 +66,6 @@ class Drifts(Named):
         return super().step(acceleration, (velocity[0] + 0.14, velocity[1]))
 
 
-class Late(Named):
-    """Its pedestrian obeys a tick later."""
-
-    def reset(self, episode: Episode) -> Frame:
-        self._last = (0.0, 0.0)
-        return super().reset(episode)
-
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        now, self._last = self._last, velocity
-        return super().step(acceleration, now)
-
-
 class Elsewhere(Named):
     """Its pedestrian starts two metres further North."""
 
@@ -99,11 +79,6 @@ class Raises(Named):
         raise ValueError("boom")
 
 
-class Leaves(Named):
-    def reset(self, episode: Episode) -> Frame:
-        raise SystemExit(0)
-
-
 class Skips(Named):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         frame = super().step(acceleration, velocity)
@@ -113,21 +88,6 @@ class Skips(Named):
 class NoFrame(Named):
     def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
         return "soon"  # type: ignore[return-value]
-
-
-class NoState(Named):
-    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
-        return super().step(acceleration, velocity)._replace(car=None)
-
-
-class Miscounts(Named):
-    clipped = "many"  # type: ignore[assignment]
-
-
-class Weak(Named):
-    """Cannot brake as hard as the scenario says, which is no lie."""
-
-    clipped = 3  # type: ignore[assignment]
 
 
 class Endless(Named):
@@ -162,8 +122,7 @@ class Dies(Named):
 @pytest.fixture(autouse=True)
 def simulators(monkeypatch: pytest.MonkeyPatch) -> None:
     for one in (
-        Named, NoContact, NanSpeed, Forgetful, Stays, Drifts, Late, Elsewhere, Raises, Leaves, Skips, NoFrame, NoState,
-        Miscounts, Weak, Endless, Dies,
+        Named, NanSpeed, Forgetful, Stays, Drifts, Elsewhere, Raises, Skips, NoFrame, Endless, Dies,
     ):  # fmt: skip
         monkeypatch.setitem(SIMULATORS.own, one.__name__.lower(), f"{__name__}:{one.__name__}")
 
@@ -214,11 +173,8 @@ def test_an_episode_that_cannot_be_is_aborted(simulator: str, kind: AbortKind, w
     ("simulator", "line"),
     [
         ("raises", "simulator raises: step failed with ValueError: boom (test_lying_simulators.py, line "),
-        ("leaves", "simulator leaves: reset failed with SystemExit: 0 (test_lying_simulators.py, line "),
         ("skips", "simulator skips: step must return the frame of tick 1, got that of tick 2"),
         ("noframe", "simulator noframe: step must return a Frame, got 'soon'"),
-        ("nostate", "simulator nostate: step must return a Frame, got Frame(tick=1, car=None"),
-        ("miscounts", "simulator miscounts: clipped must be a whole number from 0 on, got 'many'"),
     ],
 )
 def test_what_is_no_answer_ends_the_assessment_in_one_line(simulator: str, line: str):

@@ -24,7 +24,6 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.bags.logs import read_recordings
 from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
 from skd_evaluator.campaign.store.verification import folders_below, verify
-from skd_evaluator.campaigns.campaign_file import read_campaign
 from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.report.history.runs import find_runs
 from skd_evaluator.risk.asked import risk_asked
@@ -60,26 +59,6 @@ def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -
     np.savez(path, **arrays)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "fuse circle circle", "compare circle .", "replay circle", "import circle", "assess --out circle",
-    ],
-)  # fmt: skip
-def test_links_in_a_circle_lead_nowhere(here, skd_here, words):
-    (here / "circle").symlink_to("circle")
-    before = sorted(here.iterdir())
-    one_line(skd_here(*words.split()), 2, "circle")
-    assert sorted(here.iterdir()) == before
-
-
-@pytest.mark.parametrize("words", ["list {}", "fuse {} {}", "assess --safe {}", "assess --out {}"])
-def test_a_name_that_no_file_can_have_is_said_in_one_line(here, skd_here, words):
-    before = sorted(here.iterdir())
-    one_line(skd_here(*words.format(*["x" * 300] * 2).split()), 2, "ame too long")
-    assert sorted(here.iterdir()) == before
-
-
 def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_here):
     os.mkfifo(here / "x.csv")
     os.mkfifo(here / "x.yaml")
@@ -112,38 +91,31 @@ def test_a_value_of_another_kind_is_said_in_one_line(result, sweep, skd_here, na
     one_line(skd_here(*map(str, words)), 2, "assessment.json")
 
 
-@pytest.mark.parametrize("name", ["impact_speed", "episode_id"])
-def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name):
-    def edit(values: np.ndarray) -> np.ndarray:
-        values[-1 if name == "episode_id" else np.flatnonzero(np.isfinite(values))[0]] = -1
-        return values
-
-    change_arrays(result, **{name: edit})
-    one_line(skd_here("report", str(result), "--out", "x.html"), 2, "episodes.npz")
-
-
-def test_an_impact_speed_that_is_none_is_said_in_one_line(result, skd_here):
-    change_arrays(result, impact_speed=lambda values: values * math.nan)
-    one_line(skd_here("show", str(result), "--out", "shown"), 2, "episodes.npz: a collision has no impact speed")
-
-
-@pytest.mark.parametrize("step", [0.0, math.nan])
-def test_a_time_step_that_cannot_be_is_said_in_one_line(result, skd_here, step):
-    change_arrays(result, time_step=lambda _values: np.float64(step))
-    one_line(skd_here("show", str(result), "--out", "shown"), 2, "time_step must be from 1e-06 to 1e+06 s")
-
-
-@pytest.mark.parametrize("name", ["positions", "car"])
-@pytest.mark.parametrize("value", [1e160, -2e6])
-def test_states_beyond_all_bounds_are_said_in_one_line(result, skd_here, name, value):
-    """Squares of such numbers are infinite, which numpy says on the terminal."""
+def put(value: float, place: int | slice = slice(None)) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that puts a value into an array."""
 
     def edit(values: np.ndarray) -> np.ndarray:
-        values[len(values) // 2] = value
+        values[place if values.ndim else ()] = value
         return values
 
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "said"),
+    [
+        ("episode_id", put(-1, -1), "episodes.npz"),
+        ("impact_speed", put(math.nan), "episodes.npz: a collision has no impact speed"),
+        ("time_step", put(0.0), "time_step must be from 1e-06 to 1e+06 s"),
+        ("time_step", put(math.nan), "time_step must be from 1e-06 to 1e+06 s"),
+        ("positions", put(1e160, 40), "a state is not finite, or beyond ±1e+06"),
+        ("car", put(-2e6, 40), "a state is not finite, or beyond ±1e+06"),
+    ],
+)
+def test_arrays_that_cannot_be_are_said_in_one_line(result, skd_here, name, edit, said):
+    """Squares of 1e160 are infinite, which numpy would say on the terminal."""
     change_arrays(result, **{name: edit})
-    one_line(skd_here("show", str(result), "--out", "shown"), 2, "a state is not finite, or beyond ±1e+06")
+    one_line(skd_here("show", str(result), "--out", "shown"), 2, said)
 
 
 # --- folders
@@ -199,9 +171,6 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     assert risk_asked(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
 
 
-# --- what takes more time or memory than it says, and names that nothing can have
-
-
 def test_a_table_has_so_many_rows(tmp_path, monkeypatch):
     monkeypatch.setattr(table, "_MOST", 100)
     (tmp_path / "x.csv").write_text("x,y\n" + "0,0\n" * 101)
@@ -209,20 +178,7 @@ def test_a_table_has_so_many_rows(tmp_path, monkeypatch):
         table.read_table(tmp_path / "x.csv", {"x": 1.0})
 
 
-def test_a_header_of_several_lines_is_said_in_one(tmp_path):
-    (tmp_path / "x.csv").write_text('"a\nb",c\n1,2\n')
-    with pytest.raises(UsageError, match="got a b,c"):
-        table.read_table(tmp_path / "x.csv", {"x": 1.0})
-
-
-@pytest.mark.parametrize("name", ["x" * 300, "~nobody-of-that-name/x"])
-def test_a_campaign_names_a_scenario_that_cannot_be(tmp_path, name):
-    (tmp_path / "x.yaml").write_text(f"encounters: [{{scenario: '{name}'}}]\n")
-    with pytest.raises(UsageError, match=r"x.yaml"):
-        read_campaign(tmp_path / "x.yaml")
-
-
-@pytest.mark.parametrize("value", [".nan", ".inf", "[1]", "{a: 1}"])
+@pytest.mark.parametrize("value", [".nan", "[1]"])
 @pytest.mark.parametrize("key", ["statistic", "p_value"])
 def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
     """Episodes carry it as JSON, which has no such values."""

@@ -1,8 +1,7 @@
-"""`skd fit` on an episodes.npz that is damaged, forged, or made to burst."""
+"""`skd fit` on an episodes.npz that is damaged."""
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
 from collections.abc import Callable
@@ -13,14 +12,9 @@ import numpy as np
 import pytest
 from bag_forge import Sent, forged
 from common import run_skd
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from skd_evaluator.arrays import read_arrays
 from skd_evaluator.bags.completeness import not_credible_beside
-from skd_evaluator.bags.logs import _COLUMNS as COLUMNS
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_sim.errors import UsageError
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 Refused = Callable[..., str]
@@ -72,10 +66,6 @@ def edited(folder: Path, edit: Callable[[Arrays], object]) -> Path:
     return file
 
 
-def last_state(arrays: Arrays) -> int:
-    return len(arrays["positions"]) - 1
-
-
 def put(name: str, value: float) -> Callable[[Arrays], object]:
     """Put a value into the last row of a column."""
     return lambda arrays: arrays[name].__setitem__((-1,) * arrays[name].ndim, value)
@@ -117,7 +107,7 @@ def test_what_the_manifest_knows_otherwise_is_refused(probe: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["positions", "car", "impact_time", "impact_speed"])
-@pytest.mark.parametrize("value", [-1e9, np.nan, -5.0])
+@pytest.mark.parametrize("value", [-1e9, np.nan])
 def test_a_value_that_cannot_be(copy: Path, refused: Refused, name: str, value: float) -> None:
     with np.load(copy / "episodes.npz") as arrays:
         if np.isnan(value) and np.isnan(arrays[name].flat[-1]):
@@ -132,8 +122,6 @@ def test_an_outcome_that_cannot_be(copy: Path, refused: Refused, outcome: int) -
     with np.load(copy / "episodes.npz") as arrays:
         if arrays["outcome"][-1] == outcome:
             pytest.skip("this is what it has")
-        if outcome == 5:
-            pytest.skip("the file has no reasons, and an aborted episode may stand anywhere")
     assert "episodes.npz" in refused(edited(copy, put("outcome", outcome)))
 
 
@@ -149,27 +137,14 @@ def reshape(name: str, change: Callable[[Any], Any]) -> Callable[[Arrays], objec
     ("edit", "part"),
     [
         (retype("positions", np.float32), "positions must be float64, n × 2"),
-        (retype("positions", np.complex128), "positions must be"),
-        (retype("car", np.dtype("U8")), "car must be"),
         (retype("offsets", np.float64), "offsets must be int64"),
-        (retype("outcome", np.int64), "outcome must be int8"),
-        (retype("positions", np.dtype(">f8")), "positions must be"),
-        (reshape("positions", np.ravel), "positions must be"),
         (reshape("car", lambda car: car[:, :2]), "car must be"),
         (reshape("car", lambda car: car[:-1]), "differ in length"),
-        (reshape("mode", lambda mode: mode[:-1]), "differ in length"),
         (reshape("time_step", lambda step: np.array([step])), "time_step must be"),
-        (reshape("time_step", lambda step: step * 2), "time step"),
         (reshape("time_step", lambda step: step * np.nan), "time step"),
-        (reshape("offsets", lambda offsets: offsets[:-1]), "offsets"),
         (reshape("offsets", lambda offsets: offsets[::-1].copy()), "offsets"),
-        (reshape("offsets", lambda offsets: offsets + 1), "offsets"),
-        (reshape("offsets", lambda offsets: offsets * 0), "offsets"),
-        (reshape("offsets", lambda offsets: np.r_[offsets[:1], 2**40, offsets[2:]]), "offsets"),
-        (reshape("offsets", lambda offsets: np.r_[offsets[:1], -5, offsets[2:]]), "offsets"),
         (reshape("offsets", lambda offsets: np.r_[offsets[:-2], offsets[-2] - 1, offsets[-1]]), "episode"),
         (reshape("episode_id", lambda number: number + (1 << 60)), "episode id"),
-        (reshape("episode_id", lambda number: -number - 1), "episode"),
         (reshape("mode", lambda mode: mode + 7), "episodes.npz"),
         (lambda arrays: arrays.pop("car"), "There is no item named 'car.npy'"),
     ],
@@ -189,40 +164,7 @@ def test_what_is_damaged_can_be_left_out(copy: Path, tmp_path: Path, capsys: pyt
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum()) - 1
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.data())
-def test_whatever_is_damaged_is_refused_or_says_the_same(probe: Path, data: st.DataObject) -> None:
-    """A bit anywhere, or a part that is cut out; the archive has checksums of its own."""
-    content = (probe / "episodes.npz").read_bytes()
-    with np.load(io.BytesIO(content)) as archive:
-        right = {name: archive[name].tobytes() for name in COLUMNS}
-    begin = data.draw(st.integers(0, len(content) - 1))
-    if data.draw(st.booleans()):
-        damaged = content[:begin] + content[begin + data.draw(st.integers(1, len(content) - begin)) :]
-    else:
-        damaged = content[:begin] + bytes([content[begin] ^ 1 << data.draw(st.integers(0, 7))]) + content[begin + 1 :]
-    file = probe.parent / "damaged.npz"
-    file.write_bytes(damaged)
-    try:
-        read = read_arrays(file, COLUMNS)
-    except UsageError:
-        return
-    assert {name: one.tobytes() for name, one in read.items()} == right
-
-
-@pytest.mark.parametrize("name", ["probe.json", "assessment.json"])
-@pytest.mark.parametrize(
-    "content",
-    ["", "{}", "null", '{"scenario": {}}'],
-)
-def test_a_summary_that_says_nothing(probe: Path, tmp_path: Path, refused: Refused, name: str, content: str) -> None:
-    (tmp_path / "logs").mkdir()
-    shutil.copy(probe / "episodes.npz", tmp_path / "logs")
-    (tmp_path / "logs" / name).write_text(content)
-    assert name in refused(tmp_path / "logs")
-
-
-@pytest.mark.parametrize("value", ["x", None, {}])
+@pytest.mark.parametrize("value", ["x", None])
 @pytest.mark.parametrize("key", ["seed", "multiplier", "controller", "scenario"])
 def test_a_summary_with_another_kind_of_value(copy: Path, refused: Refused, key: str, value: object) -> None:
     summary = copy / ("probe.json" if (copy / "probe.json").exists() else "assessment.json")
@@ -230,9 +172,6 @@ def test_a_summary_with_another_kind_of_value(copy: Path, refused: Refused, key:
     content[key] = value
     summary.write_text(json.dumps(content))
     assert str(copy) in refused(copy)
-
-
-# --- bombs
 
 
 def test_bags_are_examined_too(

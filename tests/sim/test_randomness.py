@@ -17,7 +17,6 @@ def test_roles_keep_their_numbers() -> None:
         "CONTROLLER": 4,
         "SCAN": 5,
         "PROBE": 6,
-        "FLOOR": 7,
         "ORDER": 9,
         "WALKER": 10,
         "RISK": 11,

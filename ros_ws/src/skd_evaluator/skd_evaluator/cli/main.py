@@ -21,7 +21,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import begin_command, what_is_in_place
 from skd_evaluator.verbosity import be_verbose, is_verbose
 
-EXIT_FINE, EXIT_FAILED, EXIT_INTERRUPTED = 0, 1, 130
+EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 _OF_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
 """Errors of names that were given, and not of the machine."""
 _LIMITS = {

@@ -19,7 +19,6 @@ class ControllerKind:
         target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
         multiplier: whether it is made with a multiplier C.
         known: whether its answer to any action of the adversary follows from C and the episode's draws.
-        feasible: whether it asks only for what its car can do.
         own: whether it is SKD's own, and need not be kept in a process of its own.
         control_period: time between two decisions (s) that it declares; none: the scenario's.
         simulator: the simulator within which alone it decides, in the simulator's own process; empty: any.
@@ -28,16 +27,13 @@ class ControllerKind:
     target: str
     multiplier: bool = False
     known: bool = False
-    feasible: bool = False
     own: bool = False
     control_period: float | None = None
     simulator: str = ""
 
 
 _OWN = {
-    DEFAULT: ControllerKind(
-        "skd_sim.controllers.basic:BasicController", multiplier=True, known=True, feasible=True, own=True
-    ),
+    DEFAULT: ControllerKind("skd_sim.controllers.basic:BasicController", multiplier=True, known=True, own=True),
     "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
     "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
     "metadrive_expert": ControllerKind(
@@ -102,11 +98,6 @@ class CarUnderTest:
     def is_known(self) -> bool:
         """Whether it is known how the car decides, and so how it would have answered other actions."""
         return self.kind.known
-
-    @property
-    def commands_feasible(self) -> bool:
-        """Whether its car can do everything that its controller asks for, so that no command is ever clipped."""
-        return self.kind.feasible
 
     @property
     def control_period(self) -> float | None:

@@ -17,7 +17,6 @@ class AbortKind(StrEnum):
     LOST = "messages lost"  # on the way; nobody in particular is to blame
     NOT_STARTED = "not started"  # nobody was ever there
     ENDED = "process ended"  # by itself, or killed
-    STOPPED = "process stopped"  # it is there and does nothing
     NOT_FINITE = "not a finite number"
     WRONG_STAMP = "wrong stamp"  # an answer to another tick
     SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers

@@ -22,7 +22,6 @@ class Role(IntEnum):
     CONTROLLER = 4
     SCAN = 5
     PROBE = 6
-    FLOOR = 7
     ORDER = 9
     WALKER = 10
     RISK = 11

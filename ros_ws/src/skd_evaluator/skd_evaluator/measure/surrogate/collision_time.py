@@ -28,11 +28,6 @@ def collision_times(scene: Scene) -> FloatArray:
     return np.asarray(HORIZON * _shares(scene.seen, after, scene.turned_from_car, scene.footprint, scene.shape))
 
 
-def least_collision_time(scene: Scene) -> float:
-    """Return the least time to collision over all moments, s; infinite where there was never one."""
-    return float(collision_times(scene).min(initial=math.inf))
-
-
 def path_collision_times(scene: Scene, scenario: Scenario, phi: FloatArray) -> FloatArray:
     """Return the time to collision along predicted paths at each moment, n, s; infinite where they do not lead to one.
 
