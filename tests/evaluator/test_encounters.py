@@ -17,7 +17,7 @@ from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_i
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.validation.episode_check import examine
-from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.margin.actions import foretold
 from skd_evaluator.measure.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.choices.car_under_test import CarUnderTest

@@ -13,8 +13,8 @@ from skd_evaluator.campaign.plan.plan import Plan
 from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_trajectory
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
+from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.margin.ways.ways import velocities
 from skd_sim.choices.objective import Objective
 from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.episode.episode import Episode, Mode, Outcome

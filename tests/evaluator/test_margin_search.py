@@ -14,13 +14,13 @@ from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.campaign.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
 from skd_evaluator.margin.searching import in_processes, repeated
-from skd_evaluator.margin.ways.ways import velocities
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_sim.choices.knowledge import Knowledge
 from skd_sim.controllers import BasicController, Controller, make_controller

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skd_adversary.model.road_user import cyclist, wheeled
 from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
-from skd_evaluator.margin.ways.ways import FIRST_HALF, WAY_COUNT, velocities, way_velocity
+from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
 from skd_sim.encounter.scenario import load_scenario
 
 CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")

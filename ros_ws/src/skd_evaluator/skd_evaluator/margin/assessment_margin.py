@@ -23,11 +23,11 @@ from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.margin.actions import foretold
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.searching import by_episodes, in_processes, one_by_one, repeated
-from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay

@@ -29,10 +29,9 @@ from skd_sim.geometry.trajectory import Trajectory
 
 from skd_evaluator.campaign.plan.plan import Plan, Progress
 from skd_evaluator.campaign.run.workers import ExecutorRunner
+from skd_evaluator.margin.actions import foretold, velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
-from skd_evaluator.margin.ways.foretold import foretold
-from skd_evaluator.margin.ways.ways import velocities
 from skd_evaluator.measure.equivalent_multiplier import (
     Difference,
     EquivalentMultiplier,

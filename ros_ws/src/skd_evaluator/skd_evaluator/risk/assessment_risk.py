@@ -23,7 +23,7 @@ from skd_evaluator.campaign.judge.rating import Rating
 from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
 from skd_evaluator.campaign.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.margin.ways.foretold import foretold
+from skd_evaluator.margin.actions import foretold
 from skd_evaluator.measure.behaviour.model import Behaviour
 from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.any_car import AnyCar, end_of

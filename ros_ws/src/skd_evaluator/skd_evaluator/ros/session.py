@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import sys
 import uuid
@@ -16,7 +18,6 @@ from skd_sim.choices.simulators import WORLD
 from skd_sim.episode.aborts import counts_in_words
 from skd_sim.errors import UsageError
 from skd_sim.lockstep.commands import command_format
-from skd_sim.program.memory import give_back
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 
 from skd_evaluator.assessing.graph_options import GraphOptions
@@ -125,7 +126,7 @@ def graphs_session(
             with _pool(options, controller, simulator, campaign, log_folder, record_to) as pool:
                 yield pool
     finally:
-        give_back()
+        _give_back_memory()
 
 
 @contextmanager
@@ -181,3 +182,13 @@ def _say_what_is_awaited(evaluator: Evaluator, command_topic: str, domain: int, 
     topic = evaluator.resolve_topic_name(command_topic)
     if not evaluator.count_publishers(topic):
         say(f"waiting for a publisher of {topic} (ROS_DOMAIN_ID={domain})")
+
+
+def _give_back_memory() -> None:
+    """Give back what is free in all arenas of the C library (`malloc_trim(3)`); nothing where it is not glibc.
+
+    A graph's threads, Python's and those of its middleware, have arenas of their own, in which what a graph has used is
+    kept when it is over; the next one finds some of it, and asks for more.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

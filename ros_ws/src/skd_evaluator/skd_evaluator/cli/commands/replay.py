@@ -17,8 +17,8 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
+from skd_evaluator.margin.actions import foretold
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
-from skd_evaluator.margin.ways.foretold import foretold
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 

@@ -10,8 +10,11 @@ from skd_evaluator.exchange.going_out.commonroad import write_commonroad
 from skd_evaluator.exchange.going_out.openscenario import write_openscenario
 from skd_evaluator.exchange.going_out.osi import osi_name, write_osi
 from skd_evaluator.exchange.going_out.recorded import Recorded
-from skd_evaluator.exchange.going_out.table import write_csv
+from skd_evaluator.exchange.names import ADVERSARY, EGO
 from skd_evaluator.exchange.osi_library import osi_messages, osi_writer
+from skd_evaluator.fusion.recording import TABLE_CAR, TABLE_OTHER
+
+_IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,19 @@ class Format:
     whole_ticks: bool = False
     with_road: bool = False
     check: Callable[[], object] = lambda: None
+
+
+def _write_csv(path: Path, recorded: Recorded) -> None:
+    """Write an episode as csv: a row for each object at each time, as `skd fuse` reads two tracked objects.
+
+    Its columns are t (s), id, x, y (m, of reference points), heading (rad) and speed (m/s).
+    """
+    lines = ["t,id,x,y,heading,speed"]
+    for actor in recorded.actors:
+        name = _IDS.get(actor.name, actor.name)
+        for time, state in zip(actor.times.tolist(), actor.states.tolist(), strict=True):
+            lines.append(",".join([repr(time), name, *map(repr, state)]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _ending(suffix: str) -> Callable[[Recorded], str]:
@@ -79,5 +95,5 @@ FORMATS = {
         ),
         whole_ticks=True,
     ),
-    "csv": Format(write_csv, _ending("csv"), (_NEVER, "Road, shapes and kinds are not there.")),
+    "csv": Format(_write_csv, _ending("csv"), (_NEVER, "Road, shapes and kinds are not there.")),
 }

@@ -16,7 +16,7 @@ from skd_sim.geometry.motion import next_speed, travelled
 from skd_sim.kernels.compilation import kernel
 from skd_sim.simulation.world import make_world
 
-from skd_evaluator.margin.ways.ways import WAY_COUNT
+from skd_evaluator.margin.actions import WAY_COUNT
 
 SURE = 1.0 + 1e-9
 """Margin of what is left out for being too far."""
@@ -46,7 +46,7 @@ class Course(NamedTuple):
     path_edge: float
     minimum_impact_speed: float
     hit_speed: float
-    ways: int  # how many of the ways of `margin.ways` are searched: the first ones
+    ways: int  # how many of the ways of `margin.actions` are searched: the first ones
 
 
 def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:

@@ -16,11 +16,10 @@ from skd_sim.errors import UsageError
 from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.simulation.world import Contact, make_world
 
+from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_foretold, way_velocity
 from skd_evaluator.margin.exact.course import make_course
 from skd_evaluator.margin.exact.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.exact.foresight import make_foresight
-from skd_evaluator.margin.ways.foretold import require_foretold
-from skd_evaluator.margin.ways.ways import FIRST_HALF, WAY_COUNT, way_velocity
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
 

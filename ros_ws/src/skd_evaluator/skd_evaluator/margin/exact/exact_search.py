@@ -14,9 +14,9 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
 
+from skd_evaluator.margin.actions import WAY_COUNT, way_velocity
 from skd_evaluator.margin.exact.course import SURE, Course, place_of_phi
 from skd_evaluator.margin.exact.foresight import Foresight, fill_ways, foresee, is_hopeful, look_back, where_of
-from skd_evaluator.margin.ways.ways import WAY_COUNT, way_velocity
 
 NOTHING, FOUND, FULL, CROWDED = range(4)
 """What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""

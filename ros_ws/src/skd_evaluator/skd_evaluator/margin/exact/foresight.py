@@ -16,9 +16,9 @@ import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 
+from skd_evaluator.margin.actions import WAY_COUNT, way_velocity
 from skd_evaluator.margin.exact.course import MARGIN, SURE, Course, car_step, place_of_phi
 from skd_evaluator.margin.exact.polygons import MOST, SLACK, add, cut, cut_to_capsule, half_planes, hull
-from skd_evaluator.margin.ways.ways import WAY_COUNT, way_velocity
 
 BEHIND, BRAKED, AHEAD = range(3)
 """Where the adversary is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""

@@ -13,6 +13,7 @@ from skd_sim.encounter.road import right_and_along, road_pose, road_position
 from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.episode.randomness import Role, generator
 
+from skd_evaluator.margin.actions import FIRST_HALF
 from skd_evaluator.margin.search import plan_kernel
 from skd_evaluator.margin.search.plan_kernel import (
     BOLD,
@@ -27,7 +28,6 @@ from skd_evaluator.margin.search.plan_kernel import (
 )
 from skd_evaluator.margin.search.surrogate import RADIUS, SITUATION, WEIGHTS, Surrogate
 from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial
-from skd_evaluator.margin.ways.ways import FIRST_HALF
 
 MODES: Final = 4
 ROOM: Final = 1 << 14, 1 << 12

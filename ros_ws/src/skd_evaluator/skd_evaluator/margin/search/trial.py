@@ -20,7 +20,7 @@ from skd_sim.encounter.scenario import Scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.geometry.trajectory import Trajectory
 
-from skd_evaluator.margin.ways.ways import velocities
+from skd_evaluator.margin.actions import velocities
 from skd_evaluator.measure.distances.deformation import deformation
 from skd_evaluator.measure.distances.least_way import LeastWay
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +26,18 @@ _BANDS = 4
 _ROW, _NAME = 36, 240
 """Height of a car, and most width of its name, px."""
 
+VEGA_LITE = "6.4"
+
 Spec = dict[str, Any]
+
+
+@functools.cache
+def chart_library() -> str:
+    """Return the script that defines `vegaEmbed`: Vega, Vega-Lite and what embeds them; it needs no network."""
+    import vl_convert
+
+    # In a block of its own: its names must not meet those of the page.
+    return "{" + str(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;", VEGA_LITE)) + "}"
 
 
 def _drawn(layers: Sequence[alt.Chart], height: int, description: str) -> Spec:

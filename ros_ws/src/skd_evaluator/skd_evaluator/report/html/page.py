@@ -23,12 +23,12 @@ from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import (
     against_multiplier,
+    chart_library,
     comparison_charts,
     per_safe_chart,
     rating_charts,
     vulnerability_charts,
 )
-from skd_evaluator.report.html.library import chart_library
 from skd_evaluator.report.html.matrix import by_encounter, matrix_of
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows

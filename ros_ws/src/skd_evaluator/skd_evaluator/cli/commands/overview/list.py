@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
 
+from skd_evaluator.campaign.compare.encounter_difference import encounter_difference, has_tyres
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.report.history.namesakes import namesakes
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import runs_table
 from skd_evaluator.report.terminal import counted, print_table
@@ -46,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         for one in found:
             for line in (*([one.remark] if one.remark else []), *one.not_credible):
                 print(f"* {one.folder}: {line}")
-        for line in namesakes(found):
+        for line in _namesakes(found):
             print(f"skd list: warning: {one_line(line)}", file=sys.stderr)
         print(f"{counted(len(found), 'result')}; skd verify says whether figures follow from their episodes")
     return 0
@@ -55,3 +57,33 @@ def run(arguments: argparse.Namespace) -> int:
 def _is_asked_for(one: Run, arguments: argparse.Namespace) -> bool:
     wanted = {one.car: arguments.car, one.encounter: arguments.encounter}
     return all(part is None or part.casefold() in name.casefold() for name, part in wanted.items())
+
+
+def _namesakes(runs: Sequence[Run]) -> list[str]:
+    """Return a line for each encounter that has the name of an earlier one and differs from it."""
+    kinds: dict[str, Run] = {}
+    for run in runs:
+        kinds.setdefault(json.dumps(run.figures["scenario"], sort_keys=True), run)
+    known: dict[str, list[tuple[Run, dict[str, Any]]]] = {}
+    found = []
+    for run in kinds.values():
+        try:
+            scenario = scenario_from_dict(run.figures["scenario"], str(run.folder)).as_dict()
+        except UsageError:
+            continue  # a list shows what was written; whoever reads the result refuses it
+        earlier = known.setdefault(run.encounter, [])
+        # A car without tyres is in the encounter of any friction: it makes no two of them one.
+        alike = [one for one in earlier if has_tyres(one[1]) == has_tyres(scenario)]
+        differ = [
+            (other, difference)
+            for other, its in alike or earlier
+            if (difference := encounter_difference(its, scenario)) is not None
+        ]
+        is_new = len(differ) == len(alike or earlier)
+        if is_new and differ:
+            other, (key, there, here) = differ[0]
+            said = f"{key} is {there} in {other.folder} and {here} in {run.folder}"
+            found.append(f"{run.encounter} is the name of different encounters: {said}")
+        if is_new or not alike:
+            earlier.append((run, scenario))
+    return found

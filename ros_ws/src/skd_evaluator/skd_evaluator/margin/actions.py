@@ -1,4 +1,4 @@
-"""What the adversary of the margin can do in a tick, in one place: its ways.
+"""What the adversary of the margin can do in a tick, its ways, and for which cars it is known what they answer.
 
 A pedestrian takes the planner's six actions (ways 0 … 5), goes as φ (way 6, `AS_PHI`) or takes one of the five
 directions at half speed (ways 7 … 11). As φ is the displacement that φ makes in the tick, none after φ's end, whatever
@@ -18,7 +18,10 @@ from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY,
 from skd_adversary.model.road_users import road_user_named
 from skd_adversary.model.safe_path import path_velocity
 from skd_sim.arrays import FloatArray
+from skd_sim.choices.car_dynamics import DYNAMICS
+from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.encounter.scenario import Scenario
+from skd_sim.episode.episode import Episode, Mode
 from skd_sim.kernels.compilation import kernel
 
 FIRST_HALF: Final = AS_PHI + 1
@@ -77,3 +80,44 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     so_far = np.vstack([walked, walked[-1:]])
     own, as_phi = user.choices(scenario, path, so_far)[tick], user.as_phi(scenario, path, so_far)[tick]
     return np.vstack([own, as_phi])
+
+
+def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
+    """Tell whether it is known what a car answers to every sequence of actions.
+
+    That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
+    obstacles and others, that crosses to the right.
+    """
+    return not _why_not(car, scenario)
+
+
+def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
+    """Return what is not known, in a few words; empty where all is."""
+    if not car.is_known:
+        return f"what controller {car.controller} answers to other actions is not known"
+    if not DYNAMICS[scenario.car.dynamics].known:
+        return f"the search knows the basic car, not car.dynamics {scenario.car.dynamics}"
+    if not scenario.road.straight or scenario.adversary.is_box:
+        return "the search knows straight roads and adversaries that are discs, no others"
+    if road_user_named(scenario.adversary.kind) is not pedestrian.ROAD_USER:
+        return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
+    if scenario.obstacles or scenario.others:
+        return "the search knows nothing of obstacles and others"
+    if scenario.end.crossing < 0.0 or scenario.ending is not None:
+        return "the search knows adversaries that cross to the right, and end beyond the car's path"
+    if scenario.control_periods != 1:
+        return "the search knows a car that decides once a time step"
+    return ""
+
+
+def require_foretold(episode: Episode) -> None:
+    """Refuse an episode of which it is not known what each sequence of actions would have led to.
+
+    Raises:
+        ValueError: it is not in kamikaze mode, or its car not foretold.
+    """
+    why = _why_not(episode.car, episode.scenario)
+    if not why and (episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None):
+        why = f"only of a kamikaze episode it is asked who could have been hit, not in mode {episode.mode.name}"
+    if why:
+        raise ValueError(why)

@@ -1,1 +1,0 @@
-"""What the adversary of the margin can do."""
