@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +31,7 @@ from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
 from skd_sim.choices.objective import Objective
 from skd_sim.episode.episode import Episode, Mode, Outcome
 from test_campaign import attempt, straight
-from test_doubts import PLAN, assessed
+from test_warnings import PLAN, assessed
 
 MANY = replace(PLAN, kamikaze_count=50, collision_runs=40)
 _FIGURES = ("collision_rate", "hit_rate", "kamikaze_success_rate", "objectives.paper.success_rate")
@@ -183,19 +185,79 @@ def test_a_gate_takes_lengths_at_their_worst() -> None:
     assert [(one.failed, one.error) for one in checks] == [(True, False), (False, True), (False, False)]
 
 
+def in_pytest(figures: dict[str, Any]) -> Assessed:
+    return Assessed(SimpleNamespace(as_dict=lambda: figures), Path("r"))  # type: ignore[arg-type]
+
+
 def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> None:
-    car = Assessed(SimpleNamespace(as_dict=rating(2).as_dict), Path("r"))  # type: ignore[arg-type]
-    assert car.collision_rate == pytest.approx(2 / 38)
+    car = in_pytest(rating(2).as_dict())
+    assert car.figures["collision_rate"] == pytest.approx(2 / 38)
     assert car.collision_rate < 0.11
-    assert 0.0 <= car.collision_rate <= 0.1
+    assert 0.0 <= car.collision_rate <= np.float32(0.11)
     assert not car.collision_rate <= 0.05
+    assert f"{car.collision_rate:.3f}" == "0.053"
     with pytest.raises(AssessmentError, match=r"collision_rate is 0.0526316, and it would be 0.1 if .* 2 of 40 runs"):
         assert car.collision_rate < 0.06
+    assert type(in_pytest(rating(0).as_dict()).collision_rate) is float
+
+
+@pytest.mark.parametrize("number", [float, np.float32, np.float64, Fraction], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "passes",
+    [
+        lambda rate, to: rate < to(0.06),
+        lambda rate, to: rate <= to(0.06),
+        lambda rate, to: to(0.06) > rate,
+        lambda rate, to: not rate >= to(0.06),
+        lambda rate, to: rate == to(2 / 38),
+        lambda rate, to: rate != to(0.1),
+        lambda rate, to: rate == pytest.approx(2 / 38),
+        lambda rate, to: to(100) * rate < 6,
+        lambda rate, to: rate - to(0.06) < 0,
+        lambda rate, to: rate / to(2) < 0.03,
+        lambda rate, to: to(float(rate)) < 0.06,
+        lambda rate, to: round(rate, 3) < to(0.06),
+        lambda rate, to: abs(-rate) < to(0.06),
+        lambda rate, to: np.asarray([rate], dtype=float)[0] < to(0.06),
+        lambda rate, to: np.isclose(rate, to(2 / 38)),
+        lambda rate, to: math.isclose(rate, to(2 / 38)),
+        lambda rate, to: max(rate, to(0.06)) == to(0.06),
+    ],
+)
+def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any, number: Any) -> None:
+    rate = in_pytest(rating(2).as_dict()).collision_rate
+    with pytest.raises(AssessmentError, match=r"not judged: collision_rate is 0\.0526316"):
+        assert passes(rate, number)
+
+
+@pytest.mark.parametrize(
+    "passes",
+    [
+        lambda car: not car.hit_rate,
+        lambda car: car.objectives["paper"]["success_rate"] == 1.0,
+        lambda car: car.per_safe_trajectory[0]["collision_rate"] < 0.01,
+        lambda car: car.collision_rate_ci95[1] < 0.5,
+    ],
+)
+def test_in_pytest_figures_within_others_are_guarded_too(passes: Any) -> None:
+    lost = rating(2, mode=Mode.KAMIKAZE).as_dict()
+    along = {**rating(2).as_dict(), "hit_rate": 0.0, "objectives": lost["objectives"]}
+    along["per_safe_trajectory"][0]["collision_rate"] = 0.0
+    along["aborted"] += sum(one["aborted"] for one in lost["objectives"].values())
     with pytest.raises(AssessmentError, match="not judged"):
-        assert car.collision_rate <= 0.06
-    with pytest.raises(AssessmentError, match="not judged"):
-        assert car.collision_rate < 0.06
-    assert type(Assessed(SimpleNamespace(as_dict=rating(0).as_dict), Path("r")).collision_rate) is float  # type: ignore[arg-type]
+        assert passes(in_pytest(along))
+
+
+def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:
+    bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "closeness": 1.1}
+    bound |= {"margin_converged": False, "margin_budget": 64}
+    car = in_pytest(bound)
+    assert car.margin < 1.5
+    assert not car.margin > 1.5
+    for passes in (lambda: car.margin > 0.8, lambda: car.margin_ci95[0] > 0.8, lambda: car.closeness < 1.5):
+        with pytest.raises(AssessmentError, match="had not converged at 64 candidates a trial, so this is a"):
+            passes()
+    assert in_pytest({**bound, "margin_converged": True}).margin > 0.8
 
 
 class Aborting:

@@ -20,7 +20,7 @@ from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective, objectives_
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from test_campaign import StubRunner, attempt, quiet, straight
-from test_doubts import shown
+from test_warnings import shown
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=4, collision_runs=6, seed=5, simulations=2)

@@ -8,67 +8,102 @@ Light, for every pytest of an environment with SKD begins with it.
 
 from __future__ import annotations
 
+import numbers
 import operator
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
-    from typing import Self
-
     from skd_evaluator.campaign.judge.rating import Rating
-    from skd_evaluator.measure.aborted import Worst
 
 _OUT = "--skd-out"
 
 
-class _AtWorst(float):
-    """A figure that would be another one if the car had hit in every episode that was aborted: it is compared as both.
+class Unsure:
+    """A figure that aborted episodes, or a longer search for the margin, would change: it is shown, but no number.
+
+    It is compared with numbers alone, as both of what it may be.
 
     Raises:
-        AssessmentError: by one of them a comparison holds, and by the other it does not.
+        AssessmentError: by one of them a comparison holds and by the other it does not, or it is used in another way.
     """
 
-    def __new__(cls, value: float, _name: str, _worst: Worst) -> Self:
-        return super().__new__(cls, value)
+    __hash__ = None  # type: ignore[assignment]
+    __array_ufunc__ = None  # NumPy leaves comparison and arithmetic to this class
 
-    def __init__(self, value: float, name: str, worst: Worst) -> None:
-        self._value, self._name, self._worst = value, name, worst
+    def __init__(self, value: float, name: str, worst: float | None, why: str) -> None:
+        """Take what the figure is, what it may be (None: nobody knows), and why."""
+        self._value, self._name, self._worst, self._why = value, name, worst, why
 
-    def _judged(self, holds: Callable[[float, float], bool], other: Any) -> Any:
+    def __repr__(self) -> str:
+        return repr(self._value)
+
+    def __format__(self, spec: str) -> str:
+        return format(self._value, spec)
+
+    def _refuse(self, *_others: object, **_options: object) -> Any:
         from skd_evaluator.errors import AssessmentError
 
-        if not isinstance(other, (int, float)):
-            return NotImplemented
-        found = holds(self._value, other)
-        if holds(self._worst.value, other) != found:
-            raise AssessmentError(
-                f"not judged: {self._name} is {self._value:.6g}, and it would be {self._worst.value:.6g} if the car "
-                f"had hit in the {self._worst.of} that were aborted"
-            )
-        return found
+        raise AssessmentError(f"not judged: {self._name} is {self._value:.6g}, and {self._why}")
 
-    def __lt__(self, other: Any) -> bool:
-        return self._judged(operator.lt, other)  # type: ignore[no-any-return]
+    def _compare(self, holds: Callable[[Any, Any], Any], other: Any) -> bool:
+        is_number = isinstance(other, numbers.Real)
+        if self._worst is None or not is_number:
+            return bool(self._refuse())
+        low, high = sorted((self._value, self._worst))
+        exact = holds in (operator.eq, operator.ne)  # between the two it may hold as well
+        if (low <= other <= high) if exact else holds(low, other) != holds(high, other):
+            self._refuse()
+        return bool(holds(self._value, other))
 
-    def __le__(self, other: Any) -> bool:
-        return self._judged(operator.le, other)  # type: ignore[no-any-return]
+    def __bool__(self) -> bool:
+        return self._compare(operator.ne, 0.0)
 
-    def __gt__(self, other: Any) -> bool:
-        return self._judged(operator.gt, other)  # type: ignore[no-any-return]
 
-    def __ge__(self, other: Any) -> bool:
-        return self._judged(operator.ge, other)  # type: ignore[no-any-return]
+def _compares(holds: Callable[[Any, Any], Any]) -> Callable[[Unsure, Any], bool]:
+    return lambda self, other: self._compare(holds, other)
+
+
+for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
+    setattr(Unsure, f"__{_name}__", _compares(getattr(operator, _name)))
+for _name in ("add", "sub", "mul", "truediv", "floordiv", "mod", "divmod", "pow"):
+    setattr(Unsure, f"__{_name}__", Unsure._refuse)
+    setattr(Unsure, f"__r{_name}__", Unsure._refuse)
+for _name in ("neg", "pos", "abs", "float", "int", "complex", "index", "round", "trunc", "array"):
+    setattr(Unsure, f"__{_name}__", Unsure._refuse)
+
+
+def _guarded(figures: Mapping[str, Any], value: Any, path: tuple[str, ...]) -> Any:
+    """Return a value of assessment.json with the figures in it that are not sure in their place."""
+    if isinstance(value, dict):
+        return {key: _guarded(figures, one, (*path, key)) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_guarded(figures, one, (*path, str(place))) for place, one in enumerate(value))
+    if not isinstance(value, float):
+        return value
+    from skd_evaluator.campaign.compare.gate import bound_of
+    from skd_evaluator.measure.aborted import at_worst
+
+    name = ".".join(path)
+    whole = name.partition("_ci95")[0]  # the ends of an interval hang on what its figure hangs on
+    if worst := at_worst(figures, whole):
+        would = "it would be" if whole == name else f"{whole} would be"
+        why = f"{would} {worst.value:.6g} if the car had hit in the {worst.of} that were aborted"
+        return Unsure(value, name, worst.value if whole == name else None, why)
+    bound = bound_of(figures, whole)
+    return value if bound is None else Unsure(value, name, bound.beyond, bound.why)
 
 
 class Assessed:
     """An assessment: every key of assessment.json is an attribute, and what fails shows the sentence about the car.
 
-    A figure that episodes count for of which some were aborted is no other number, but `<` and the like raise
-    `AssessmentError` where they would come out otherwise had the car hit in all of these.
+    A figure that episodes count for of which some were aborted is `Unsure`, as is a margin whose search has not
+    converged: it is shown, and compared with numbers where that comes out the same had the car hit in all of these,
+    or the search gone on; everything else raises `AssessmentError`. `figures` has it as it is.
 
     Attributes:
         figures: content of assessment.json.
@@ -83,13 +118,7 @@ class Assessed:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name not in self.figures:
             raise AttributeError(f"an assessment has no figure {name!r}; docs/files.md has the list")
-        value = self.figures[name]
-        if not isinstance(value, float):
-            return value
-        from skd_evaluator.measure.aborted import at_worst
-
-        worst = at_worst(self.figures, name)
-        return value if worst is None else _AtWorst(value, name, worst)
+        return _guarded(self.figures, self.figures[name], (name,))
 
     def __repr__(self) -> str:
         from skd_evaluator.report.terminal import headline

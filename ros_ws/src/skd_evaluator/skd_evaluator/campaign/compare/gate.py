@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
 from skd_evaluator.campaign.store.figure_names import figure
@@ -13,7 +14,7 @@ from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.measure.aborted import at_worst
 from skd_evaluator.measure.margins import stopped_at
 
-_OF_THE_SEARCH = ("margin", "margin_p10", "equivalent_multiplier")
+_AT_MOST = ("margin", "margin_p10", "equivalent_multiplier")
 """Figures that the search for the margin makes greater where it stops too early."""
 
 
@@ -71,26 +72,42 @@ def check_limits(result: Mapping[str, Any], limits: Iterable[Limit]) -> list[Che
     return [_at_worst(result, limit, _check_limit(result, limit)) for limit in limits]
 
 
-def _stopped(result: Mapping[str, Any], limit: Limit) -> str:
-    """Return why a figure that reaches a limit may not do so after all; empty where it surely does.
+class Bound(NamedTuple):
+    """Where a figure may be in truth that the search for the margin has but bounded.
 
-    A margin whose search has not converged is an upper bound, and no such shows that a least is reached.
+    Attributes:
+        beyond: the furthest that it may be.
+        why: that it is a bound, in words.
     """
-    if not limit.is_least or limit.name not in _OF_THE_SEARCH or result.get("margin_converged") is not False:
-        return ""
-    return f"the search for the margin {stopped_at(result)}, so this is an upper bound: give a larger --margin-limit"
+
+    beyond: float
+    why: str
+
+
+def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
+    """Return where a figure may be, as the search for the margin has not converged; None where it is no bound."""
+    of_curve = name.startswith("vulnerability_curve.margins.")
+    less = name in _AT_MOST or (of_curve and name.endswith(".area_above"))
+    more = name == "closeness" or (of_curve and ".probability" in name)
+    if result.get("margin_converged") is not False or not (less or more):
+        return None
+    what = "an upper bound" if less else "a lower bound"
+    return Bound(
+        0.0 if less else math.inf,
+        f"the search for the margin {stopped_at(result)}, so this is {what}: give a larger --margin-limit",
+    )
 
 
 def _check_limit(result: Mapping[str, Any], limit: Limit) -> Check:
-    value, stopped = figure(result, limit.name), _stopped(result, limit)
+    value, bound = figure(result, limit.name), bound_of(result, limit.name)
     name = f"{limit.name} {'≥' if limit.is_least else '≤'} {limit.value:g}"
     if value is None:
         return Check(name, f"{limit.name} is not defined, so it cannot be held against {limit.value:g}", error=True)
     beyond = not limit.is_kept_by(value)
     side = "below" if value < limit.value else "above" if value > limit.value else "at"
     text = f"{limit.name} is {value:.6g}, {side} {limit.value:g}"
-    if stopped and not beyond:
-        return Check(name, f"{text}; {stopped}", error=True)
+    if bound is not None and not beyond and not limit.is_kept_by(bound.beyond):
+        return Check(name, f"{text}; {bound.why}", error=True)
     return Check(name, text, failed=beyond)
 
 
