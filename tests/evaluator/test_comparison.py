@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -239,11 +240,96 @@ def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift
     assert any("opposite" in line for line in found.lines()) == (verdict == NOT_TOLD_APART)
 
 
-def test_a_margin_that_had_not_converged_is_named() -> None:
-    open_ended = result("b", values(1, shift=1.0), margin_converged=False, margin_budget=800)
-    (line,) = compare(result("a", values(1)), open_ended).lines()
-    assert line.startswith("the search for the margin of b had not converged at 800 candidates a trial")
-    assert compare(result("a", values(1)), open_ended).verdict == SAFER
+OPEN = {"margin_converged": False, "margin_budget": 512}
+SEARCHED = {"margin_budget": 128}
+
+
+def test_a_car_whose_margin_is_an_upper_bound_is_never_the_safer_one() -> None:
+    """With a longer search it may have less than the other; less safe it may be called."""
+    known, bound = result("a", values(1)), result("b", values(1, shift=1.0), **OPEN)
+    for pair in ((known, bound), (bound, known)):
+        found = compare(*pair)
+        assert (found.verdict, found.votes["margin"]) == (NOT_TOLD_APART, 0)
+        (line,) = found.lines()
+        assert line.startswith("the margin of b is at most 2.3")
+        assert "had not converged at 512 candidates a trial: this car is not called the safer one" in line
+    least = result("c", values(1, shift=-0.5), **OPEN)
+    assert (compare(known, least).verdict, compare(least, known).verdict) == (LESS_SAFE, SAFER)
+    assert "the margin of c is at most 0.8" in compare(least, known).lines()[0]
+    assert compare(least, bound).verdict == NOT_TOLD_APART
+
+
+def test_a_risk_does_not_make_an_upper_bound_the_safer_one() -> None:
+    risks = tuple(np.full((8, 20), 0.2)), tuple(np.full((8, 20), 0.1))
+    worse, better = (
+        replace(one, groups={**one.groups, "risk_2": risk})
+        for one, risk in zip((result("a", values(1)), result("b", values(1))), risks, strict=True)
+    )
+    assert compare(worse, better).verdict == SAFER
+    assert compare(worse, replace(better, figures={**better.figures, **OPEN})).verdict == NOT_TOLD_APART
+
+
+def test_a_margin_and_a_risk_that_disagree_are_said_to() -> None:
+    risks = tuple(np.full((8, 20), 0.1)), tuple(np.full((8, 20), 0.2))
+    first, second = (
+        replace(one, groups={**one.groups, "risk_2": risk})
+        for one, risk in zip((result("a", values(1)), result("b", values(1, shift=1.0))), risks, strict=True)
+    )
+    found = compare(first, second)
+    assert found.verdict == NOT_TOLD_APART
+    assert "margin and risk disagree: the second is better by margin and worse by risk R(2)" in found.lines()[0]
+
+
+def test_what_a_search_may_have_missed_is_in_the_interval_of_the_difference() -> None:
+    """The mean excess, and its error in quadrature with that by φ: of the second car below, of the first above."""
+    one, other = values(1), values(1, shift=0.1) + 0.05 * np.random.default_rng(9).random((8, 20))
+    plain = compare(result("a", one), result("b", other)).differences["margin"]
+    excess = {"margin_excess": {"mean": 0.04, "error": 0.02, "trials": 24}}
+    found = compare(result("a", one), result("b", other, **excess)).differences["margin"]
+    reach = stats.t.ppf(0.975, 7) * np.hypot(plain.standard_error, 0.02)
+    assert found.interval == pytest.approx((plain.value - 0.04 - reach, plain.interval[1]))
+    chance = 2 * stats.t.sf((plain.value - 0.04) / np.hypot(plain.standard_error, 0.02), 7)
+    assert found.p_value == pytest.approx(chance)
+    back = compare(result("b", other, **excess), result("a", one)).differences["margin"]
+    assert back.interval == pytest.approx((-found.interval[1], -found.interval[0]))
+    assert back.p_value == pytest.approx(chance)
+
+
+def test_searches_of_unlike_effort_tell_no_cars_apart_by_what_they_may_have_missed() -> None:
+    first = result("a", values(1), **SEARCHED)
+    near, far = (result("b", values(1) * share, margin_budget=512) for share in (0.98, 0.5))
+    assert compare(first, result("b", values(1) * 0.98, **SEARCHED)).verdict == LESS_SAFE
+    assert (compare(first, near).verdict, compare(near, first).verdict) == (NOT_TOLD_APART, NOT_TOLD_APART)
+    assert "stopped at 128 and 512 candidates a trial: 2.5 % of each margin" in compare(first, near).lines()[0]
+    assert (compare(first, far).verdict, compare(far, first).verdict) == (LESS_SAFE, SAFER)
+
+
+@pytest.mark.parametrize("budgets", [(128, 128), (128, 512)], ids=["seeds", "budgets"])
+def test_a_car_is_hardly_ever_safer_than_itself(budgets: tuple[int, int]) -> None:
+    """Two searches of one car: other draws on the same φ, and each misses up to 2.5 % of the margin, as it says."""
+    rng, told_apart = np.random.default_rng(5), 0
+    for _ in range(400):
+        phi, pair = 1.0 + 0.3 * rng.random((8, 1)), []
+        for name, budget in zip("ab", budgets, strict=True):
+            missed = rng.exponential(0.01 if budget == 128 else 0.002, (8, 10))
+            share = np.clip(missed, 0.0, 0.05)
+            true = phi + 0.02 * rng.standard_normal((8, 10))
+            deep = rng.permutation(80)[:24]
+            gains = (true * share).ravel()[deep]
+            excess = {"mean": gains.mean(), "error": gains.std(ddof=1) / np.sqrt(24), "trials": 24}
+            pair.append(result(name, true * (1.0 + share), margin_budget=budget, margin_excess=excess))
+        told_apart += compare(*pair).verdict != NOT_TOLD_APART
+    assert told_apart <= 0.05 * 400 + 1.645 * np.sqrt(400 * 0.05 * 0.95)
+
+
+def test_shared_draws_show_no_difference_of_two_budgets() -> None:
+    """On the same φ with the same draws the shorter search has missed more in every trial: the difference is sure."""
+    long = values(1)
+    share = 0.02 * np.random.default_rng(3).random((8, 20))
+    short = result("short", long * (1.0 + share), margin_budget=64)
+    found = compare(result("long", long, margin_budget=512), short)
+    assert found.verdict == NOT_TOLD_APART
+    assert compare(result("long", long), result("short", long * (1.0 + share))).verdict == SAFER
 
 
 def test_margins_that_were_found_in_different_ways_are_said_to_be() -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -170,6 +172,32 @@ def test_a_car_is_worse_where_the_gate_fails(mine: Assessed) -> None:
     with pytest.warns(UserWarning, match="not worse than better car: not told apart: margin -0.500 m.*R\\(2\\)"):
         assert mine.is_worse_than("better car")
     assert not mine.is_worse_than("worse car")
+
+
+@pytest.mark.parametrize(
+    ("margins", "bound", "why"),
+    [
+        ((0.5, 1.0), "mine", "not judged: .*the margin is an upper bound"),
+        ((1.5, 1.0), "earlier", "not judged: .*the earlier margin is an upper bound"),
+        ((0.5, 1.0), "earlier", None),
+        ((1.5, 1.0), "mine", "worse"),
+    ],
+)
+def test_no_gate_passes_by_an_upper_bound(
+    margins: tuple[float, float], bound: str, why: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Mine may be less than it says; an earlier one may be, and where it is the less anyhow it does no harm."""
+    found = {}
+    for name, margin in zip(("earlier", "mine"), margins, strict=True):
+        one = of_a_car(name, margin, (0.5, 0.5))
+        limits = {"margin_converged": False, "margin_budget": 64} if name == bound else {}
+        found[Path(name)] = replace(one, figures={**one.figures, **limits})
+    for module in (stored_result, gate):
+        monkeypatch.setattr(module, "read_result", found.__getitem__)
+    check = gate.check_not_worse(Path("mine"), found[Path("earlier")])
+    assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
+    if check.error:
+        assert re.search(why or "", check.text)
 
 
 @pytest.mark.parametrize(("other", "why"), [("at a crossing", "different encounters"), ("of one phi", "too few φ")])

@@ -25,6 +25,10 @@ from skd_evaluator.measure.vulnerability_curve import VulnerabilityCurve
 
 CLOSENESS_WARNING = 1.5
 """Closeness above which the planned figures say more about the adversary than about the car."""
+UPPER_BOUNDS = ("margin", "margin_p10", "equivalent_multiplier")
+"""Figures that are greater where the search stops too early: upper bounds until it has converged."""
+CONVERGED_WITHIN = 0.025
+"""Of the mean: how much too high the margin of a search that has converged may be."""
 _ROUNDING = 1e-9  # m: a mean margin that is not above it is 0
 
 

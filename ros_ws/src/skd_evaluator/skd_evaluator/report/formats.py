@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_evaluator.campaign.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
+from skd_evaluator.measure.margins import UPPER_BOUNDS
 from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES
 
 NOTHING = "–"
@@ -62,7 +63,9 @@ class Style:
         """Return a figure of an assessment; of one that is spoken, its text."""
         found = result.get(figure.key)
         if figure.spoken:
-            return str(result[f"{figure.key}_text"] or self.nothing)
+            return bounded(result, str(result[f"{figure.key}_text"] or self.nothing))
+        if figure.key in UPPER_BOUNDS and found is not None:
+            return bounded(result, self.number(found, figure.kind.digits))
         if figure.kind is SPEEDS:
             return self.number(found and found["mean"], figure.kind.digits)
         if figure.kind is PROBABILITY:
@@ -79,7 +82,7 @@ class Style:
 
     def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:
         if figure.spoken:
-            return str(result[f"{figure.key}_{end or CI95}_text"] or self.nothing)
+            return spoken_interval(result, f"{figure.key}_{end or CI95}_text") or self.nothing
         found = result.get(f"{figure.key}_{end}") if end else None
         if figure.kind is PROBABILITY:
             return self.probability_interval(found, figure.kind.digits)
@@ -97,6 +100,28 @@ def ninety(figure: Figure, result: Mapping[str, Any]) -> str:
     """Return what 90 % of some speeds stay below, in words; of other figures nothing."""
     found = result.get(figure.key) if figure.kind is SPEEDS else None
     return f"90 % below {found['p90']:.{figure.kind.digits}f}" if found else ""
+
+
+def bounded(result: Mapping[str, Any], text: str) -> str:
+    """Return the text of a margin, or of what follows from it, as the bound that it is until the search converges.
+
+    Args:
+        result: content of assessment.json.
+        text: a number, `above` or `below` one, or that there is none.
+    """
+    if result.get("margin_converged") is not False:
+        return text
+    if text.startswith("above"):
+        return "not known"
+    return f"at most {text}" if text[:1].isdigit() else text
+
+
+def spoken_interval(result: Mapping[str, Any], key: str) -> str:
+    """Return an interval of the equivalent multiplier as its text says; its upper end where the margin is a bound."""
+    text = str(result.get(key) or "")
+    if not text or result.get("margin_converged") is not False:
+        return text
+    return bounded(result, text.strip("[]").split(", ")[-1])
 
 
 def counted(count: int, thing: str) -> str:

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
-from skd_evaluator.report.formats import BARE, TERMINAL, interval, number, percent
+from skd_evaluator.report.formats import BARE, TERMINAL, bounded, interval, number, percent
 from skd_evaluator.report.terminal import counted, credibility, narrow_table, one_line_cells
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
@@ -24,6 +24,12 @@ def _doubt(row: Mapping[str, Any]) -> str:
 
 def _worth(row: Mapping[str, Any]) -> str:
     return credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
+
+
+def _bounded(row: Mapping[str, Any], text: str) -> str:
+    """Return a cell with a margin, or what follows from it; in two lines and red where it is but a bound."""
+    said = bounded(row, text)
+    return said if said == text else f"[red]{said.replace('at most ', 'at most' + chr(10))}[/]"
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -53,9 +59,9 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             continue
         table.add_row(
             f"{name}{_doubt(row)}",
-            f"[red]{number(row['margin'])}[/]" if row["margin_converged"] is False else number(row["margin"]),
+            _bounded(row, number(row["margin"])),
             interval(row["margin_ci95"]),
-            number(row["equivalent_multiplier"]),
+            _bounded(row, number(row["equivalent_multiplier"])),
             percent(row["hit_rate"]),
             number(row["deformation"]),
             str(row["knowledge"]),
@@ -68,7 +74,7 @@ def cell_line(row: Mapping[str, Any]) -> str:
     """Return in one line what a cell came to, from its row in campaign.json."""
     if not row["sha256"]:
         return f"{row['name']}: {row['state']}: {'; '.join(row['problems'])}"
-    figures = [f"margin {number(row['margin'])} m"]
+    figures = [f"margin {bounded(row, number(row['margin']))} m"]
     if row["margin_ci95"] is not None:
         figures[0] += f" (95 %: {interval(row['margin_ci95'])})"
     if row["margin_converged"] is False:
@@ -124,14 +130,13 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     ):  # fmt: skip
         table.add_column(escape(name), justify="right")
     for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
-        margin = _number(row["margin"])
         table.add_row(
             f"{escape(row['car'])}{_doubt(row)}",
-            f"[red]{margin}[/]" if row["margin_converged"] is False else margin,
+            _bounded(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
             escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
             str(row["knowledge"]),
-            row["equivalent_multiplier_text"] or "—",
+            _bounded(row, row["equivalent_multiplier_text"] or "—"),
             TERMINAL.share(row["hit_rate"]),
             _number(row["skd"]),
         )

@@ -21,7 +21,15 @@ from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.measure.credibility import not_credible
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.formats import NO_RATING, TERMINAL, ninety, surrogate_groups, surrogate_rows
+from skd_evaluator.report.formats import (
+    NO_RATING,
+    TERMINAL,
+    bounded,
+    ninety,
+    spoken_interval,
+    surrogate_groups,
+    surrogate_rows,
+)
 from skd_evaluator.report.risk.failures import failures_in, how_many
 
 
@@ -224,8 +232,9 @@ def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
         "",
     )
     if result["equivalent_multiplier_text"] is not None:
-        interval = escape(result["equivalent_multiplier_ci95_these_phi_text"] or "—")
-        table.add_row("equivalent multiplier C, on these φ alone", result["equivalent_multiplier_text"], interval)
+        interval = escape(spoken_interval(result, "equivalent_multiplier_ci95_these_phi_text") or "—")
+        value = bounded(result, result["equivalent_multiplier_text"])
+        table.add_row("equivalent multiplier C, on these φ alone", value, interval)
 
 
 def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[str, Mapping[str, Any]]:

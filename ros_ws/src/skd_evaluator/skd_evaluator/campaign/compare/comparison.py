@@ -5,6 +5,9 @@ so or tie, and one of them says so; and if the estimate of neither the margin no
 other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
 and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
 object: if planned deformations surely say the opposite of the margins, the cars are not told apart.
+
+A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
+a search may have missed is part of the interval of the difference.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.campaign.compare.unlike_results import (
@@ -26,9 +30,10 @@ from skd_evaluator.campaign.compare.unlike_results import (
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.campaign.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.margins import stopped_at
+from skd_evaluator.measure.margins import CONVERGED_WITHIN, stopped_at
 from skd_evaluator.measure.risks import RANKS
 from skd_evaluator.measure.statistics.difference import Difference, difference
+from skd_evaluator.measure.statistics.statistics import mean
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEFORMATION = "margin", "deformation"
@@ -83,7 +88,14 @@ class Comparison:
         says = set(self._sure.values())
         if self.disagree or len(says) != 1 or self.opposed:
             return NOT_TOLD_APART
-        return _VERDICTS[says.pop()]
+        said = says.pop()
+        return NOT_TOLD_APART if self.is_bound[said > 0] else _VERDICTS[said]
+
+    @property
+    def is_bound(self) -> tuple[bool, bool]:
+        """Whether the margin of the first and of the second car is but an upper bound."""
+        first, second = (one.figures["margin_converged"] is False for one in (self.first, self.second))
+        return first, second
 
     def verdict_beside(self, figure: str) -> str:
         """Return the verdict where this figure is shown: that of margin and risk, if the figure is compared at all."""
@@ -92,7 +104,10 @@ class Comparison:
     @property
     def votes(self) -> dict[str, int]:
         """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
-        return {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
+        votes = {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
+        if votes.get(MARGIN) and self.is_bound[votes[MARGIN] > 0]:
+            votes[MARGIN] = 0  # the greater margin may be less
+        return votes
 
     @property
     def opposed(self) -> tuple[str, ...]:
@@ -189,10 +204,31 @@ def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95)
         if name not in left_out
     }
     differences = {name: one for name, one in found.items() if one is not None}
+    if MARGIN in differences:
+        ends = _missed(first, second, ours), _missed(second, first, theirs)
+        differences[MARGIN] = differences[MARGIN].widened(below=ends[1], above=ends[0])
     held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
     return Comparison(
         first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *remarks)
     )
+
+
+def _missed(one: StoredResult, other: StoredResult, rows: Sequence[int]) -> tuple[float, float]:
+    """Return how much too high the margin of a result may be, and with which standard error, m.
+
+    Of two searches that stopped at different places, the shorter one has missed more: both may have missed as much as
+    one may that has converged.
+    """
+    excess = one.figures.get("margin_excess") or {"mean": 0.0, "error": 0.0}
+    missed = float(excess["mean"])
+    if _unlike_budgets(one, other):
+        missed = max(missed, CONVERGED_WITHIN * mean(np.concatenate(_of(one, MARGIN, rows))))
+    return missed, float(excess["error"])
+
+
+def _unlike_budgets(one: StoredResult, other: StoredResult) -> bool:
+    budgets = {result.figures.get("margin_budget") for result in (one, other)}
+    return None not in budgets and len(budgets) == 2
 
 
 def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> set[str]:
@@ -221,7 +257,8 @@ def _of_the_risks(held: Comparison) -> list[str]:
     better, worse = ([name for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
     if better and worse:
         said = f"better by {_labels(better)} and worse by {_labels(worse)}"
-        return [f"{between} are not told apart: the second is {said}"]
+        disagree = "margin and risk disagree: " if MARGIN in (*better, *worse) else ""
+        return [f"{between} are not told apart: {disagree}the second is {said}"]
     if held.opposed:
         sure, unsure = ("better", "worse") if better else ("worse", "better")
         said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
@@ -241,12 +278,20 @@ def _of_the_judge(held: Comparison) -> list[str]:
     both = held.first, held.second
     found = []
     if MARGIN in held.differences:
-        for one in both:
-            if not one.figures["margin_converged"]:
+        for one, is_bound in zip(both, held.is_bound, strict=True):
+            if is_bound:
+                at_most = mean(np.concatenate(one.groups[MARGIN]))
                 found.append(
-                    f"the search for the margin of {one.folder} {stopped_at(one.figures)}: it may be less, and the "
-                    "verdict another (--margin-limit)"
+                    f"the margin of {one.folder} is at most {at_most:.3f} m, for its search {stopped_at(one.figures)}: "
+                    "this car is not called the safer one (--margin-limit)"
                 )
+        if _unlike_budgets(*both):
+            budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
+            found.append(
+                f"the searches for the margins of {held.first.folder} and {held.second.folder} stopped at {budgets} "
+                f"candidates a trial: {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and do not tell "
+                "the cars apart"
+            )
         ways = [one.figures["margin_how"] or "" for one in both]
         if ways[0] != ways[1]:
             said = " and ".join(way or "on the car itself, in process" for way in ways)

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from skd_evaluator.campaign.compare.comparison import NOT_COMPARED, RISKS, compare
+from skd_evaluator.campaign.compare.comparison import MARGIN, NOT_COMPARED, RISKS, Comparison, compare
 from skd_evaluator.campaign.store.figure_names import figure
 from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
 from skd_evaluator.measure.aborted import at_worst
-from skd_evaluator.measure.margins import stopped_at
-
-_AT_MOST = ("margin", "margin_p10", "equivalent_multiplier")
-"""Figures that the search for the margin makes greater where it stops too early."""
+from skd_evaluator.measure.margins import UPPER_BOUNDS, stopped_at
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ class Bound(NamedTuple):
 def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
     """Return where a figure may be, as the search for the margin has not converged; None where it is no bound."""
     of_curve = name.startswith("vulnerability_curve.margins.")
-    less = name in _AT_MOST or (of_curve and name.endswith(".area_above"))
+    less = name in UPPER_BOUNDS or (of_curve and name.endswith(".area_above"))
     more = name == "closeness" or (of_curve and ".probability" in name)
     if result.get("margin_converged") is not False or not (less or more):
         return None
@@ -144,9 +141,21 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     by_how_much = f"{held.value:+.3f}" if judge in RISKS else f"{held.value:+.3f} m"
     text = f"{found.verdict}: {judge} {by_how_much}, 95 % [{low:+.3f}, {high:+.3f}], {found.design}{beside}"
     failed = found.behind_by is not None
-    if not failed and (why := _may_be_behind(earlier, mine)):
+    if not failed and (why := _at_most(found) or _may_be_behind(earlier, mine)):
         return Check(name, f"not judged: {text}; {why}", error=True)
     return Check(name, text, failed=failed)
+
+
+def _at_most(found: Comparison) -> str:
+    """Return why a car may be behind by its margin, or an earlier result by its own; empty where that is known.
+
+    An earlier margin that is an upper bound matters where it is the greater one.
+    """
+    margin = found.differences.get(MARGIN)
+    earlier, mine = found.is_bound
+    if mine or (earlier and margin is not None and margin.direction < 0):
+        return f"the {'' if mine else 'earlier '}margin is an upper bound, so nobody knows which of the two is less"
+    return ""
 
 
 def _may_be_behind(earlier: StoredResult, mine: StoredResult) -> str:

@@ -27,6 +27,7 @@ from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.reference import MULTIPLIERS, Asked, asked_of_result, equivalent_in, reference_sweep
 from skd_evaluator.measure.equivalent_multiplier import equivalent_entries
 from skd_evaluator.measure.margins import Margins
+from skd_evaluator.report.formats import bounded, spoken_interval
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table
 
@@ -64,7 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{entry['name']}: basic cars, {entry['safe']} φ × {entry['attempts']} attempts")
         print_table(table)
         if text := entry.get("equivalent_multiplier_text"):
-            span = entry["equivalent_multiplier_ci95_text"] or "(one φ, no interval)"
+            text = bounded(entry, text)
+            span = spoken_interval(entry, "equivalent_multiplier_ci95_text") or "(one φ, no interval)"
             print(f"The car has the margin of the basic car with C = {text} {span}")
     print(f"results in {out.path}")
     return 0
@@ -96,7 +98,10 @@ def _entry(asked: Asked, found: Mapping[float, Margins]) -> dict[str, Any]:
         for multiplier, margins in found.items()
     ]
     about = {"name": asked.name, "scenario": asked.plan.scenario.name, "seed": asked.plan.seed}
-    compared = {} if asked.result is None else equivalent_entries(equivalent_in(asked, found))
+    compared: dict[str, Any] = {}
+    if asked.result is not None:
+        compared = {"margin_converged": asked.result.figures["margin_converged"]}
+        compared |= equivalent_entries(equivalent_in(asked, found))
     return {**about, "safe": len(asked.safe), "attempts": asked.plan.kamikaze_count, "rows": rows, **compared}
 
 

@@ -19,7 +19,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.group import OTHER, Group
 from skd_evaluator.margin.search.trial import Trial
 from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import Excess
+from skd_evaluator.measure.margins import CONVERGED_WITHIN, Excess
 
 CHANGE: Final = 0.02
 """Of the mean, below which it may have converged: in the last doubling, and in the three beyond it of deep trials."""
@@ -27,7 +27,8 @@ DEEPER: Final = 8
 """Times as deep some trials are searched."""
 _DEEP_TRIALS: Final = 24
 _FEW: Final = 64  # trials
-_EXCESS: Final = 0.01, 0.025  # of the mean: estimated error of a search that has converged, and with its standard error
+_EXCESS: Final = 0.01, CONVERGED_WITHIN
+"""Of the mean: estimated error of a search that has converged, and with its standard error."""
 _SAME_PHI, _OTHER_PHI = 8, 4  # sequences that a group is offered from others after each round
 
 

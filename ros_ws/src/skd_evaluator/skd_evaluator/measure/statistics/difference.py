@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -64,6 +64,25 @@ class Difference:
         if abs(self.value) <= TIE * (self.standard_error or 0.0):
             return 0
         return 1 if self.value > 0.0 else -1
+
+    def widened(self, below: tuple[float, float], above: tuple[float, float]) -> Difference:
+        """Return the difference where each mean may be too high: by how much, and with which standard error of that.
+
+        Args:
+            below: of the second mean: the difference may be less by it.
+            above: of the first mean: the difference may be more by it.
+        """
+        if self.interval is None or self.standard_error is None or self.degrees_of_freedom is None:
+            return self
+        if not any((*below, *above)):
+            return self
+        reach = student_quantile(self.degrees_of_freedom, self.confidence)
+        low = self.value - below[0] - reach * math.hypot(self.standard_error, below[1])
+        high = self.value + above[0] + reach * math.hypot(self.standard_error, above[1])
+        mean_excess, error = below if self.value > 0.0 else above
+        left = max(0.0, abs(self.value) - mean_excess)
+        chance = _chance(left, math.hypot(self.standard_error, error), self.degrees_of_freedom)
+        return replace(self, interval=(low, high), p_value=chance)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of comparison.json."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from skd_evaluator.report.formats import interval, number, percent
+from skd_evaluator.report.formats import bounded, interval, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.terminal import car_name
 
@@ -66,7 +66,7 @@ def by_encounter(subjects: Sequence[Subject]) -> list[int]:
 def _cell(one: Subject) -> Cell:
     figures = one.figures
     return Cell(
-        number(figures["margin"]),
+        bounded(figures, number(figures["margin"])),
         interval(figures["margin_ci95"]),
         percent(figures["hit_rate"]),
         figures["margin_converged"] is False,

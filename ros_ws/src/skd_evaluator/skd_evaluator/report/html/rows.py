@@ -9,7 +9,17 @@ from typing import Any
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.measure.margins import CLOSENESS_WARNING
 from skd_evaluator.measure.statistics.statistics import cantelli_bound
-from skd_evaluator.report.formats import NOTHING, PAGE, counted, interval, ninety, number, percent, percent_interval
+from skd_evaluator.report.formats import (
+    NOTHING,
+    PAGE,
+    counted,
+    interval,
+    ninety,
+    number,
+    percent,
+    percent_interval,
+    spoken_interval,
+)
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.risk.failures import failures_in, kept_failures
 
@@ -229,4 +239,4 @@ def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
     # A basic car is compared with itself, in the same attempts: there is no chance in it.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    return str(figures.get(f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")
+    return (spoken_interval(figures, f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")

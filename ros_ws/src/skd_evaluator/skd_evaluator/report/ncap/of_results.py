@@ -19,6 +19,7 @@ from skd_evaluator.ncap.matrices import Matrix, matrix_of
 from skd_evaluator.ncap.result import Cell, Grid, rounded_kmh
 from skd_evaluator.ncap.tested import in_matrix, with_test
 from skd_evaluator.ncap.wanted import KMH, SAME, Wanted, scenario_of, wanted_cells, why_none
+from skd_evaluator.report.formats import bounded
 from skd_evaluator.report.ncap.layout import Layout, headline, layout_of, reasons
 from skd_evaluator.report.terminal import car_name
 
@@ -104,7 +105,7 @@ def _view(group: Sequence[Result], room: float) -> View:
         for cell in found:
             key = (cell.speed, cell.place, cell.target)
             cells[key] = _joined(cells[key], cell) if key in cells else cell
-            equivalent[cell.speed] = str(one.figures["equivalent_multiplier_text"] or "")
+            equivalent[cell.speed] = bounded(one.figures, str(one.figures["equivalent_multiplier_text"] or ""))
     scenario = group[0].scenario
     assert scenario.protocol is not None
     ordered = tuple(cells[key] for key in sorted(cells, key=lambda key: tuple(entry or 0.0 for entry in key)))
