@@ -16,7 +16,7 @@ from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
-FOREIGN = ("colcon", "docker", "git", "python", "python3", "ros2", "rosdep", "sudo")
+FOREIGN = ("colcon", "cyclonedx-py", "docker", "git", "pip-audit", "python", "python3", "ros2", "rosdep", "sudo")
 """Programs that the documentation calls and that do not lie in the checkout."""
 _INTERPRETERS = (
     *(".venv/bin/python", ".venv-jazzy/bin/python", ".venv/bin/pip"),
