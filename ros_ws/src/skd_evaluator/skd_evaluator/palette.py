@@ -21,6 +21,8 @@ KAMIKAZE: Final = VERMILLION
 """ψ."""
 MARGIN: Final = GREEN
 """Ways of the margin, which nobody planned: the least that would have been enough. Drawn dashed beside ψ."""
+ALONG: Final = GREEN
+"""Runs along φ, in which nobody planned."""
 ALERT: Final = "#A33B00"
 """Of words that must not be missed: a darker vermillion, which can be read on white."""
 BELIEF: Final = PURPLE
