@@ -270,16 +270,16 @@ def _family(head: int) -> set[int]:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize(
-    ("name", "number", "to_all"),
-    [
-        ("basic", signal.SIGINT, True),
-        ("basic", signal.SIGTERM, False),
-        ("my_cars:Sleeps", signal.SIGINT, False),
-        ("my_cars:Sleeps", signal.SIGKILL, False),
+    ("name", "number", "to_all", "processes"),
+    [  # two workers and their parent; each worker has a child for the user's code
+        ("basic", signal.SIGINT, True, 3),
+        ("basic", signal.SIGTERM, False, 3),
+        ("my_cars:Sleeps", signal.SIGINT, False, 5),
+        ("my_cars:Sleeps", signal.SIGKILL, False, 5),
     ],
     ids=["ctrl-c", "terminate", "slow-controller", "kill"],
 )
-def test_interrupted(here, name, number, to_all):
+def test_interrupted(here, name, number, to_all, processes):
     (here / "out").mkdir()
     (here / "out" / "assessment.json").write_text("old")
     (here / "work").mkdir()
@@ -297,8 +297,7 @@ def test_interrupted(here, name, number, to_all):
         start_new_session=True,
     )
     try:
-        # Two workers, each below a keeper.
-        wait_until(lambda: len(_family(process.pid)) >= 5 or process.poll() is not None)
+        wait_until(lambda: len(_family(process.pid)) >= processes or process.poll() is not None)
         time.sleep(0.5)
         assert process.poll() is None, process.communicate()
         family = _family(process.pid)
