@@ -1,4 +1,4 @@
-"""Processes that hang or leave children, and what a run that was killed leaves behind."""
+"""Processes that hang or leave children."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 from common import wait_until
 from graph_support import Skd, of_node, whole_graph
 from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.files import make_temporary
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
 from skd_sim.episode.aborts import AbortKind, kind_of
 from skd_sim.episode.episode import Episode, Outcome
@@ -106,28 +105,3 @@ def test_a_child_that_a_controller_leaves(tmp_path: Path, safe: Path, number: in
     program = campaign(tmp_path, safe, [sys.executable, "-c", LEAVES, str(tmp_path / "running")])
     program.send_signal(number)
     program.finish()  # which sees that nothing is left
-
-
-def test_folders_of_a_killed_run_go_with_the_next(tmp_path: Path, safe: Path) -> None:
-    code = "import pathlib, signal, sys; pathlib.Path(sys.argv[1]).touch(); signal.pause()"
-    for number in range(2):
-        command = [sys.executable, "-c", code, str(tmp_path / f"running{number}")]
-        program = campaign(tmp_path, safe, command)
-        (tmp_path / f"running{number}").unlink()
-        (left,) = tmp_path.glob(".skd-*")  # the second time: not that of the first
-        assert (left / "logs" / "car_controller.log").exists()
-        program.send_signal(signal.SIGKILL)
-        program.finish()
-        assert left.exists()  # and --out, with a link to its logs alone, is taken by the next one as it is
-
-
-def test_folders_of_the_living_stay(tmp_path: Path) -> None:
-    ours = make_temporary(tmp_path)
-    others = [tmp_path / ".skd-abc", tmp_path / ".skd-00000000-1-1-x", ours.with_name(f"{ours.name}.old")]
-    for other in others:
-        other.mkdir()
-    dead = ours.with_name("-".join([*ours.name.split("-")[:3], "7", "x"]))  # this process's id, at another time
-    dead.mkdir()
-    make_temporary(tmp_path)
-    assert not dead.exists()
-    assert all(folder.exists() for folder in (ours, *others))

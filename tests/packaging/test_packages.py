@@ -32,8 +32,6 @@ NOT_IN_ROSDEP = {
     "altair",
     "lz4",
     "mcap",
-    "pydantic",
-    "pydantic_core",
     "rosbags",
     "shtab",
     "vl_convert",
