@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from skd_evaluator.campaign.judge.command_age import command_age
-from skd_evaluator.campaign.run.assembly import result_from_message
 from skd_sim.encounter.scenario import load_scenario
 from skd_sim.episode.command_ages import Timing
 from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
@@ -35,8 +32,3 @@ def test_figures_are_of_all_control_periods_that_count() -> None:
         "greatest_delay": 0.03,
     }
     assert command_age([log(Timing())]) is None
-
-
-def test_results_of_earlier_versions_have_none() -> None:
-    old = dataclasses.make_dataclass("Old", ["outcome", "ticks", "impact_time", "impact_speed", "reason"])
-    assert result_from_message(old(2, 3, 0.0, 0.0, "")).timing == Timing()

@@ -117,7 +117,7 @@ def test_whatever_is_specified_is_in_the_digest():
             {"safe_trajectory": Trajectory(ACROSS.positions + 1e-15, ACROSS.time_step, "across")},
             {"safe_trajectory": dataclasses.replace(ACROSS, name="along")},
             {"scenario": dataclasses.replace(CROSSING, eta_max=4.0)},
-            {"shown": dataclasses.replace(CROSSING, eta_max=4.0)},
+            {"public": dataclasses.replace(CROSSING, eta_max=4.0)},
         )
     ]  # fmt: skip
     digests = Specifications()

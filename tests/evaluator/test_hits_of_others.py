@@ -26,7 +26,7 @@ class LooksAhead:
 
     def command(self, car, scene):
         assert scene.ego == car and scene.adversary.x < 90.0
-        gap = min(other.y - car.y for other in scene.others) - self.front - 2.0
+        gap = min((other.y - car.y for other in scene.others), default=90.0) - self.front - 2.0
         return -6.0 if gap < 3.0 + car.speed**2 / 9.0 else 0.0
 """
 

@@ -48,12 +48,14 @@ def message_of(episode: Any) -> SimpleNamespace:
     points = [SimpleNamespace(x=x, y=y) for x, y in ACROSS.positions.tolist()]
     return SimpleNamespace(
         scenario=json.dumps(CROSSING.as_dict()),
+        public_scenario="",
         mode=1,
         seed=3,
         episode_id=4,
         safe_trajectory=points,
         safe_trajectory_name="across",
         safe_trajectory_time_step=CROSSING.time_step,
+        options="",
         **said,
     )
 

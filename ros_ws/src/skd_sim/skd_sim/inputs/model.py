@@ -11,7 +11,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from typing import Annotated, Any, Self, TypeVar, cast
 
 from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails, core_schema
+from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
@@ -52,14 +52,22 @@ def limits(low: float | None = None, high: float | None = None, unit: str = "") 
 
 
 class OneOf:
-    """The annotation of a text that is one of some names."""
+    """The annotation of a text that is one of some names, which are looked up whenever a text is checked."""
 
     def __init__(self, names: Iterable[str]) -> None:
         """Allow these names."""
-        self._names = list(names)
+        self._names = names
+
+    def _check(self, name: str) -> str:
+        if name not in self._names:
+            raise PydanticCustomError("unknown_name", "none of the names")
+        return name
 
     def __get_pydantic_core_schema__(self, *_: Any) -> core_schema.CoreSchema:
-        return core_schema.literal_schema(self._names)
+        return core_schema.no_info_after_validator_function(self._check, core_schema.str_schema(strict=True))
+
+    def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, Any]:
+        return {"type": "string", "enum": list(self._names)}
 
 
 def plain_type(kind: type[Any], low: float | None, high: float | None, names: Any) -> Any:
@@ -85,7 +93,6 @@ def _adapter(kind: Hashable) -> TypeAdapter[Any]:
     return TypeAdapter(cast(type[Any], kind))
 
 
-@functools.cache
 def schema_of(kind: Hashable) -> dict[str, Any]:
     """Return the JSON schema of a model."""
     return _adapter(kind).json_schema()

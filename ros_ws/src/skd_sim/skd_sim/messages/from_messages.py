@@ -102,5 +102,5 @@ def message_to_episode(message: Any) -> Episode:
         episode_id=int(message.episode_id),
         safe_trajectory=trajectory,
         **{one.name: one.value(getattr(message, one.name)) for one in options_of(Episode) if one.name in FIELDS},
-        **options_from_text(str(getattr(message, "options", "")), "options in /skd/episode"),  # old bags have none
+        **options_from_text(str(message.options), "options in /skd/episode"),
     )
