@@ -16,13 +16,16 @@ from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parents[2]
 SHELLS = {"bash", "console", "sh", "shell"}
-FOREIGN = ("colcon", "cyclonedx-py", "docker", "git", "pip-audit", "python", "python3", "ros2", "rosdep", "sudo")
+FOREIGN = (
+    *("colcon", "cyclonedx-py", "docker", "git", "pip-audit", "python", "python3"),
+    *("ros2", "rosdep", "ssh-keygen", "sudo"),
+)
 """Programs that the documentation calls and that do not lie in the checkout."""
 _INTERPRETERS = (
     *(".venv/bin/python", ".venv-jazzy/bin/python", ".venv/bin/pip"),
     *(".venv-commonroad/bin/python", ".venv-commonroad/bin/skd"),
 )
-_SOURCED = ("ros_ws/install/setup.bash", ".venv-jazzy/bin/activate")
+_READ = ("ros_ws/install/setup.bash", ".venv-jazzy/bin/activate", "manifest.sha256")
 _RECORDER = """#!/bin/sh
 { printf 'PYTHONPATH=%s\\0' "$PYTHONPATH"; pwd | tr '\\n' '\\0'; printf '%s\\0' "$0" "$@"; printf '\\036'; } >>"$CALLS"
 [ "${0##*/} $1" != "git clone" ] || ln -sfn . "$3"
@@ -109,7 +112,7 @@ def make_checkout(folder: Path) -> Path:
         program.write_text(_RECORDER)
         program.chmod(0o755)
     (folder / "skd_results" / "first").mkdir(parents=True)
-    for name in _SOURCED:
+    for name in _READ:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
     return found
