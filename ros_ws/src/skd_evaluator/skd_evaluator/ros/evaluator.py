@@ -174,8 +174,7 @@ class Evaluator(GraphNode):
             self._listen(CLOCK, Clock, stamp=lambda message: from_stamp(message.clock))
             self._listen(self._drive_topic, driven.kind, stamp=lambda message: driven.read(message)[0] or 0)
             self._listen(walk_topic, TwistStamped)
-            if own_world:  # another simulator need not publish any
-                self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
+            self._listen(TF, TFMessage, stamp=_stamp_of_transforms)
             settle = _LOCKSTEP_SETTLE if answers_each_state and driven.stamped else SETTLE
             self._recorder = BagRecorder(
                 self, record_to, self._drive_topic, walk_topic, own_world=own_world, patience=settle, say=say
@@ -200,7 +199,8 @@ class Evaluator(GraphNode):
         name = self.resolve_topic_name(topic)
 
         def on_bytes(data: bytes) -> None:
-            self._heard = time.monotonic()
+            if topic != TF:  # a stack sends transforms too, whether or not the simulator goes on
+                self._heard = time.monotonic()
             message = deserialize_message(data, kind)
             if self._recorder is not None:
                 self._recorder.keep(name, kind, stamp(message), bytes(data))
