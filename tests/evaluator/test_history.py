@@ -10,11 +10,14 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
+from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.campaign.store.manifest import MANIFEST
 from skd_evaluator.cli.main import main
 from skd_evaluator.measure.credibility import NOT_CREDIBLE
 from skd_evaluator.report.history.runs import Run, find_runs
+from skd_evaluator.report.history.table import runs_table, trend_table
 from skd_evaluator.report.history.trend import trends_of
+from skd_evaluator.report.terminal import print_table
 
 REVISIONS = 20
 
@@ -161,3 +164,19 @@ def test_a_trend_takes_two(skd_here, here, sweep):
     result = str(sweep / "synthetic" / "C_0.5")
     one_line(skd_here("trend", result, "--out", "x"), 2, "at least two assessments")
     assert not (here / "x").exists()
+
+
+def test_lists_and_trends_say_that_a_margin_is_at_most(tmp_path, figures, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    bound = {**figures, "margin": 0.5, "margin_converged": False, "margin_budget": 64, "warnings": ["it was cold"]}
+    written(bound, tmp_path / "open")
+    assert main(["list", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert f"* {tmp_path / 'open'}: it was cold" in shown
+    assert "the margin is at most 0.500 m, for its search had not converged at 64 candidates a trial" in shown
+    runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", bound))]
+    (trend,) = trends_of(runs, "margin")
+    for table in (runs_table(runs), trend_table(trend, AT_THE_TOP["margin"].kind)):
+        print_table(table)
+        lines = capsys.readouterr().out.splitlines()
+        assert sum("at most" in line for line in lines) == 1

@@ -17,6 +17,7 @@ from skd_evaluator.campaign.store.result_file import ASSESSMENT
 from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
 from skd_evaluator.campaign.store.stored_result import read_both
 from skd_evaluator.fusion.trial import Trial, figures_of, gap_to_crossing
+from skd_evaluator.measure.margins import open_search
 from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
 
 
@@ -70,7 +71,8 @@ def read_simulated(folder: Path) -> Simulated:
     found = by_phi(trials)
     ordered = {name: found[name] for name in names if name in found}
     safe = dict(zip(names, stored.safe, strict=True))
-    return Simulated(str(folder), ordered, scenario, safe, result.remarks, result.figures)
+    remarks = (*result.remarks, *(f"{folder}: {line}" for line in open_search(result.figures)))
+    return Simulated(str(folder), ordered, scenario, safe, remarks, result.figures)
 
 
 def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[Trial]:

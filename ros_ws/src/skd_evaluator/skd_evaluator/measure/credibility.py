@@ -13,4 +13,9 @@ UNDISTURBED: Final = "with nobody near, "
 
 def not_credible(warnings: Iterable[object]) -> list[str]:
     """Return those of an assessment's warnings by which its figures are not credible, a line each."""
-    return [" ".join(str(line).split()) for line in warnings if str(line).startswith(NOT_CREDIBLE)]
+    return [line for line in in_one_line(warnings) if line.startswith(NOT_CREDIBLE)]
+
+
+def in_one_line(warnings: Iterable[object]) -> list[str]:
+    """Return an assessment's warnings, a line each."""
+    return [" ".join(str(line).split()) for line in warnings]

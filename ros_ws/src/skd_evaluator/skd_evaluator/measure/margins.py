@@ -159,6 +159,13 @@ def stopped_at(figures: Mapping[str, Any]) -> str:
     return f"had not converged at {figures['margin_budget']} candidates a trial"
 
 
+def open_search(figures: Mapping[str, Any]) -> list[str]:
+    """Return, in one line, that a margin is an upper bound; nothing where the search has converged."""
+    if figures.get("margin_converged") is not False:
+        return []
+    return [f"the margin is at most {figures['margin']:.3f} m, for its search {stopped_at(figures)}"]
+
+
 def impact_figures(speeds: FloatArray) -> dict[str, float] | None:
     """Return mean and 90 % quantile of impact speeds, m/s; None without any."""
     if not speeds.size:

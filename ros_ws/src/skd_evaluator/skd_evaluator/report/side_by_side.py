@@ -10,7 +10,7 @@ from rich.table import Table
 
 from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
 from skd_evaluator.report.formats import BARE, TERMINAL, bounded, interval, number, percent
-from skd_evaluator.report.terminal import counted, credibility, narrow_table, one_line_cells
+from skd_evaluator.report.terminal import bounded_cell, counted, credibility, narrow_table, one_line_cells
 
 _number, _interval = TERMINAL.number, TERMINAL.interval
 _HEAD_AND_FOOT = 7  # lines of a table beside its rows
@@ -24,12 +24,6 @@ def _doubt(row: Mapping[str, Any]) -> str:
 
 def _worth(row: Mapping[str, Any]) -> str:
     return credibility([*(row.get("warnings") or ()), *(row.get("problems") or ())])
-
-
-def _bounded(row: Mapping[str, Any], text: str) -> str:
-    """Return a cell with a margin, or what follows from it; in two lines and red where it is but a bound."""
-    said = bounded(row, text)
-    return said if said == text else f"[red]{said.replace('at most ', 'at most' + chr(10))}[/]"
 
 
 def plan_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -59,9 +53,9 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             continue
         table.add_row(
             f"{name}{_doubt(row)}",
-            _bounded(row, number(row["margin"])),
+            bounded_cell(row, number(row["margin"])),
             interval(row["margin_ci95"]),
-            _bounded(row, number(row["equivalent_multiplier"])),
+            bounded_cell(row, number(row["equivalent_multiplier"])),
             percent(row["hit_rate"]),
             number(row["deformation"]),
             str(row["knowledge"]),
@@ -132,11 +126,11 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
         table.add_row(
             f"{escape(row['car'])}{_doubt(row)}",
-            _bounded(row, _number(row["margin"])),
+            bounded_cell(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
             escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
             str(row["knowledge"]),
-            _bounded(row, row["equivalent_multiplier_text"] or "—"),
+            bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
             TERMINAL.share(row["hit_rate"]),
             _number(row["skd"]),
         )

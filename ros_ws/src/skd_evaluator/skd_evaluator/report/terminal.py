@@ -53,6 +53,12 @@ def car_name(result: Mapping[str, Any]) -> str:
     return replace(car, multiplier=float(result["multiplier"])).label if car.has_multiplier else car.label
 
 
+def bounded_cell(result: Mapping[str, Any], text: str) -> str:
+    """Return a cell with a margin, or what follows from it; in two lines and red where it is but a bound."""
+    said = bounded(result, text)
+    return said if said == text else f"[red]{said.replace('at most ', 'at most' + chr(10))}[/]"
+
+
 def credibility(warnings: Iterable[object]) -> str:
     """Return that figures are not credible, by warnings about them; empty if they are."""
     return "not credible" if not_credible(warnings) else ""

@@ -16,7 +16,7 @@ from skd_evaluator.campaign.compare.encounter_difference import (
 from skd_evaluator.campaign.judge.planned_figures import hit_speed
 from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
 from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.credibility import UNDISTURBED, not_credible
+from skd_evaluator.measure.credibility import UNDISTURBED, in_one_line, not_credible
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:
@@ -123,4 +123,4 @@ def _simulator(result: StoredResult) -> str:
 
 def warnings_of(result: StoredResult) -> list[str]:
     """Return the warnings of an assessment about itself, each in one line."""
-    return [" ".join(str(line).split()) for line in result.figures.get("warnings") or ()]
+    return in_one_line(result.figures.get("warnings") or ())

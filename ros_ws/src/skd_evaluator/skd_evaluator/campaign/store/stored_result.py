@@ -21,7 +21,7 @@ from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
 from skd_evaluator.campaign.store.recomputation import stored_risks
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, read_figures, understood
 from skd_evaluator.campaign.store.stored_episodes import EPISODES, StoredEpisodes, read_episodes
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.measure.credibility import in_one_line, not_credible
 from skd_evaluator.measure.risks import Risks, Touch
 from skd_evaluator.measure.skd import prefix_distances
 from skd_evaluator.measure.statistics.statistics import mean
@@ -47,7 +47,7 @@ class StoredResult:
             that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
             both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
             simulation estimates, not there where the risk is not known.
-        remarks: remarks on the assessment, a line each.
+        remarks: remarks on the assessment, and its own warnings, a line each.
         worst: those of the groups of risk and deformation that would be others if the car had hit in every episode that
             was aborted, kamikazes without any deformation.
     """
@@ -158,7 +158,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     if lost.any():
         more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
         worst["deformation"] = tuple(np.concatenate(pair) for pair in zip(groups["deformation"], more, strict=True))
-    lines = (f"{folder}: {line}" for line in not_credible(figures.get("warnings") or ()))
+    lines = (f"{folder}: {line}" for line in in_one_line(figures.get("warnings") or ()))
     return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *lines), worst), stored
 
 

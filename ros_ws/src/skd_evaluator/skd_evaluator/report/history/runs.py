@@ -13,7 +13,8 @@ from skd_sim.inputs.outside import folders_in, read_json, real_path
 from skd_evaluator.campaign.store.manifest import check_unchanged
 from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
 from skd_evaluator.files import PREFIX
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.measure.credibility import in_one_line, not_credible
+from skd_evaluator.measure.margins import open_search
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.terminal import car_name
 
@@ -62,6 +63,11 @@ class Run:
         """Why its figures are not credible, a line each."""
         return not_credible(self.figures.get("warnings") or ())
 
+    @property
+    def warnings(self) -> list[str]:
+        """Its own warnings, and that its margin is an upper bound, a line each."""
+        return [*in_one_line(self.figures.get("warnings") or ()), *open_search(self.figures)]
+
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
         keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deformation", "skd", "risk_1", "seed", "safe")
@@ -73,9 +79,11 @@ class Run:
             "revision": self.revision,
             "safe_count": len(self.figures["per_safe_trajectory"]),
             "attempts": self.figures.get("margin_attempts"),
+            "margin_converged": self.figures.get("margin_converged"),
             **{key: self.figures.get(key) for key in keys},
             "remark": self.remark,
             "credible": not self.not_credible,
+            "warnings": self.warnings,
         }
 
 

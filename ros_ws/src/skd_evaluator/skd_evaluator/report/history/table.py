@@ -13,7 +13,7 @@ from skd_evaluator.campaign.judge.figure_table import Kind
 from skd_evaluator.report.formats import TERMINAL
 from skd_evaluator.report.history.runs import Run
 from skd_evaluator.report.history.trend import Trend
-from skd_evaluator.report.terminal import narrow_table
+from skd_evaluator.report.terminal import bounded_cell, narrow_table
 
 _UNKNOWN = "unknown"
 """Commit of code that is in no checkout."""
@@ -33,10 +33,10 @@ def runs_table(runs: Sequence[Run]) -> Table:
     table.add_column("date\n(UTC)")
     for run in runs:
         table.add_row(
-            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.not_credible else ''}",
+            f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
             escape(run.car),
             escape(run.encounter),
-            _number(run.figures["margin"]),
+            bounded_cell(run.figures, _number(run.figures["margin"])),
             _interval(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["hit_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
@@ -85,7 +85,10 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
         table.add_row(
             day(step.run.date),
             step.run.revision or _UNKNOWN,
-            _number(None if step.value is None else scale * step.value),
+            bounded_cell(
+                step.run.figures if trend.figure == "margin" else {},
+                _number(None if step.value is None else scale * step.value),
+            ),
             _interval(scaled(step.interval, scale), 2),
             f"[bold]{step.verdict}[/]{'[red] not credible[/]' if step.run.not_credible else ''}",
             *change,

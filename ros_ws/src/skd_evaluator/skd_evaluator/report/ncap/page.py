@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from skd_evaluator.ncap.result import Cell, Ncap
-from skd_evaluator.report.formats import counted
+from skd_evaluator.report.formats import bounded, counted
 from skd_evaluator.report.html.template import filled
 from skd_evaluator.report.ncap.layout import (
     COLOURS,
@@ -60,6 +60,6 @@ def details(cell: Cell) -> str:
     if cell.deformation is not None:
         said.append(f"planned deformation {cell.deformation:.2f} m")
     if cell.equivalent_text:
-        said.append(f"equivalent multiplier {cell.equivalent_text}")
+        said.append(f"equivalent multiplier {bounded({'margin_converged': cell.converged}, cell.equivalent_text)}")
     said += [why for why in dict.fromkeys((cell.why, cell.margin_why)) if why]
     return "; ".join(said)

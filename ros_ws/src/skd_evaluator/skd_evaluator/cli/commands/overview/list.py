@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{where}: holds no assessment that is asked for ({counted(len(runs), 'result')} in all)")
         print_table(runs_table(found))
         for one in found:
-            for line in (*([one.remark] if one.remark else []), *one.not_credible):
+            for line in (*([one.remark] if one.remark else []), *one.warnings):
                 print(f"* {one.folder}: {line}")
         for line in _namesakes(found):
             print(f"skd list: warning: {one_line(line)}", file=sys.stderr)
