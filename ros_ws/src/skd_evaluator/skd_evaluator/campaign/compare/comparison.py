@@ -289,8 +289,8 @@ def _of_the_judge(held: Comparison) -> list[str]:
             budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
             found.append(
                 f"the searches for the margins of {held.first.folder} and {held.second.folder} stopped at {budgets} "
-                f"candidates a trial; {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and the interval "
-                "allows for that"
+                f"candidates a trial; {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and the "
+                "interval allows for that"
             )
         ways = [one.figures["margin_how"] or "" for one in both]
         if ways[0] != ways[1]:
