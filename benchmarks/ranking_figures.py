@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict
 
-import numpy as np
 from cars.catalogue import Car
 from contacts import run_of
 from skd_evaluator.campaign.plan.plan import Plan
@@ -99,12 +98,6 @@ def _needed(episode: Episode) -> float:
     return min(scenario.eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
 
 
-def _planned_way(episode: Episode) -> list[np.ndarray]:
-    """Return the way on which a planned kamikaze hits, positions per tick (m), if it does."""
-    log = run_episode(episode)
-    return [log.trajectory.positions] if log.hit else []
-
-
 def _frechet(episode: Episode) -> float:
     """Return the discrete Fréchet distance (m) of a kamikaze that touches the car; nan of one that does not."""
     log = run_episode(episode)
@@ -120,13 +113,13 @@ def along(work: Work) -> Found:
 
 
 def margin(work: Work) -> Found:
-    """Return the margin of each attempt: exact for the basic car, else searched, beginning with the planned ways."""
+    """Return the margin of each attempt: exact for the basic car, else searched."""
     episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts)
     eta_max = work.car.scenario.eta_max
-    found = least_ways(
-        episodes, lambda: list(work.runner.map(_planned_way, episodes)), work.runner, lambda *_: None, work.limit
+    found = least_ways(episodes, {}, work.runner, lambda *_: None, work.limit)
+    note = (
+        "exact" if found.budget is None else f"{found.budget} candidates{'' if found.converged else ', not converged'}"
     )
-    note = "exact" if found.budget is None else f"{found.budget} ticks{'' if found.converged else ', not converged'}"
     return {
         "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in found.ways]),
         "note": note,

@@ -40,7 +40,7 @@ PLAN = Plan(
 )  # fmt: skip
 NOT_RECOMPUTED = {
     r"seconds|seed|multiplier|simulations|maximum_distance|(.*\.)?eta_max": "what was asked for, or the clock's",
-    r"margin_budget": "how the margin was sought; null where it is exact",
+    r"margin_budget|distinct_safe_trajectories": "how the margin was sought; null where it is exact",
     r"equivalent_multiplier.*": "read off margins of basic cars, which are in no file of this one",
     r"(provenance|scenario|options)\..*|command_age.*|until_width.*": "how it was run, and what the graph alone has",
     r"(.*\.)?measures\.warped\.(undefined|error|pairs)": "of measures that may fail; this one does not",
