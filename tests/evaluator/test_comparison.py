@@ -300,7 +300,7 @@ def test_searches_of_unlike_effort_tell_no_cars_apart_by_what_they_may_have_miss
     near, far = (result("b", values(1) * share, margin_budget=512) for share in (0.98, 0.5))
     assert compare(first, result("b", values(1) * 0.98, **SEARCHED)).verdict == LESS_SAFE
     assert (compare(first, near).verdict, compare(near, first).verdict) == (NOT_TOLD_APART, NOT_TOLD_APART)
-    assert "stopped at 128 and 512 candidates a trial: 2.5 % of each margin" in compare(first, near).lines()[0]
+    assert "stopped at 128 and 512 candidates a trial; 2.5 % of each margin" in compare(first, near).lines()[0]
     assert (compare(first, far).verdict, compare(far, first).verdict) == (LESS_SAFE, SAFER)
 
 

@@ -49,7 +49,8 @@ def fork_server() -> ForkServerContext:
     context.set_forkserver_preload([__name__])
     os.environ[_PRELOAD] = "1"
     folders = Path(__file__).parents[:2]
-    os.environ["PYTHONPATH"] = os.pathsep.join([*map(str, folders), os.environ.get("PYTHONPATH", "")])
+    there = filter(None, [os.environ.get("PYTHONPATH")])  # an empty entry would be the working folder
+    os.environ["PYTHONPATH"] = os.pathsep.join([*map(str, folders), *there])
     process = context.Process(target=_see_who_imported)
     process.start()
     process.join()
