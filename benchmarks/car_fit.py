@@ -22,17 +22,17 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from skd_adversary.car_fit import fit_car, observe
-from skd_adversary.car_model_file import car_model_text
+from skd_adversary.car_models import fit_car, observe
+from skd_adversary.car_models.car_model_file import car_model_text
+from skd_evaluator.assessment.plan.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.skd import compute_skd
-from skd_sim.choices.objective import Objective
+from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")
 WITHIN = {"trigger": 0.03, "deceleration": 0.03, "deceleration_noise": 0.1, "speed_noise": 0.1}

@@ -29,18 +29,18 @@ from typing import Any
 
 import numpy as np
 from margin_variances import margins
-from skd_evaluator.assessing.pipeline import planners_of
-from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.pipeline import planners_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.difference import Difference, difference
-from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.difference import Difference, difference
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
 
 FIRST_SEED = 1000
 CARS = ((1.0, 0), (1.0, 1), (1.05, 0))

@@ -10,10 +10,10 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import to_car_frame
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 _SAME = 1e-6  # m, by which a touching disc's distance may differ from its radius
 

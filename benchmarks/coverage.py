@@ -23,17 +23,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.judge.until_width import LOOKS
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.measure.distances.time_warping import warped_distance
-from skd_evaluator.measure.skd import bound_interval
-from skd_evaluator.measure.statistics.clustered import clustered_mean, variance_components
-from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
-from skd_evaluator.measure.statistics.prior import DISTANCES, PREFIXES
-from skd_evaluator.measure.statistics.sample_size import expected_width
-from skd_evaluator.measure.statistics.sequential import narrow_enough, nominal_confidence
-from skd_evaluator.measure.statistics.statistics import (
+from skd_evaluator.assessment.judge.until_width import LOOKS
+from skd_evaluator.assessment.store.stored_episodes import read_episodes
+from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
+from skd_evaluator.metrics.distances.time_warping import warped_distance
+from skd_evaluator.metrics.skd import bound_interval
+from skd_evaluator.metrics.statistics.clustered import clustered_mean, variance_components
+from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
+from skd_evaluator.metrics.statistics.prior import DISTANCES, PREFIXES
+from skd_evaluator.metrics.statistics.sample_size import expected_width
+from skd_evaluator.metrics.statistics.sequential import narrow_enough, nominal_confidence
+from skd_evaluator.metrics.statistics.statistics import (
     frechet_probability_bound,
     normal_interval,
     wilson_interval,

@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessing.asked import scenario_for
-from skd_evaluator.campaign.plan.options import SYNTHETIC
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.options import SYNTHETIC
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.asked import scenario_for
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_sim.episode.episode import Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.world.episode import Mode
+from skd_sim.world.trajectory import Trajectory
 
 MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15, 1.3, 1.5)
 

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.fusion.trial import figures_of
-from skd_evaluator.measure.contact_place import car_until_contact
-from skd_evaluator.measure.surrogate.scenes import scene_of
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.episode.episode import EpisodeLog, Mode, Outcome, until_contact
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.extensions.fusion.trial import figures_of
+from skd_evaluator.metrics.contact_place import car_until_contact
+from skd_evaluator.metrics.surrogate.scenes import scene_of
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
+from skd_sim.world.trajectory import Trajectory
 
 FIGURES = ("clearance", "required_deceleration", "hit")
 RUNS = 2

@@ -17,12 +17,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from skd_evaluator.assessing.graph_options import COMPOSED, SEPARATE, GraphOptions
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.stages.graph_options import COMPOSED, SEPARATE, GraphOptions
 from skd_evaluator.ros.session import graph_session, prepare_ros
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
 
 WARM_UP = 5  # episodes
 PERIOD = 0.02  # s, of the car that decides often

@@ -17,17 +17,17 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.planning.planner import Planner
+from skd_adversary.pomdp.planner import Planner
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.distances.frechet import discrete_frechet
-from skd_evaluator.measure.skd import compute_skd
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.assessment.plan.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.skd import compute_skd
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 _MULTIPLIERS = (0.5, 1.0, 1.15)
 _SAFE_COUNT = 5

@@ -24,16 +24,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
-from skd_evaluator.measure.equivalent_multiplier import equivalent_multiplier
-from skd_evaluator.measure.margin_figures import margin_figures
-from skd_evaluator.measure.statistics.statistics import normal_interval
+from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
+from skd_evaluator.metrics.margin_figures import margin_figures
+from skd_evaluator.metrics.statistics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Mode
+from skd_sim.world.trajectory import Trajectory
 from tally import Tally
 
 SIZES = ((10, 25), (20, 25))

@@ -20,15 +20,15 @@ import numpy as np
 from cars.catalogue import CARS, Car, available
 from rich.console import Console
 from rich.table import Table
-from skd_evaluator.campaign.plan.options import SYNTHETIC
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.options import SYNTHETIC
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.searching import in_processes
 from skd_sim.arrays import FloatArray
-from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import Episode, Mode
 
 COLUMNS = ("car", "scenario", "seed", "said (m)", "converged", "budget", "excess (m)", "deep / default", "s", "s deep")
 DEEP_TRIALS = 20

@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
-from skd_evaluator.measure.statistics.clustered import variance_components
+from skd_evaluator.metrics.statistics.clustered import variance_components
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode
+from skd_sim.world.trajectory import Trajectory
 
 CARS = (1.0, 1.05)
 

@@ -1,7 +1,7 @@
 """How good the planner is on problems with published results: mean discounted return, and time a move.
 
 Each problem is played in closed loop, an episode a seed: plan, act, observe, update the belief. The models are in
-`benchmarks/problems`, each with its source, written against the public interface, `skd_adversary.planning.pomdp`.
+`benchmarks/problems`, each with its source, written against the public interface, `skd_adversary.pomdp.pomdp`.
 
     python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N] [--workers N] [--seed N]
 """
@@ -22,11 +22,11 @@ import numpy as np
 from problems.rock_sample import rock_sample
 from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
 from problems.tiger import tiger
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
-from skd_adversary.planning.options import Backup, Cells, PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.closed_loop import play
+from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.arrays import FloatArray
 
 

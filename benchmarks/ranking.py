@@ -38,15 +38,15 @@ from contacts import Run
 from pair_orders import Pair, Share, agreed_pairs, ordered_share
 from ranking_figures import FIGURES, Found, Work
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.search.search import IN_PROCESS
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.difference import Difference, difference
-from skd_evaluator.measure.statistics.statistics import wilson_interval
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.difference import Difference, difference
+from skd_evaluator.metrics.statistics.statistics import wilson_interval
+from skd_sim.options.objective import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
+from skd_sim.scenario.scenario import load_scenario
 from wide_encounters import HITS, TRUTHS, Manner, outcomes
 
 

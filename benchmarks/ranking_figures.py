@@ -8,22 +8,22 @@ from typing import TypedDict
 
 from cars.catalogue import Car
 from contacts import run_of
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.search.search import IN_PROCESS
-from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.distances.frechet import discrete_frechet
-from skd_evaluator.measure.risks import SCALES, Touch
+from skd_evaluator.metrics.behaviour import WALKERS
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.crossings import Encounter
-from skd_sim.choices.objective import Objective
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 from wide_encounters import HITS
 
 ALONG_ATTEMPTS = 25

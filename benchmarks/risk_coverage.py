@@ -22,22 +22,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.behaviour.walking import walk
-from skd_evaluator.measure.risks import ScaleRisk, Touch
-from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.behaviour.walking import walk
+from skd_evaluator.metrics.risks import ScaleRisk, Touch
+from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
 from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.geometry.contact import sweep
-from skd_sim.geometry.motion import next_speed, travelled
-from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.contact import sweep
+from skd_sim.world.motion import next_speed, travelled
+from skd_sim.world.trajectory import Trajectory
 
 PART = 20_000
 """Crude crossings of a worker's task."""

@@ -16,16 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from fusion_trials import walks
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
-from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by
-from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.extensions.fusion.calibration.estimate import POOR, Calibration, estimated
+from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
+from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, off_by
+from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.simulation.simulator import Frame, WorldSimulator
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.simulator import Frame, WorldSimulator
 
 NOISE = 0.02  # m
 TRIALS = (12, 24)

@@ -20,9 +20,9 @@ from pathlib import Path
 
 _SMALL = "--safe-count 3 --kamikaze-count 5 --collision-runs 20 --quiet --no-pictures"
 _NODES = {
-    "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
-    "car_controller": "skd_sim.nodes.car_controller",
-    "adversary": "skd_adversary.nodes.adversary_node",
+    "vehicle_simulator": "skd_sim.ros.vehicle_simulator",
+    "car_controller": "skd_sim.ros.car_controller",
+    "adversary": "skd_adversary.ros.adversary_node",
     "evaluator": "skd_evaluator.ros.evaluator_main",
 }
 

@@ -33,14 +33,14 @@ import numpy as np
 import yaml
 from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
-from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.result_file import ASSESSMENT
+from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_sim.options.car_dynamics import BASIC, DYNAMICS
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
 TEN = (
     "basic, C = 0.5",

@@ -17,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from skd_sim.encounter.definition import Obstacle
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.geometry.contact import to_car_frame
 from skd_sim.hazard.network import HazardNetwork, save_network
 from skd_sim.hazard.perception import SCALE, WIDEST_WALKER, Perception
 from skd_sim.hazard.region import MARGIN, MARGIN_TIME, on_collision_course
 from skd_sim.kernels.compilation import kernel
-from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.simulation.world import World
-from skd_sim.state import AdversaryState
+from skd_sim.scenario.definition import Obstacle
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.sensors.laser import PlanarLaser
+from skd_sim.world.state import AdversaryState
+from skd_sim.world.world import World
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -76,7 +76,7 @@ def wait_for_line(process: subprocess.Popen[str], wanted: str) -> str:
 
 def assert_valid(assessment: Any) -> None:
     """Hold the content of an assessment.json against the schema that comes with SKD."""
-    text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
+    text = resources.files("skd_evaluator.assessment").joinpath("assessment.schema.json").read_text(encoding="utf-8")
     schema = json.loads(text)
     jsonschema.Draft202012Validator.check_schema(schema)
     found = jsonschema.Draft202012Validator(schema).iter_errors(assessment)

@@ -139,7 +139,7 @@ def _prepare(path: Sequence[str]) -> None:
         importlib.import_module(module.name)
     assert main(["assess", *_FIRST, "--out", "first"]) in (0, 1)
     # commands may have packages of their own
-    importlib.import_module("skd_sim.choices.registry")._installed.cache_clear()
+    importlib.import_module("skd_sim.options.registry")._installed.cache_clear()
     gc.freeze()  # or collecting would copy every page into each process
 
 

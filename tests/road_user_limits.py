@@ -7,13 +7,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
 WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle

@@ -15,35 +15,16 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import those before it
 ROS = ("rclpy", "launch", "launch_ros", "rosbag2_py")
-ROS_FOLDERS = ("nodes", "messages", "ros")
-ROOMS = {  # of the evaluator: which others each may import
-    "measure": set(),
-    "campaign": {"measure"},
-    "margin": {"measure", "campaign"},
-    "bags": {"measure", "campaign"},
-    "report": {"measure", "campaign", "ncap"},
-    "fusion": {"measure", "campaign", "bags"},
-    "ncap": {"measure", "campaign", "margin"},
-    "exchange": {"measure", "campaign", "bags", "fusion", "report"},
-    "learning": {"campaign", "bags", "measure"},
-    "risk": {"campaign", "bags", "margin", "measure"},
-    "assessing": {"measure", "campaign", "margin", "report", "learning", "risk"},
-    "driving": {"campaign", "measure"},
-    "ros": {"campaign", "bags", "learning", "assessing", "driving"},
-    "campaigns": {"measure", "campaign", "margin", "ros", "assessing", "risk"},
-}
-ORDERS = {  # from above to below: a room imports from those behind it alone
-    "skd_sim": (
-        "nodes messages lockstep simulation apart controllers hazard sensors episode dynamics "
-        "encounter choices geometry kernels inputs program"
+ROS_FOLDERS = ("ros",)
+ORDERS = {  # from above to below: a folder imports from those behind it alone
+    "skd_sim": "ros simulators controllers hazard world options kernels inputs program",
+    "skd_adversary": "ros safe_trajectories crossing car_models pomdp",
+    "skd_evaluator": (
+        "cli ros driving assessment.stages assessment.learning risk margin report bags assessment metrics"
     ),
-    "skd_adversary": "nodes model planning",
-    "skd_evaluator/campaign": "compare store judge run plan",
-    "skd_evaluator/margin": "search exact ways",
-    "skd_evaluator/exchange": "coming_in going_out",
-    "skd_evaluator/ros": "readiness programs",
-    "skd_evaluator/report": "html",
-    "skd_evaluator/measure": "distances surrogate statistics",
+    "skd_evaluator.assessment": "stages compare store judge run validation plan",
+    "skd_evaluator.margin": "search exact",
+    "skd_evaluator.metrics": "distances surrogate statistics",
 }
 
 
@@ -73,23 +54,6 @@ def test_imports_run_one_way(package):
     assert wrong == {}
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_rooms_of_the_evaluator_stand_in_order(room):
-    folder = ROOT / "ros_ws" / "src" / "skd_evaluator" / "skd_evaluator"
-    inside = {path.name for path in folder.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    assert inside <= {*ROOMS, "cli"}
-    modules = sorted((folder / room).rglob("*.py"))
-    assert modules
-    for module in modules:
-        found = {
-            parts[1]
-            for node in nodes_of(module)
-            if isinstance(node, ast.ImportFrom) and (parts := (node.module or "").split("."))[0] == "skd_evaluator"
-            if len(parts) > 1
-        }
-        assert found & inside <= ROOMS[room] | {room}, module
-
-
 def dotted(module: Path) -> str:
     """Return the name by which a module is imported."""
     parts = module.relative_to(ROOT / "ros_ws" / "src").with_suffix("").parts[1:]
@@ -117,22 +81,23 @@ def test_no_imports_run_in_a_circle():
     sorter.prepare()  # raises a CycleError that names one
 
 
-@pytest.mark.parametrize("house", ORDERS)
-def test_rooms_stand_in_order(house):
-    prefix = ".".join(dict.fromkeys((house.split("/")[0], *house.split("/"))))
-    order = {name: place for place, name in enumerate(ORDERS[house].split())}
-    rooms = [*ROOT.glob(f"ros_ws/src/{house.split('/')[0]}/{house.split('/')[0]}/{'/'.join(house.split('/')[1:])}")]
-    inside = {folder.name for room in rooms for folder in room.iterdir() if (folder / "__init__.py").exists()}
-    assert set(order) & inside
+@pytest.mark.parametrize("package", ORDERS)
+def test_folders_stand_in_order(package):
+    folders = ORDERS[package].split()
+    assert all(
+        (ROOT / "ros_ws" / "src" / package.split(".")[0] / f"{package}.{one}".replace(".", "/")).is_dir()
+        for one in folders
+    )
 
-    def room_of(module: str) -> int | None:
-        return order.get(module.removeprefix(f"{prefix}.").split(".")[0]) if module.startswith(f"{prefix}.") else None
+    def place(module: str) -> int | None:
+        inside = [one for one in folders if module.startswith(f"{package}.{one}.")]
+        return folders.index(max(inside, key=len)) if inside else None
 
     wrong = [
         (one, other)
         for one, others in arrows().items()
         for other in others
-        if (above := room_of(one)) is not None and (below := room_of(other)) is not None and below < above
+        if (above := place(one)) is not None and (below := place(other)) is not None and below < above
     ]
     assert wrong == []
 

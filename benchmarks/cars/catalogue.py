@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import control_period_of, make_controller, with_control_period
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
 MULTIPLIERS = (0.5, 0.75, 1.0, 1.15, 1.5)
 SNOW = 0.3

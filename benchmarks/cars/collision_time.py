@@ -11,8 +11,8 @@ import math
 from collections import deque
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 from cars.view import Eyes, View, towards
 

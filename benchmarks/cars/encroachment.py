@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 from cars.view import Eyes, View, towards
 

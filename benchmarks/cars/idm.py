@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_sim.controllers.pedals import sub_steps
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.contact import to_car_frame
-from skd_sim.geometry.motion import next_speed, travelled
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.motion import next_speed, travelled
+from skd_sim.world.state import AdversaryState, CarState
 
 EXPONENT = 4  # δ
 

@@ -7,9 +7,9 @@ the last acceleration, from which the next one differs by what the jerk allows, 
 from __future__ import annotations
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.kernels.compilation import kernel
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 from cars.view import Eyes, View
 

@@ -6,8 +6,8 @@ The adversary counts where it is on the lane, or walks onto it. Ten decisions a 
 from __future__ import annotations
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 from cars.view import Eyes, towards
 

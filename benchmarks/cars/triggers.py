@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import to_car_frame
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.state import AdversaryState, CarState
 
 from cars.view import towards
 

@@ -12,8 +12,8 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 SOURCE = Path(__file__).resolve().parents[2] / "examples" / "vendor_controller" / "vendor_controller.py"
 

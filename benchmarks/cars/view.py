@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import to_car_frame
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.state import AdversaryState, CarState
 
 GAIN = 1.0  # 1/s: a difference of speed of 1 m/s asks for 1 m/s²
 COMFORTABLE = 1.5  # m/s², with which they speed up

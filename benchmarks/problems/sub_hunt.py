@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from observed_values import with_observed_leaves
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 

@@ -19,9 +19,9 @@ from commonroad_rp.reactive_planner import ReactivePlanner
 from commonroad_rp.state import ReactivePlannerState
 from commonroad_rp.utility.config import ReactivePlannerConfiguration
 from commonroad_rp.utility.utils_coordinate_system import CoordinateSystem
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 LANE_END = 150.0  # m from the crossing point, both ways: further than any episode and its plans go
 REAR_AXLE = 1.4  # m behind the middle of the car

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from skd_evaluator import Plan, load_result, run_episode
 from skd_sim import Mode, Trajectory
-from skd_sim.encounter.scenario import scenario_from_dict
+from skd_sim.scenario.scenario import scenario_from_dict
 
 TRIALS = 12
 SITE = (420.0, -35.0, np.radians(30.0))

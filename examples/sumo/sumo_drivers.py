@@ -12,9 +12,9 @@ from typing import ClassVar, NamedTuple
 
 import libsumo
 import numpy as np
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 STEP = 0.1  # s
 LANE_WIDTH = 8.0  # m; a lane as wide as this has place for a person beside the vehicle, and there is no sidewalk

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_adversary.car_fit import Observations, observe
+from skd_adversary.car_models import Observations, observe
+from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.run.runner import run_episode
 from skd_sim.controllers import BasicController, Controller, control_period_of, with_control_period
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 SCENARIO = load_scenario("crossing")
 KAPPA = SCENARIO.car.safe_distance

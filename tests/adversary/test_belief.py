@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from models import ring
-from skd_adversary.planning.belief import RESAMPLE_BELOW, ParticleBelief, effective_sample_size, resample
+from skd_adversary.pomdp.belief import RESAMPLE_BELOW, ParticleBelief, effective_sample_size, resample
 
 CELLS, FORWARD, STOP, SIGMA = 12, 0.7, 0.5, 1.5
 SCRIPT = [(1, 3.2), (1, 4.9), (2, 6.1), (3, 9.4), (1, 10.2), (2, 0.3), (1, 1.4), (0, 1.0)]

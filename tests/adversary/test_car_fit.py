@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from recorded_cars import KAPPA, SCENARIO, CruisingCar, LateCar, LimitedCar, MoodyCar, TimeToCollisionCar, logs_of
 from scipy import stats
-from skd_adversary.car_fit import Recording, fit_car, observe
-from skd_adversary.car_fit.calibration import integral_transform, kolmogorov_smirnov
-from skd_adversary.car_fit.families import Family, Law
-from skd_adversary.car_fit.identifiability import parameter
-from skd_adversary.car_fit.intervals import Estimate, half_width_estimate, step_estimate
-from skd_adversary.car_fit.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
-from skd_adversary.car_model_file import car_model_text, fitted_car
-from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Prior
+from skd_adversary.car_models import Recording, fit_car, observe
+from skd_adversary.car_models.calibration import integral_transform, kolmogorov_smirnov
+from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
+from skd_adversary.car_models.families import Family, Law
+from skd_adversary.car_models.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Prior
+from skd_adversary.car_models.identifiability import parameter
+from skd_adversary.car_models.intervals import Estimate, half_width_estimate, step_estimate
+from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
 from skd_sim.controllers import BasicController
 from skd_sim.controllers.cal import CalController
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 TRUTH = {"deceleration": 3.5, "deceleration_noise": 0.1, "speed_noise": 0.05, "reaction_delay": 0.0}
 

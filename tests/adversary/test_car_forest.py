@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from recorded_cars import logs_of
 from skd_adversary.adversary import learned_car
-from skd_adversary.car_fit import Observations, learn_car
-from skd_adversary.car_fit.forest import LEAST_DONORS, TREES, described, forest_transform, grow
-from skd_adversary.car_forest import GRID, leaf_of
-from skd_adversary.car_model_file import car_model_text, fitted_car, read_car_model, write_car_model
-from skd_adversary.fitted_car import FittedCar
-from skd_adversary.model.car.basic import unknown_car
-from skd_adversary.model.car.forest import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE
-from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.model.objectives import objective_named
-from skd_adversary.model.road_users import road_user_named
-from skd_sim.choices.objective import Objective
+from skd_adversary.car_models import Observations, learn_car
+from skd_adversary.car_models.car_forest import GRID, leaf_of
+from skd_adversary.car_models.car_model_file import car_model_text, fitted_car, read_car_model, write_car_model
+from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models.forest import LEAST_DONORS, TREES, described, forest_transform, grow
+from skd_adversary.crossing.car.basic import unknown_car
+from skd_adversary.crossing.car.forest import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE
+from skd_adversary.crossing.composer import compose
+from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers import BasicController
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 
 class GradedCar:

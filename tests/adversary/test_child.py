@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.model.road_user.walker import nearest_walked
-from skd_adversary.model.road_users import check_kind
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_adversary.crossing.road_user.walker import nearest_walked
+from skd_adversary.crossing.road_users import check_kind
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 SCENARIO = load_scenario("child")
 STEP = SCENARIO.time_step

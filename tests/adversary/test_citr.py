@@ -12,8 +12,8 @@ from citr_lookalike import FRAME_RATE, LookAlike, Walk
 from skd_adversary.safe_trajectories.citr import Clip, read_citr, read_clips, select, touches_cart
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("citr_crossing")
 ANY_ENTRY = replace(SCENARIO, car=replace(SCENARIO.car, meet_safe_trajectory=False))

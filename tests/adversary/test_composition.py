@@ -11,22 +11,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-import skd_adversary.model as package
-from skd_adversary.model import interfaces
-from skd_adversary.model.car.basic import unknown_car
-from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import ADVERSARY_X, STATE_DIM
-from skd_adversary.model.interfaces import ROW, move, velocity
-from skd_adversary.model.objectives import objective_named
-from skd_adversary.model.parts import ObjectiveModel, Template, template
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, STAY
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.planner import Planner
+import skd_adversary.crossing as package
+from skd_adversary.crossing import interfaces
+from skd_adversary.crossing.car.basic import unknown_car
+from skd_adversary.crossing.composer import compose
+from skd_adversary.crossing.crossing import ADVERSARY_X, STATE_DIM
+from skd_adversary.crossing.interfaces import ROW, move, velocity
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.parts import ObjectiveModel, Template, template
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, STAY
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.options import PlannerOptions
+from skd_adversary.pomdp.planner import Planner
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.objective import OBJECTIVES
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.kernels.compilation import kernel
+from skd_sim.options.objective import OBJECTIVES
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
 CROSSING = load_scenario("crossing")
 SLOTS = {name for name in vars(interfaces) if not name.startswith("_")} - {

@@ -9,22 +9,22 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_adversary.model import crossing
-from skd_adversary.model.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
-from skd_adversary.model.composer import compose, transition_parts
-from skd_adversary.model.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
-from skd_adversary.model.objective.paper import OBJECTIVE
-from skd_adversary.model.road import curved, straight
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, action_velocity
-from skd_adversary.model.road_user.pedestrian import KERNELS as PEDESTRIAN
-from skd_adversary.model.road_users import road_user_named
-from skd_adversary.model.safe_path import polyline_distance, polyline_segments
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.crossing import crossing
+from skd_adversary.crossing.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing.composer import compose, transition_parts
+from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.crossing.objective.paper import OBJECTIVE
+from skd_adversary.crossing.road import curved, straight
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, action_velocity
+from skd_adversary.crossing.road_user.pedestrian import KERNELS as PEDESTRIAN
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.safe_path import polyline_distance, polyline_segments
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.controllers import BasicController
-from skd_sim.encounter.road import road_position
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.simulation.world import World
+from skd_sim.scenario.road import road_position
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")
 ACTIONS = range(ACTION_COUNT)

@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.world import make_world
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.world import make_world
 
 SCENARIO = load_scenario("cut_in")
 STEP = SCENARIO.time_step

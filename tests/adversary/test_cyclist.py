@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.model.car.basic import known_basic_car
-from skd_adversary.model.composer import compose, road_user_interfaces
-from skd_adversary.model.crossing import STATE_DIM
-from skd_adversary.model.objective.deformation import OBJECTIVE
-from skd_adversary.model.road_user import cyclist, pedestrian, wheeled
-from skd_adversary.model.road_user.wheeled import (
+from skd_adversary.crossing.car.basic import known_basic_car
+from skd_adversary.crossing.composer import compose, road_user_interfaces
+from skd_adversary.crossing.crossing import STATE_DIM
+from skd_adversary.crossing.objective.deformation import OBJECTIVE
+from skd_adversary.crossing.road_user import cyclist, pedestrian, wheeled
+from skd_adversary.crossing.road_user.wheeled import (
     ACCELERATE,
     ACTION_COUNT,
     BRAKE,
@@ -25,14 +25,14 @@ from skd_adversary.model.road_user.wheeled import (
     LEFT,
     RIGHT,
 )
-from skd_adversary.model.road_users import road_user_named
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_adversary.crossing.road_users import road_user_named
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 SCENARIO = load_scenario("cyclist")
 ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md has them

@@ -8,26 +8,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_adversary.adversary import make_adversary
-from skd_adversary.car_model_file import car_model_text
-from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.model.car.basic import WAITING_REWARD, known_basic_car, unknown_car
-from skd_adversary.model.car.fitted import FITTED_STATE_DIM, LearnedCar
-from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.model.objective.deformation import OBJECTIVE
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.contact import first_contact
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import CarState
+from skd_adversary.car_models.car_model_file import car_model_text
+from skd_adversary.car_models.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.crossing.car.basic import WAITING_REWARD, known_basic_car, unknown_car
+from skd_adversary.crossing.car.fitted import FITTED_STATE_DIM, LearnedCar
+from skd_adversary.crossing.composer import compose
+from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.crossing.objective.deformation import OBJECTIVE
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.pomdp import Pomdp
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.contact import first_contact
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import CarState
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.7, 0.6), (-0.9, 0.5), (0.1, 0.0), (0.9, -0.1), (2.4, 0.0)])

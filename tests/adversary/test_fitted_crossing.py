@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary.car_model_file import (
+from skd_adversary.car_models.car_model_file import (
     car_model_from,
     car_model_text,
     check_scenario,
@@ -15,19 +15,19 @@ from skd_adversary.car_model_file import (
     read_car_model,
     write_car_model,
 )
-from skd_adversary.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
-from skd_adversary.model import crossing
-from skd_adversary.model.car import fitted as fitted_crossing
-from skd_adversary.model.car.basic import known_basic_car
-from skd_adversary.model.car.fitted import DECELERATION, DELAY, LearnedCar
-from skd_adversary.model.composer import compose
-from skd_adversary.model.objective import frechet, paper
-from skd_adversary.model.parts import bound
-from skd_adversary.model.road import straight
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, EAST, NORTH_EAST, STAY
-from skd_adversary.planning.belief import ParticleBelief
-from skd_sim.encounter.scenario import load_scenario
+from skd_adversary.car_models.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.crossing import crossing
+from skd_adversary.crossing.car import fitted as fitted_crossing
+from skd_adversary.crossing.car.basic import known_basic_car
+from skd_adversary.crossing.car.fitted import DECELERATION, DELAY, LearnedCar
+from skd_adversary.crossing.composer import compose
+from skd_adversary.crossing.objective import frechet, paper
+from skd_adversary.crossing.parts import bound
+from skd_adversary.crossing.road import straight
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, NORTH_EAST, STAY
+from skd_adversary.pomdp.belief import ParticleBelief
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 SCENARIO = load_scenario("crossing")
 PATH = np.array([(-3.5, 0.0), (2.0, 0.0)])

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from similaritymeasures import frechet_dist
-from skd_adversary.model.car.basic import known_basic_car, unknown_car
-from skd_adversary.model.composer import compose
-from skd_adversary.model.crossing import ADVERSARY_X, CAR_S, STATE_DIM
-from skd_adversary.model.objective.frechet import OBJECTIVE, REWARDS
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, action_velocity
-from skd_adversary.planning.pomdp import Pomdp
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.geometry.contact import first_contact
-from skd_sim.geometry.trajectory import Trajectory
+from skd_adversary.crossing.car.basic import known_basic_car, unknown_car
+from skd_adversary.crossing.composer import compose
+from skd_adversary.crossing.crossing import ADVERSARY_X, CAR_S, STATE_DIM
+from skd_adversary.crossing.objective.frechet import OBJECTIVE, REWARDS
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, action_velocity
+from skd_adversary.pomdp.pomdp import Pomdp
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.contact import first_contact
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.4, 0.5), (-0.7, 0.5), (0.1, 0.0), (0.9, 0.0), (2.4, 0.0)])

@@ -7,11 +7,11 @@ import importlib
 import numpy as np
 import pytest
 from road_user_limits import BODIES, beyond, straight, tally, with_kind
-from skd_adversary.model.road_user.wheeled import BRAKE, BRAKE_LEFT, ridden, settled
-from skd_sim.encounter.kinds import ROAD_USERS
-from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.protocol import regulatory_trajectories
-from skd_sim.encounter.scenario import load_scenario
+from skd_adversary.crossing.road_user.wheeled import BRAKE, BRAKE_LEFT, ridden, settled
+from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.known_scenarios import SCENARIOS
+from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.scenario import load_scenario
 
 ROUNDING = 1e-6
 WHEELED = [kind for kind, body in BODIES.items() if "length" in body]
@@ -34,7 +34,7 @@ def test_kamikazes_keep_to_the_limits_of_their_kind(kind: str) -> None:
 @pytest.mark.parametrize("kind", WHEELED)
 def test_nobody_who_has_braked_to_a_stand_turns_on_the_spot(kind: str) -> None:
     """Braking ends at no speed at all: 0.9 − 3 · 0.3 leaves 1e-16 m/s, which would turn by 30° a tick."""
-    module = importlib.import_module(f"skd_adversary.model.road_user.{kind}")
+    module = importlib.import_module(f"skd_adversary.crossing.road_user.{kind}")
     for start in np.linspace(0.1, 6.0, 60).tolist():
         heading, speed = 0.5, start
         for _ in range(40):

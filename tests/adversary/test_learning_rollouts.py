@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.planning.learning_rollouts import (
+from skd_adversary.pomdp.learning_rollouts import (
     FOUND,
     IS_SENSIBLE,
     ROLLOUTS,
@@ -23,8 +23,8 @@ from skd_adversary.planning.learning_rollouts import (
     practice_kernel,
     row_of,
 )
-from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.options import PlannerOptions
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.kernels.compilation import kernel
 
 LEFT, RIGHT, JUMP = range(3)

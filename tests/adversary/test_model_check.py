@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.planning.model_check import ModelError, check_model
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.model_check import ModelError, check_model
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.kernels.compilation import kernel
 
 

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.closed_loop import play
-from skd_adversary.planning.options import Backup, Cells, PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.closed_loop import play
+from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.pomdp import Pomdp
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)

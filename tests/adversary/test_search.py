@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from models import ring, tiger
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.options import Backup, Cells, PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.pomdp import Pomdp
 from skd_sim.kernels.compilation import kernel
 
 F32 = np.float32

@@ -5,8 +5,8 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.planning.observation_cells import most_alike_child, nearest_child
-from skd_adversary.planning.search_tree import (
+from skd_adversary.pomdp.observation_cells import most_alike_child, nearest_child
+from skd_adversary.pomdp.search_tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,

@@ -10,14 +10,14 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from skd_adversary.model.road import curved
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.protocol import regulatory_trajectories
-from skd_sim.encounter.road import road_pose, road_position
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode
+from skd_adversary.crossing.road import curved
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, Mode
 
 TURNS = ("cptafs", "cptafo", "cptans", "cptano", "cbtafs", "cbtafo", "cbtans", "cbtano", "ccftap", "cmftap")
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from models import OPEN_LEFT, OPEN_RIGHT, tiger
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.ucb import FOUND, exploration_from, forget_returns, no_returns, note_return
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.options import PlannerOptions
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.ucb import FOUND, exploration_from, forget_returns, no_returns, note_return
 
 RETURNS = st.lists(
     st.tuples(st.integers(0, 2), st.floats(-1e6, 1e6).map(lambda value: round(value, 3))), min_size=1, max_size=60

@@ -10,10 +10,10 @@ from contacts import Run, counted, run_of, side_of_contact
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely import box, distance, points
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 STEADY = replace(

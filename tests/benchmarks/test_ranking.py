@@ -11,12 +11,12 @@ from contacts import run_of
 from pair_orders import Pair, agreed_pairs, ordered_share, safer_of
 from ranking import Row, Store, exceptions, ranked
 from ranking_figures import FIGURES, Work
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 from wide_encounters import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,

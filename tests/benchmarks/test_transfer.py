@@ -10,9 +10,9 @@ import pytest
 import transfer
 from cars.catalogue import CARS
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_sim.scenario.scenario import load_scenario
 
 CARS_HERE = [car for car in CARS if car.label in ("basic, C = 0.75", "basic, C = 1.5")]
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from cars.triggers import MARGIN, EarlyTrigger, LateTrigger, MiddleTrigger
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 SCENARIO = load_scenario("cut_in")
 BRAKES = ((EarlyTrigger, 2.0), (MiddleTrigger, 1.2), (LateTrigger, 0.6))

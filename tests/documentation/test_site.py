@@ -17,7 +17,7 @@ from browser import chromium
 from packaging_support import PYTHON_PACKAGES, ROOT, SOURCE
 from skd_evaluator.cli.parser import commands_of, make_parser
 
-OPENED = ("index", "tutorial", "distances", "measure", "command_line", "api/skd_evaluator.measure")
+OPENED = ("index", "tutorial", "distances", "measure", "command_line", "api/skd_evaluator.metrics")
 PROGRAMS = {"cli", "nodes", "ros", "ros_environment"}  # what is run, and not imported
 
 

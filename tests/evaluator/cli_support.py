@@ -11,7 +11,7 @@ from pathlib import Path
 import yaml
 from common import PATIENCE
 from forked_skd import ForkedSkd
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario
 
 SMALL = [
     *("--safe-count", "1", "--kamikaze-count", "2", "--collision-runs", "3", "--simulations", "20", "--workers", "1"),

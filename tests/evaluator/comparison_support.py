@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario
 
 FIGURES: dict[str, Any] = {
     "eta_max": 5.0,

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.plan.plan import Stage, episode_id
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.searching import one_by_one
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.world import Contact, World
-from skd_sim.state import AdversaryState, CarState
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.world import Contact, World
 
 CROSSING = load_scenario("crossing")
 TIME_STEP = CROSSING.time_step

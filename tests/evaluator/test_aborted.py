@@ -11,25 +11,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing.findings import any_aborted, too_many_aborted, why_failed
-from skd_evaluator.campaign.compare.gate import Limit, check_limits
-from skd_evaluator.campaign.judge.held_kamikazes import held_to
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.options import WALKERS
-from skd_evaluator.campaign.store.episodes_file import _risk_columns
-from skd_evaluator.campaign.store.recomputation import rating_of
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_evaluator.assessment.compare.gate import Limit, check_limits
+from skd_evaluator.assessment.judge.held_kamikazes import held_to
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.options import WALKERS
+from skd_evaluator.assessment.stages.findings import any_aborted, too_many_aborted, why_failed
+from skd_evaluator.assessment.store.episodes_file import _risk_columns
+from skd_evaluator.assessment.store.recomputation import rating_of
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.stored_episodes import read_episodes
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.measure.aborted import aborted_lines, at_worst, lost_in
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.risks import Risks, ScaleRisk, Touch
-from skd_evaluator.measure.vulnerability_curve import BudgetPoint, budget_points
+from skd_evaluator.metrics.aborted import aborted_lines, at_worst, lost_in
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
+from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
-from skd_sim.choices.objective import Objective
-from skd_sim.episode.episode import Episode, Mode, Outcome
+from skd_sim.options.objective import Objective
+from skd_sim.world.episode import Episode, Mode, Outcome
 from test_campaign import attempt, straight
 from test_warnings import PLAN, assessed
 

@@ -12,7 +12,7 @@ from common import wait_until
 from skd_evaluator.margin import ahead
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.exact.exact_search import search_least_way
-from skd_evaluator.measure.distances import frechet_kernels
+from skd_evaluator.metrics.distances import frechet_kernels
 from skd_sim.kernels import code_cache
 from skd_sim.kernels.code_cache import is_kept
 

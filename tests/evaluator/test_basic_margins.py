@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import (
     HIGHEST,
     LOWEST,
@@ -23,9 +23,9 @@ from skd_evaluator.margin.basic_margins import (
     yardstick,
 )
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key
-from skd_evaluator.measure.equivalent_multiplier import Difference
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.metrics.equivalent_multiplier import Difference
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, seed=3, safe_count=3, kamikaze_count=4)

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin import searching
 from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.batched_car import batched_car
 from skd_evaluator.risk.crossings import Crossings, Encounter
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "batches"
 SCENARIO = load_scenario("crossing")

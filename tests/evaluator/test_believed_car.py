@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from shapely import Polygon
 from skd_adversary.adversary import make_adversary
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
+from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.store.stored_episodes import read_episodes
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.report.believed_car import DEVIATIONS, believed_car
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import (
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import (
     ATTEMPTS_PER_WANTED,
     SYNTHETIC,
     EpisodeRunner,
@@ -23,17 +23,17 @@ from skd_evaluator.campaign.plan.plan import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.episodes_file import write_episodes
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_result import read_result
-from skd_evaluator.measure.statistics.statistics import wilson_interval
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.episodes_file import write_episodes
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.stored_result import read_result
+from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)

@@ -22,15 +22,15 @@ import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessing import pipeline
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns.store import FILE_NAME, EpisodeStore
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages import pipeline
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.extensions.campaign.store import FILE_NAME, EpisodeStore
 from skd_evaluator.ros import rated
-from skd_sim.episode.command_ages import Timing
-from skd_sim.episode.episode import Mode
+from skd_sim.world.command_ages import Timing
+from skd_sim.world.episode import Mode
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from comparison_support import FIGURES
 from scipy import stats
-from skd_evaluator.campaign.compare.comparison import (
+from skd_evaluator.assessment.compare.comparison import (
     LESS_SAFE,
     NOT_COMPARED,
     NOT_TOLD_APART,
@@ -18,10 +18,10 @@ from skd_evaluator.campaign.compare.comparison import (
     compare,
     ranking_figure,
 )
-from skd_evaluator.campaign.store.stored_result import StoredResult
-from skd_evaluator.measure.credibility import NOT_CREDIBLE, UNDISTURBED
-from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.store.stored_result import StoredResult
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
+from skd_sim.scenario.scenario import load_scenario
 
 PHI = tuple(np.full((3, 2), float(index)) for index in range(8))
 PLANNED = ("deformation", "skd", "skd_prefix")

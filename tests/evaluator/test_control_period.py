@@ -10,28 +10,28 @@ import numpy as np
 import pytest
 from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.campaign.plan.plan import OWN, Plan, safe_trajectories
-from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, check_controller
-from skd_evaluator.campaign.validation.episode_check import examine
+from skd_evaluator.assessment.plan.plan import OWN, Plan, safe_trajectories
+from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
+from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.searching import one_by_one
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.objective import Objective
+from skd_evaluator.metrics.distances.deformation import deformation
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.controllers.user_controller import user_controller
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.lockstep.command_source import Source
-from skd_sim.lockstep.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
-from skd_sim.sensors import make_laser
-from skd_sim.simulation.simulator import Frame, WorldSimulator
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.objective import Objective
+from skd_sim.ros.command_source import Source
+from skd_sim.ros.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.sensors import make_laser
+from skd_sim.world.simulator import Frame, WorldSimulator
+from skd_sim.world.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]
 OFTEN = replace(CROSSING, control_period=0.1)

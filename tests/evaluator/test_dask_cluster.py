@@ -12,14 +12,14 @@ from common import wait_until
 pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
 
 from local_dask import local_cluster, start_worker
-from skd_evaluator.campaign.judge.assessment import assess
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run import dask_cluster
-from skd_evaluator.campaign.run.dask_cluster import make_runner
+from skd_evaluator.assessment.judge.assessment import assess
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run import dask_cluster
+from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.errors import AssessmentError
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode
 from test_campaign import straight
 
 CAR = """

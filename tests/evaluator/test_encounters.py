@@ -10,24 +10,24 @@ from typing import cast
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_evaluator.assessment.judge.assessment import judge
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, Stage, episode_id
+from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.bags.logs import recording_of
-from skd_evaluator.campaign.judge.assessment import judge
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan, Stage, episode_id
-from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.margin.actions import foretold
-from skd_evaluator.measure.contact_place import last_car_position
+from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories
-from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.framed_simulator import FramedSimulator, FrameSource
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.simulators.framed_simulator import FramedSimulator, FrameSource
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)

@@ -8,13 +8,13 @@ import pytest
 import yaml
 from cli_support import names, one_line
 from matplotlib.image import imread
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaigns.campaign_file import read_campaign
-from skd_evaluator.campaigns.cell import make_cells
-from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.extensions.campaign.campaign_file import read_campaign
+from skd_evaluator.extensions.campaign.cell import make_cells
 from skd_sim.errors import UsageError
+from skd_sim.scenario.known_scenarios import SCENARIOS
+from skd_sim.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from search_support import search_margin
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.plan.probe import MANOEUVRES, probe_trajectory
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.world_step import ROUNDING, recompute
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_trajectory
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 MIRROR = np.array([-1.0, 1.0])

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.measure.distances.measures import measure_pairs, pair_of
-from skd_evaluator.measure.entry_deceleration import deceleration_at_entry
-from skd_sim.encounter.road import Part, Road, road_pose
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.metrics.distances.measures import measure_pairs, pair_of
+from skd_evaluator.metrics.entry_deceleration import deceleration_at_entry
+from skd_sim.scenario.road import Part, Road, road_pose
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING, CUT_IN = load_scenario("crossing"), load_scenario("cut_in")
 STEP = CROSSING.time_step

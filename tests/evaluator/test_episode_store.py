@@ -15,18 +15,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaigns.episode_record import Specifications, from_bytes, to_bytes
-from skd_evaluator.campaigns.store import FILE_NAME, CellStore, EpisodeStore, StoreError
-from skd_evaluator.campaigns.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.errors import AssessmentError
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.command_ages import Timing
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_evaluator.extensions.campaign.episode_record import Specifications, from_bytes, to_bytes
+from skd_evaluator.extensions.campaign.store import FILE_NAME, CellStore, EpisodeStore, StoreError
+from skd_evaluator.extensions.campaign.storing_runner import StoppedError, StoringRunner
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.command_ages import Timing
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

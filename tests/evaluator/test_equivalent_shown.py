@@ -9,7 +9,7 @@ import re
 
 import pytest
 from report_support import edited
-from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.side_by_side import comparison_table

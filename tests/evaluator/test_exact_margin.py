@@ -12,18 +12,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from search_support import CROSSING, TIME_STEP, any_touch, bent, kamikaze_episode, place, touching
-from skd_adversary.model.road_user.pedestrian import action_velocity
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_adversary.crossing.road_user.pedestrian import action_velocity
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.margin.exact import exact, exact_search
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_sim.controllers import BasicController
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
-from skd_sim.simulation.world import Contact, World, make_world
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import Contact, World, make_world
 
 DIAGONAL = math.sqrt(0.5)
 DIRECTIONS = ((0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (DIAGONAL, DIAGONAL), (DIAGONAL, -DIAGONAL))

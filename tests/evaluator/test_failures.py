@@ -10,27 +10,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import signal, stats
-from skd_evaluator.campaign.judge import failures as module
-from skd_evaluator.campaign.judge.failures import HARDLY, Walkers, failures_of, nine_normals
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.verification import verify
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.behaviour.walking import normals_of
-from skd_evaluator.measure.risks import ScaleRisk, Touch
+from skd_evaluator.assessment.judge import failures as module
+from skd_evaluator.assessment.judge.failures import HARDLY, Walkers, failures_of, nine_normals
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.verification import verify
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.behaviour.walking import normals_of
+from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
 from skd_evaluator.risk.single import single_crossing
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
 
 PLAN = Plan(
     load_scenario("crossing"), safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20, multiplier=0.8

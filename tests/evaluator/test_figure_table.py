@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from skd_evaluator.campaign.judge.figure_table import (
+from skd_evaluator.assessment.judge.figure_table import (
     AT_THE_TOP,
     FIGURES,
     OF_OBJECTIVES,
@@ -16,17 +16,17 @@ from skd_evaluator.campaign.judge.figure_table import (
     Of,
     shown_in,
 )
-from skd_evaluator.campaign.judge.rating import rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.schema import as_text, assessment_schema
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.assessment.judge.rating import rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.schema import as_text, assessment_schema
+from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.scenario.scenario import load_scenario
 
 MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"
 
@@ -55,7 +55,7 @@ def test_a_result_has_the_rows_of_the_table_and_no_others(result):
 
 def test_the_schema_that_comes_with_skd_is_that_of_the_table():
     """Where it is not: see what a new figure touches, in CONTRIBUTING.md."""
-    text = resources.files("skd_evaluator.campaign").joinpath("assessment.schema.json").read_text(encoding="utf-8")
+    text = resources.files("skd_evaluator.assessment").joinpath("assessment.schema.json").read_text(encoding="utf-8")
     assert json.loads(text) == assessment_schema()
     assert text == as_text(assessment_schema()) + "\n"
 

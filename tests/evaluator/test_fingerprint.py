@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 from skd_evaluator import fingerprint
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.cluster_worker import _have, sent
+from skd_evaluator.assessment.learning.kept_models import files_of, folder_of
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.cluster_worker import _have, sent
 from skd_evaluator.fingerprint import code_files, code_paths
-from skd_evaluator.learning.kept_models import files_of, folder_of
 from skd_evaluator.provenance import provenance
-from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.scenario.scenario import load_scenario
 
 CROSSING = load_scenario("crossing")
 CAR, FLEET = CarUnderTest("netcar:Car"), CarUnderTest("fleet.cars.fast:Car")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.fusion.estimate.control_variate import (
+from skd_evaluator.extensions.fusion.estimate.control_variate import (
     LEAST_PAIRS,
     alone,
     checked_pairs,
@@ -16,15 +16,15 @@ from skd_evaluator.fusion.estimate.control_variate import (
     skewness,
     trials_saved,
 )
-from skd_evaluator.fusion.estimate.gap import gap_of, trend
-from skd_evaluator.fusion.estimate.rate import alone_rate, fused_rate
-from skd_evaluator.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
-from skd_evaluator.fusion.figures import FIGURES
-from skd_evaluator.fusion.fusion import NotSaidError, fuse, fused_figure
-from skd_evaluator.fusion.pairs import Pairs, paired
-from skd_evaluator.fusion.trial import Trial
-from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
-from skd_evaluator.measure.statistics.sequential import nominal_confidence
+from skd_evaluator.extensions.fusion.estimate.gap import gap_of, trend
+from skd_evaluator.extensions.fusion.estimate.rate import alone_rate, fused_rate
+from skd_evaluator.extensions.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
+from skd_evaluator.extensions.fusion.figures import FIGURES
+from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure
+from skd_evaluator.extensions.fusion.pairs import Pairs, paired
+from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
+from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
 
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.fusion.measured import Recorder, overruled
-from skd_evaluator.fusion.recording import read_tracks
-from skd_evaluator.fusion.simulated import read_simulated
-from skd_evaluator.fusion.table import read_trials, table_in
-from skd_evaluator.fusion.track import Frame, Track
-from skd_evaluator.fusion.trial import Trial
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.extensions.fusion.measured import Recorder, overruled
+from skd_evaluator.extensions.fusion.recording import read_tracks
+from skd_evaluator.extensions.fusion.simulated import read_simulated
+from skd_evaluator.extensions.fusion.table import read_trials, table_in
+from skd_evaluator.extensions.fusion.track import Frame, Track
+from skd_evaluator.extensions.fusion.trial import Trial
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
@@ -312,10 +312,10 @@ def test_trials_calibrate_the_simulator(
 
 def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
     from skd_evaluator import Plan, load_result, run_episode
-    from skd_evaluator.measure.surrogate.clearance import least_clearance
-    from skd_evaluator.measure.surrogate.scenes import scene_of
+    from skd_evaluator.metrics.surrogate.clearance import least_clearance
+    from skd_evaluator.metrics.surrogate.scenes import scene_of
     from skd_sim import Mode, Trajectory
-    from skd_sim.encounter.scenario import scenario_from_dict
+    from skd_sim.scenario.scenario import scenario_from_dict
 
     result, found = load_result(simulated), {}
     figures = json.loads((simulated / "assessment.json").read_text("utf-8"))

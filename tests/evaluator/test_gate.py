@@ -15,25 +15,25 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line
-from skd_evaluator.campaign.compare.gate import Check, Limit, check_limits, check_not_worse
-from skd_evaluator.campaign.judge.rating import rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.figure_names import check_figure, figure, scalar_figures
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits, check_not_worse
+from skd_evaluator.assessment.judge.rating import rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.figure_names import check_figure, figure, scalar_figures
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.cli.gate import Gate
-from skd_evaluator.measure.aborted import at_worst
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.metrics.aborted import at_worst
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
 from skd_evaluator.report.terminal import headline
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
+from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
 

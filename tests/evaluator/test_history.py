@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
-from skd_evaluator.campaign.store.manifest import MANIFEST
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
+from skd_evaluator.assessment.store.manifest import MANIFEST
 from skd_evaluator.cli.main import main
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import runs_table, trend_table
 from skd_evaluator.report.history.trend import trends_of

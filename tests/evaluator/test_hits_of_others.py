@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 from cli_support import skd
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario
 
 STOPPING = {
     "kind": "car",

@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from cli_support import one_line, skd
 from skd_adversary.adversary import make_adversary, predicted_car
-from skd_adversary.model.car.basic import known_basic_car, unknown_car
+from skd_adversary.crossing.car.basic import known_basic_car, unknown_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessing.asked import plan_of
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.learning import lesson, waiting
+from skd_evaluator.assessment.learning.kept_models import folder_of, kept_models
+from skd_evaluator.assessment.learning.lesson import learned, needs_learning
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.asked import plan_of
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.learning import lesson, waiting
-from skd_evaluator.learning.kept_models import folder_of, kept_models
-from skd_evaluator.learning.lesson import learned, needs_learning
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.options import EpisodeOptions, options_from_text, options_of, options_to_text
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.options import EpisodeOptions, options_from_text, options_of, options_to_text
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 PHI = Trajectory(np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)]), CROSSING.time_step)

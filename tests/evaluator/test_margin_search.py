@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from search_support import CROSSING, bent, kamikaze_episode
-from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.assessment_margin import least_ways
@@ -21,15 +21,15 @@ from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
 from skd_evaluator.margin.searching import in_processes, repeated
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_sim.choices.knowledge import Knowledge
+from skd_evaluator.metrics.distances.deformation import deformation
 from skd_sim.controllers import BasicController, Controller, make_controller
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.episode.randomness import controller_generator, controller_seed
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.world import make_world
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.randomness import controller_generator, controller_seed
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]
 HIT_SPEED = CROSSING.collision.hit_speed

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.mean_deformation import Attempts, MeanDeformation, mean_deformation
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_sim.world.trajectory import Trajectory
 
 STEP = 0.3
 

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.measure.distances.frechet import discrete_frechet
-from skd_evaluator.measure.distances.measures import Measured, Pair, load_measures, pair_of
-from skd_evaluator.measure.distances.time_warping import warped_distance
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.statistics import mean, normal_interval, sample_variance
-from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.distances.measures import Measured, Pair, load_measures, pair_of
+from skd_evaluator.metrics.distances.time_warping import warped_distance
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.statistics import mean, normal_interval, sample_variance
+from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step

@@ -11,13 +11,13 @@ import sys
 import pytest
 from cli_support import names, one_line, skd
 from matplotlib.image import imread
-from skd_evaluator.assessing.library import assess
+from skd_evaluator.assessment.stages.library import assess
 from skd_evaluator.cli.commands import ncap
-from skd_evaluator.ncap import points
-from skd_evaluator.ncap.result import RESULT, Cell, read_ncap
+from skd_evaluator.extensions.ncap import points
+from skd_evaluator.extensions.ncap.layout import headline
+from skd_evaluator.extensions.ncap.of_results import views_of
+from skd_evaluator.extensions.ncap.result import RESULT, Cell, read_ncap
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.ncap.layout import headline
-from skd_evaluator.report.ncap.of_results import views_of
 from skd_sim.errors import UsageError
 
 KMH = 1.0 / 3.6

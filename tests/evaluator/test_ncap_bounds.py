@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from skd_evaluator.campaign.store.verification import Verified
-from skd_evaluator.ncap.result import RESULT, TABLE, Cell, Grid, Ncap, as_data, checked, write_table
-from skd_evaluator.ncap.verification import with_regulator
-from skd_evaluator.report.ncap.layout import LEGEND
+from skd_evaluator.assessment.store.verification import Verified
+from skd_evaluator.extensions.ncap.layout import LEGEND
+from skd_evaluator.extensions.ncap.result import RESULT, TABLE, Cell, Grid, Ncap, as_data, checked, write_table
+from skd_evaluator.extensions.ncap.verification import with_regulator
 from skd_sim.errors import UsageError
 
 MEASURED = Cell(speed=30.0, place=50.0, margin=0.5, margins=(0.25, 0.75))

@@ -7,10 +7,10 @@ import logging
 import random
 
 import pytest
-from skd_evaluator.ncap.colours import colour_of
-from skd_evaluator.ncap.matrices import Criterion, MatrixPoint, encounters_of, known_encounters, matrix_of
-from skd_evaluator.ncap.points import points_of
-from skd_evaluator.ncap.result import Cell, Grid
+from skd_evaluator.extensions.ncap.colours import colour_of
+from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, encounters_of, known_encounters, matrix_of
+from skd_evaluator.extensions.ncap.points import points_of
+from skd_evaluator.extensions.ncap.result import Cell, Grid
 
 integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402

@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 
 import pytest
-from skd_evaluator.campaign.run.static_test import static_tests
-from skd_evaluator.ncap.colours import colour_of
-from skd_evaluator.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
-from skd_evaluator.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
-from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
-from skd_evaluator.report.ncap.layout import headline, layout_of, margin_text, reasons
-from skd_evaluator.report.ncap.page import details
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.known_scenarios import SCENARIOS, lineage
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.run.static_test import static_tests
+from skd_evaluator.extensions.ncap.colours import colour_of
+from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
+from skd_evaluator.extensions.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
+from skd_evaluator.extensions.ncap.page import details
+from skd_evaluator.extensions.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
+from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.known_scenarios import SCENARIOS, lineage
+from skd_sim.scenario.scenario import load_scenario
 
 KMH = 1.0 / 3.6
 

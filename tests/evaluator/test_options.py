@@ -11,22 +11,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing.asked import plan_of
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.stages.asked import plan_of
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.commands.assess import graph_options
 from skd_evaluator.cli.options import add_commands
-from skd_sim.choices import options as table
-from skd_sim.choices.graph_options import SimulatorOptions
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import BOTH, Objective
-from skd_sim.choices.options import FIELDS, EpisodeOptions, option, options_from_text, options_of, options_to_text
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.messages.from_messages import message_to_episode
+from skd_sim.options import options as table
+from skd_sim.options.graph_options import SimulatorOptions
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import BOTH, Objective
+from skd_sim.options.options import FIELDS, EpisodeOptions, option, options_from_text, options_of, options_to_text
+from skd_sim.ros.from_messages import message_to_episode
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

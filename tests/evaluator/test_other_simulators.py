@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from common import assert_valid
 from skd_evaluator import assess
-from skd_evaluator.assessing.asked import check_car
-from skd_evaluator.campaign.judge.simulator_contacts import simulator_contacts
+from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
+from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.report.warnings import contact_warnings
-from skd_sim.choices.simulators import SIMULATORS
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.simulator import Frame, WorldSimulator
+from skd_sim.options.simulators import SIMULATORS
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.simulator import Frame, WorldSimulator
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 
@@ -110,7 +110,7 @@ def test_a_driver_of_one_simulator_is_refused_elsewhere(simulator, graph, instea
 
 
 def _graph_options():
-    from skd_evaluator.assessing.graph_options import GraphOptions
-    from skd_sim.choices.options import options_of
+    from skd_evaluator.assessment.stages.graph_options import GraphOptions
+    from skd_sim.options.options import options_of
 
     return {one.name: one.unsaid for one in options_of(GraphOptions)}

@@ -17,18 +17,18 @@ import numpy as np
 import pytest
 import yaml
 from cli_support import SMALL, one_line
-from skd_adversary.car_model_file import car_model_for_scenario, car_model_text, fitted_car
-from skd_adversary.fitted_car import Calibration
+from skd_adversary.car_models.car_model_file import car_model_for_scenario, car_model_text, fitted_car
+from skd_adversary.car_models.fitted_car import Calibration
 from skd_adversary.safe_trajectories import table
 from skd_adversary.warm_up import any_car_models
+from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.assessment.store.verification import folders_below, verify
 from skd_evaluator.bags.logs import read_recordings
-from skd_evaluator.campaign.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.campaign.store.verification import folders_below, verify
-from skd_evaluator.measure.behaviour.model import load_behaviour, write_behaviour
+from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.report.history.runs import find_runs
 from skd_evaluator.risk.asked import risk_asked
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.aborts import AbortKind
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.simulation.simulator import Frame, SimulatorError, WorldSimulator
-from skd_sim.simulation.world import Contact
-from skd_sim.state import AdversaryState, CarState
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.aborts import AbortKind
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.simulator import Frame, SimulatorError, WorldSimulator
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import Contact
 
 EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 3, 1, simulations=40)
 

@@ -12,18 +12,18 @@ import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
-from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.compare.encounter_difference import encounter_difference
+from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 NORTH = float(np.pi / 2)

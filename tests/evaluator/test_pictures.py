@@ -15,16 +15,16 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
-from skd_evaluator.campaign.judge.assessment import Assessment, judge
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.plan import KamikazeSet, Plan
-from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.assessment.judge.assessment import Assessment, judge
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.pictures import save_sweep, save_trajectories
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

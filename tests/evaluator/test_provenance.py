@@ -12,7 +12,7 @@ import pytest
 from cli_support import CONTROLLERS, SMALL
 from common import assert_valid
 from skd_evaluator.provenance import controller_revision, git_revision, surroundings_of
-from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import CarUnderTest
 
 
 def content(folder: Path) -> dict[str, object]:

@@ -15,22 +15,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from comparison_support import FIGURES
-from skd_evaluator.assessing import library
-from skd_evaluator.campaign.compare import gate
-from skd_evaluator.campaign.compare.comparison import NOT_TOLD_APART, compare
-from skd_evaluator.campaign.store import stored_result
-from skd_evaluator.campaign.store.manifest import MANIFEST
-from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.assessment.compare import gate
+from skd_evaluator.assessment.compare.comparison import NOT_TOLD_APART, compare
+from skd_evaluator.assessment.stages import library
+from skd_evaluator.assessment.store import stored_result
+from skd_evaluator.assessment.store.manifest import MANIFEST
+from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Skd
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario
 
 CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
-from skd_evaluator.assessing import library
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.assessment.stages import library
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.errors import AssessmentError
 
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessing.written import picture_names
-from skd_evaluator.campaign.judge.assessment import standing_contacts
-from skd_evaluator.campaign.judge.rating import Rating, in_order, rate
-from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.assessment.judge.assessment import standing_contacts
+from skd_evaluator.assessment.judge.rating import Rating, in_order, rate
+from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.written import picture_names
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.terminal import headline_table
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from test_campaign import StubRunner, attempt, quiet, straight
 from test_warnings import shown
 

@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.judge.held_kamikazes import with_budgets
-from skd_evaluator.campaign.judge.rating import rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_assessment
+from skd_evaluator.assessment.judge.held_kamikazes import with_budgets
+from skd_evaluator.assessment.judge.rating import rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.results import write_assessment
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "examples" / "recompute"

@@ -11,17 +11,17 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from skd_evaluator.assessing.library import assess
-from skd_evaluator.campaign.judge.static_tests import place_of
-from skd_evaluator.campaign.run.static_test import static_tests
+from skd_evaluator.assessment.judge.static_tests import place_of
+from skd_evaluator.assessment.run.static_test import static_tests
+from skd_evaluator.assessment.stages.library import assess
+from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
-from skd_evaluator.report.ncap.of_results import views_of
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 
 KMH = 1.0 / 3.6
-SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/campaign/assessment.schema.json"
+SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/assessment/assessment.schema.json"
 
 
 @pytest.fixture(scope="module")

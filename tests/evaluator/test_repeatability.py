@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_support import skd
-from skd_evaluator.campaign.judge.repeatability import (
+from skd_evaluator.assessment.judge.repeatability import (
     DRIVES,
     SAMPLE,
     Drive,
@@ -24,20 +24,20 @@ from skd_evaluator.campaign.judge.repeatability import (
     standing,
     undisturbed_drives,
 )
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.assembly import aborted
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers import Controller, make_controller
-from skd_sim.encounter.known_scenarios import shipped_scenarios
-from skd_sim.encounter.road_user import Other, Waypoint
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.command_ages import Timing
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import AssessmentError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.known_scenarios import shipped_scenarios
+from skd_sim.scenario.road_user import Other, Waypoint
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.command_ages import Timing
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from cli_support import names, one_line
 from report_support import HOSTILE, edited, hostile
-from skd_evaluator.assessing.asked import plan_of, scenario_for
-from skd_evaluator.campaign.judge.figure_table import Of, keys_of
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import single_episode
+from skd_evaluator.assessment.judge.figure_table import Of, keys_of
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import single_episode
+from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
 from skd_evaluator.report.html import page
@@ -26,7 +26,7 @@ from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline
-from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.world.episode import Mode, Outcome
 
 NO_MARGIN = keys_of(Of.MARGIN)
 VOID = {"meta", "link", "br", "input", "img"}

@@ -9,15 +9,15 @@ import pytest
 from axe import RULES, axe_source, serious_findings
 from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
-from skd_evaluator.measure.surrogate.braking import required_decelerations
-from skd_evaluator.measure.surrogate.collision_time import collision_times
-from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
-from skd_evaluator.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.extensions.ncap.page import render as regulators_view
+from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.metrics.surrogate.braking import required_decelerations
+from skd_evaluator.metrics.surrogate.collision_time import collision_times
+from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.ncap.page import render as regulators_view
 from skd_evaluator.report.risk.failures import kept_failures
-from skd_sim.episode.episode import Mode
+from skd_sim.world.episode import Mode
 
 
 @pytest.fixture(scope="module")

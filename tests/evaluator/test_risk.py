@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
 from scipy import special, stats
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.behaviour.walking import OF_PERSON
-from skd_evaluator.measure.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.behaviour.walking import OF_PERSON
+from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20)

@@ -7,25 +7,25 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.campaign.compare.comparison import (
+from skd_evaluator.assessment.compare.comparison import (
     LESS_SAFE,
     NOT_TOLD_APART,
     SAFER,
     Comparison,
     compare,
 )
-from skd_evaluator.campaign.judge.rating import rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.assessment.judge.rating import rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.measure.behaviour.model import Parameter, load_behaviour
-from skd_evaluator.measure.statistics.difference import Difference
+from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
+from skd_evaluator.metrics.statistics.difference import Difference
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)
 WALKERS = load_behaviour("walkers")

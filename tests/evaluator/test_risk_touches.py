@@ -10,23 +10,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contact_support import Seen, distances, watched
-from skd_evaluator.campaign.judge.struck import closing_speed, struck
-from skd_evaluator.campaign.judge.surrogate_figures import surrogates_of
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.behaviour.model import load_behaviour
-from skd_evaluator.measure.contact_place import car_at_contact, car_until_contact, last_car_position
-from skd_evaluator.measure.risks import Touch
-from skd_evaluator.measure.surrogate.impact import fatality_risk, greater_delta_v
+from skd_evaluator.assessment.judge.struck import closing_speed, struck
+from skd_evaluator.assessment.judge.surrogate_figures import surrogates_of
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.behaviour.model import load_behaviour
+from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contact, last_car_position
+from skd_evaluator.metrics.risks import Touch
+from skd_evaluator.metrics.surrogate.impact import fatality_risk, greater_delta_v
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.crossings import Encounter
 from skd_sim.controllers import Controller
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.road_user import Other, Waypoint
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.road_user import Other, Waypoint
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 WALKERS = load_behaviour("walkers")
 CROSSING = load_scenario("crossing")

@@ -14,16 +14,16 @@ from matplotlib.image import imread
 from PIL import Image
 from report_support import edited
 from shapely import Point, Polygon
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.commands.compare import reference_hint
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.cli.parser import make_parser, parse
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command
-from skd_sim.encounter.scenario import load_scenario, scenario_from_dict
-from skd_sim.episode.episode import Mode
+from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
+from skd_sim.world.episode import Mode
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 

@@ -13,15 +13,15 @@ import pytest
 from common import run_skd
 from report_support import edited
 from scipy import special, stats
-from skd_evaluator.assessing.propagated import draw_warnings, propagated
+from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
 from skd_evaluator.cli.commands.models.simulator import warnings_of
-from skd_evaluator.fusion.calibration.estimate import estimated
-from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_evaluator.measure.surrogate.scene import Scene
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.extensions.fusion.calibration.estimate import estimated
+from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
+from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.surrogate.scene import Scene
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 START = {"delay": 0.1, "deceleration": 15.0, "friction": 1.0}
 TIMES = np.linspace(0.0, 3.0, 11)
@@ -126,9 +126,9 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
 
 
 def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
-    from skd_evaluator.campaign.run.runner import run_episode
-    from skd_sim.episode.episode import Episode, Mode
-    from skd_sim.geometry.trajectory import Trajectory
+    from skd_evaluator.assessment.run.runner import run_episode
+    from skd_sim.world.episode import Episode, Mode
+    from skd_sim.world.trajectory import Trajectory
 
     speeds: list[float] = [float(states[0, 3])]
     step, inner = shown.step, shown._inner

@@ -6,13 +6,13 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.measure.distances.frechet import discrete_frechet
-from skd_evaluator.measure.skd import bound_interval, compute_skd
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.statistics import frechet_probability_bound, normal_interval
+from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.skd import bound_interval, compute_skd
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.statistics.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.world.trajectory import Trajectory
 
 STEP = 0.3
 

@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.run.static_test import StaticTest, static_tests, without_noise
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.protocol import regulatory_trajectories
-from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
+from skd_evaluator.assessment.run.static_test import StaticTest, static_tests, without_noise
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 PERIOD = 0.01  # s between two decisions
 KMH = 1.0 / 3.6

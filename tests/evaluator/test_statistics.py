@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.clustered_rate import clustered_rate
-from skd_evaluator.measure.statistics.sequential import nominal_confidence
-from skd_evaluator.measure.statistics.statistics import (
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
+from skd_evaluator.metrics.statistics.sequential import nominal_confidence
+from skd_evaluator.metrics.statistics.statistics import (
     frechet_probability_bound,
     mean,
     normal_interval,

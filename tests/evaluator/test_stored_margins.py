@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
-from skd_evaluator.campaign.compare.comparison import compare
-from skd_evaluator.campaign.compare.gate import Limit, check_limits, check_not_worse
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.assessment.compare.comparison import compare
+from skd_evaluator.assessment.compare.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Outcome
 from skd_sim.errors import UsageError
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Outcome
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from skd_evaluator.measure.surrogate.braking import (
+from skd_evaluator.metrics.surrogate.braking import (
     MOST,
     brake_threat_numbers,
     greatest_required_deceleration,
     headways,
     required_decelerations,
 )
-from skd_evaluator.measure.surrogate.clearance import clearances, least_clearance
-from skd_evaluator.measure.surrogate.collision_time import collision_times, path_collision_times
-from skd_evaluator.measure.surrogate.encroachment import post_encroachment_time
-from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES, episode_measures, surrogate_measures
-from skd_evaluator.measure.surrogate.impact import (
+from skd_evaluator.metrics.surrogate.clearance import clearances, least_clearance
+from skd_evaluator.metrics.surrogate.collision_time import collision_times, path_collision_times
+from skd_evaluator.metrics.surrogate.encroachment import post_encroachment_time
+from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES, episode_measures, surrogate_measures
+from skd_evaluator.metrics.surrogate.impact import (
     CAR_MASS,
     MASSES,
     closing_speeds,
@@ -27,9 +27,9 @@ from skd_evaluator.measure.surrogate.impact import (
     fatality_risk,
     greater_delta_v,
 )
-from skd_evaluator.measure.surrogate.scene import Scene
-from skd_evaluator.measure.surrogate.scenes import Course, Scenes, scene_of, velocities
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.metrics.surrogate.scene import Scene
+from skd_evaluator.metrics.surrogate.scenes import Course, Scenes, scene_of, velocities
+from skd_sim.scenario.scenario import load_scenario
 
 FOOTPRINT = 2.25, 1.75, 0.9
 SCENES = 200

@@ -11,9 +11,9 @@ from cli_support import SMALL, names, one_line, skd_from_nothing
 from rich.table import Table
 from skd_evaluator.report.side_by_side import equal_remarks
 from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
-from skd_sim.choices.registry import Registry
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.options.registry import Registry
 
 NOISY = """
 import ctypes, os, subprocess, sys

@@ -7,18 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.judge.until_width import LOOKS, rate_until_width
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import write_episodes
-from skd_evaluator.measure.statistics.clustered import clustered_mean
-from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.sequential import nominal_confidence
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.judge.until_width import LOOKS, rate_until_width
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.store.results import write_episodes
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.trajectory import Trajectory
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
 

@@ -10,18 +10,18 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pytest
 from skd_adversary.adversary import predicted_car
-from skd_adversary.car_model_file import car_model_from, car_model_text, fitted_car
-from skd_adversary.fitted_car import FittedCar
+from skd_adversary.car_models.car_model_file import car_model_from, car_model_text, fitted_car
+from skd_adversary.car_models.fitted_car import FittedCar
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.campaign.plan.plan import Plan, split_episode_id
+from skd_evaluator.assessment.learning.waiting import CHOICES, TRIALS, with_waiting_reward
+from skd_evaluator.assessment.plan.plan import Plan, split_episode_id
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.learning.waiting import CHOICES, TRIALS, with_waiting_reward
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 CROSSING = load_scenario("crossing")
 STANDS = Trajectory(np.zeros((4, 2)), CROSSING.time_step)

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessing.findings import figure_warnings, too_many_aborted, undefined
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import Plan
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.stages.findings import figure_warnings, too_many_aborted, undefined
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import margin_warnings
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.aborts import AbortKind, abort_reason
-from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 from test_campaign import attempt, straight
 
 CROSSING = load_scenario("crossing")

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary.model.road_user import cyclist, wheeled
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.crossing.road_user import cyclist, wheeled
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.scenario.scenario import load_scenario
 
 CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
 PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])

@@ -15,12 +15,12 @@ import pytest
 from common import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
 from skd_evaluator.errors import AssessmentError
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.aborts import AbortKind, abort_reason, counted_reasons, kind_of
-from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.aborts import AbortKind, abort_reason, counted_reasons, kind_of
+from skd_sim.world.episode import Mode, Outcome
 
 
 class Over(ExecutorRunner):
@@ -205,7 +205,7 @@ def test_an_item_at_which_its_process_dies_costs_nothing_but_itself(count):
 
 
 def test_an_episode_at_which_its_process_dies_is_aborted(monkeypatch):
-    from skd_evaluator.campaign.run import workers
+    from skd_evaluator.assessment.run import workers
     from test_campaign import straight
 
     run = workers.run_episode

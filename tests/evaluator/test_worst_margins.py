@@ -12,18 +12,18 @@ from typing import Any
 import pytest
 from report_support import make_sweep
 from rich.console import Console
-from skd_evaluator.campaign.compare.gate import Limit, check_limits
-from skd_evaluator.campaign.store.figure_names import check_figure
-from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.assessment.compare.gate import Limit, check_limits
+from skd_evaluator.assessment.store.figure_names import check_figure
+from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.cli.commands.compare import run as compare
 from skd_evaluator.cli.parser import make_parser
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.html.rows import figure_rows
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.summary import csv_table
 from skd_evaluator.report.terminal import details_table
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.world.trajectory import Trajectory
 
 FIGURE = "margin_p10"
 LABEL = "margin that 10 % of the attempts do not exceed (m)"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from skd_sim.controllers import Controller
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 pytest.importorskip(
     "commonroad_rp", reason="commonroad-reactive-planner is not installed: examples/commonroad_planner/README.md"

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import road_user_limits
 from conftest import ROOT
-from skd_sim.encounter.road import road_pose
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_sim.scenario.road import road_pose
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
 PACKAGE = ROOT / "examples" / "roundabout"
 LIMITS = (0.8, 3.5, 2.0, math.radians(30.0), 1.0)  # as the package's README has them
@@ -24,9 +24,9 @@ SPEED = 20.0 / 3.6
 RIDE = """
 import json, sys
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim import Mode, load_scenario
 plan = Plan(load_scenario("roundabout_exit"), safe=REGULATORY, safe_count=3, multiplier=1.0, simulations=60)
 with InProcessRunner(1) as runner:

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import shapely
 import yaml
-from skd_sim.choices.frames import FRAMES
-from skd_sim.encounter.scenario import load_scenario
+from skd_sim.options.frames import FRAMES
+from skd_sim.scenario.scenario import load_scenario
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 TUTORIAL = EXAMPLES.parent / "docs" / "third_party_stacks.md"

@@ -11,14 +11,14 @@ import pytest
 import sumo_drivers
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.controllers import Controller, with_control_period
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
 from sumo_drivers import EGO, LANE, LANE_END, PERSON, STEP, Eidm, Idm, Krauss, SumoDriver
 
 CROSSING = load_scenario("crossing")

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.exchange.going_out.recorded import Recorded, actors_of, start_of
-from skd_evaluator.measure.surrogate.scenes import Course, course_of
-from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.scenario import Scenario, load_scenario
+from skd_evaluator.extensions.exchange.going_out.recorded import Recorded, actors_of, start_of
+from skd_evaluator.metrics.surrogate.scenes import Course, course_of
+from skd_sim.scenario.known_scenarios import SCENARIOS
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 READERS = Path(os.environ.get("SKD_READERS", ROOT / ".venv-readers")) / "bin" / "python"

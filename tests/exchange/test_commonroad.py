@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from exchange_support import READERS, recorded, safe, scenarios, walk
-from skd_evaluator.exchange.going_out.commonroad import commonroad, write_commonroad
-from skd_sim.encounter.road import ONCOMING
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.extensions.exchange.going_out.commonroad import commonroad, write_commonroad
+from skd_sim.scenario.road import ONCOMING
+from skd_sim.scenario.scenario import load_scenario
 
 _READER = """
 import json, os, sys

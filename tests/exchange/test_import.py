@@ -14,15 +14,15 @@ import pytest
 from exchange_support import recorded, safe, walk
 from mcap.writer import Writer
 from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_evaluator.assessment.store.stored_episodes import read_episodes
 from skd_evaluator.bags.types import complete, typestore
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
-from skd_evaluator.exchange.coming_in.found import track_of
-from skd_evaluator.exchange.coming_in.sources import Asked, read_sources
-from skd_evaluator.exchange.coming_in.ways import UnusableError, by_car, way_of
-from skd_evaluator.exchange.going_out.formats import FORMATS
-from skd_evaluator.fusion.track import Frame
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.extensions.exchange.coming_in.found import track_of
+from skd_evaluator.extensions.exchange.coming_in.sources import Asked, read_sources
+from skd_evaluator.extensions.exchange.coming_in.ways import UnusableError, by_car, way_of
+from skd_evaluator.extensions.exchange.going_out.formats import FORMATS
+from skd_evaluator.extensions.fusion.track import Frame
 from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -404,7 +404,7 @@ def test_what_the_commands_refuse(result: Path, skd_here, tmp_path: Path, monkey
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr("skd_evaluator.exchange.osi_library.import_module", missing)
+    monkeypatch.setattr("skd_evaluator.extensions.exchange.osi_library.import_module", missing)
     done = skd_here("export", result, "--format", "osi", "--out", "x")
     assert (done.returncode, "skd[exchange]" in done.stderr) == (2, True)
     assert skd_here("export", result, "--format", "csv", "--worst", 1, "--out", "x").returncode == 0

@@ -11,15 +11,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from exchange_support import checked, passes, recorded, safe, scenarios, walk
-from skd_evaluator.campaign.store.stored_episodes import read_episodes
-from skd_evaluator.exchange.going_out.opendrive import opendrive, write_road
-from skd_evaluator.exchange.going_out.openscenario import write_openscenario
-from skd_evaluator.exchange.going_out.recorded import stretch
-from skd_sim.encounter.kinds import ROAD_USERS, called
-from skd_sim.encounter.known_scenarios import SCENARIOS
-from skd_sim.encounter.road import ONCOMING
-from skd_sim.encounter.road_user import Other, Waypoint
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.store.stored_episodes import read_episodes
+from skd_evaluator.extensions.exchange.going_out.opendrive import opendrive, write_road
+from skd_evaluator.extensions.exchange.going_out.openscenario import write_openscenario
+from skd_evaluator.extensions.exchange.going_out.recorded import stretch
+from skd_sim.scenario.kinds import ROAD_USERS, called
+from skd_sim.scenario.known_scenarios import SCENARIOS
+from skd_sim.scenario.road import ONCOMING
+from skd_sim.scenario.road_user import Other, Waypoint
+from skd_sim.scenario.scenario import load_scenario
 
 
 def written(folder: Path, one) -> Path:

@@ -19,12 +19,12 @@ from common import new_domain
 from compile_kernels import compile_planners
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_evaluator.learning import kept_models, lesson, waiting
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_evaluator.assessment.learning import kept_models, lesson, waiting
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
 SIMULATIONS = 300
 

@@ -20,9 +20,9 @@ from common import PATIENCE
 if TYPE_CHECKING:
     from skd_evaluator.ros.evaluator import Evaluator
 
-SIMULATOR = "skd_sim.nodes.vehicle_simulator"
-CONTROLLER = "skd_sim.nodes.car_controller"
-ADVERSARY = "skd_adversary.nodes.adversary_node"
+SIMULATOR = "skd_sim.ros.vehicle_simulator"
+CONTROLLER = "skd_sim.ros.car_controller"
+ADVERSARY = "skd_adversary.ros.adversary_node"
 EVALUATOR = "skd_evaluator.ros.evaluator_main"
 NODES = (SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR)
 _PRELOAD = "SKD_TEST_PRELOAD"

@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
 from forked_skd import TOKEN, ForkedSkd
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.report.progress import PREPARING
 from skd_evaluator.ros.session import graphs_session
-from skd_sim.episode.episode import EpisodeLog
+from skd_sim.world.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
 CAMPAIGN = ("--safe-count", 2, "--kamikaze-count", 3, "--collision-runs", 4, "--seed", 5)

@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_msgs.msg import Episode
-from skd_sim.nodes.support import LATCHED, STREAM
+from skd_sim.ros.support import LATCHED, STREAM
 
 COMMANDS = "/ego/acceleration_command"
 ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²

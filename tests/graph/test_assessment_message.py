@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.campaign.judge.rating import Rating, rate
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.ros.assessment_message import assessment_to_message
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}
 IN_WORDS = {"equivalent_multiplier", "equivalent_multiplier_ci95", "margin_converged"}

@@ -12,16 +12,16 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.campaign.plan.plan import Stage, episode_id
-from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, aborted
+from skd_evaluator.assessment.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.episode.stamps import period_stamp, tick_stamp
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.messages.command_messages import message_class
-from skd_sim.nodes.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
+from skd_sim.ros.command_messages import message_class
+from skd_sim.ros.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.stamps import period_stamp, tick_stamp
+from skd_sim.world.trajectory import Trajectory
 
 START, TICKS, PERIODS = 1_000_000_000, 3, 3
 DRIVE, WALK = "/cmd_vel", "/adversary/velocity_command"

@@ -33,13 +33,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.placement import Placement
-from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
-from skd_sim.messages.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
-from skd_sim.nodes.support import (
+from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
+from skd_sim.ros.support import (
     ACCELERATION_COMMAND,
     ADVERSARY_ODOMETRY,
     EGO_ODOMETRY,
@@ -49,11 +45,15 @@ from skd_sim.nodes.support import (
     STREAM,
     VELOCITY_COMMAND,
 )
+from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to_stamp, velocity_command
 from skd_sim.ros_environment.installation import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.variables import is_sourced
-from skd_sim.simulation.carla_objects import objects
-from skd_sim.simulation.world import make_world
-from skd_sim.state import AdversaryState
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.carla_objects import objects
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.placement import Placement
+from skd_sim.world.state import AdversaryState
+from skd_sim.world.world import make_world
 
 FRAME = 0.05
 VELOCITY = (2.5, 0.0)
@@ -209,7 +209,7 @@ def run(
         executor, ours = SingleThreadedExecutor(), SingleThreadedExecutor()
         done = threading.Event()
         try:
-            bridge = importlib.import_module("skd_sim.nodes.carla_bridge").CarlaBridge()
+            bridge = importlib.import_module("skd_sim.ros.carla_bridge").CarlaBridge()
             ours.add_node(bridge)
             stand_in, others = StandIn(messages, others_there), Others(episode, acceleration)
             for node in (others, *((stand_in,) if carla else ())):
@@ -352,7 +352,7 @@ def test_the_file_of_actors_has_everybody() -> None:
 
 @pytest.mark.parametrize(("argument", "code"), [("cyclist", 0), ("nothing_such", 2), ("", 2)])
 def test_the_file_is_written_by_one_command(argument: str, code: int) -> None:
-    command = [sys.executable, "-m", "skd_sim.simulation.carla_objects", *([argument] if argument else [])]
+    command = [sys.executable, "-m", "skd_sim.simulators.carla_objects", *([argument] if argument else [])]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert finished.returncode == code
     if code == 0:
@@ -369,7 +369,7 @@ def test_without_carla_the_episode_is_aborted(messages: Any) -> None:
 
 
 def test_without_its_messages_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("skd_sim.nodes.carla_bridge")
+    module = importlib.import_module("skd_sim.ros.carla_bridge")
 
     def missing(name: str) -> Any:
         raise ImportError(name)

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy
-from skd_sim.choices.graph_options import CommandOptions
 from skd_sim.errors import UsageError
-from skd_sim.lockstep.commands import NAMED_FORMATS, Quantity
-from skd_sim.messages.command_messages import CarCommands, car_commands
+from skd_sim.options.graph_options import CommandOptions
+from skd_sim.ros.command_messages import CarCommands, car_commands
+from skd_sim.ros.commands import NAMED_FORMATS, Quantity
 from std_msgs.msg import Float64MultiArray, Header
 
 NUMBERS = st.floats(-(2.0**100), 2.0**100, width=32)

@@ -23,17 +23,17 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.choices.simulators import WORLD
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.episode.stamps import NANOSECONDS
-from skd_sim.messages.command_messages import message_class
-from skd_sim.messages.from_messages import from_stamp
-from skd_sim.nodes import support
+from skd_sim.options.simulators import WORLD
+from skd_sim.ros import support
+from skd_sim.ros.command_messages import message_class
+from skd_sim.ros.from_messages import from_stamp
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.stamps import NANOSECONDS
 from tf2_msgs.msg import TFMessage
 
 HEARD = {

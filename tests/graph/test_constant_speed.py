@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from graph_support import skd
 from skd_evaluator.bags.reader import read_episodes
-from skd_sim.episode.episode import Outcome
+from skd_sim.world.episode import Outcome
 
 SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "constant_speed" / "constant_speed.py"
 

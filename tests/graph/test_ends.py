@@ -18,10 +18,10 @@ from common import PATIENCE, new_domain, wait_until
 from graph_support import assert_all_gone, in_domain, whole_graph
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.ros import processes
 from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.world.episode import Episode, EpisodeLog
 
 HANGS = """
 import ctypes, pathlib, sys
@@ -37,7 +37,7 @@ rclpy.node.Node.destroy_node = destroy_node
 NODE = (
     HANGS
     + """
-from skd_sim.nodes import support
+from skd_sim.ros import support
 from skd_sim.start import start
 spin = support.spin
 
@@ -52,7 +52,7 @@ sys.exit(start(sys.argv[2]))
 CONTROLLER = (
     HANGS
     + """
-from skd_sim.nodes import support, car_controller
+from skd_sim.ros import support, car_controller
 import contextlib
 support.end_within = lambda *_: contextlib.nullcontext()  # as of somebody else's node
 sys.exit(car_controller.main(["--ros-args", "-p", "controller:=basic"]))
@@ -63,7 +63,7 @@ MARGIN = 2.0  # s that a busy machine may take beyond what a hanging end may cos
 
 @pytest.mark.parametrize(
     "module",
-    ["skd_sim.nodes.vehicle_simulator", "skd_sim.nodes.car_controller", "skd_adversary.nodes.adversary_node"],
+    ["skd_sim.ros.vehicle_simulator", "skd_sim.ros.car_controller", "skd_adversary.ros.adversary_node"],
 )
 def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
     """It ends in time, as if it had ended in order."""

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.episode.stamps import NANOSECONDS, period_stamp
-from skd_sim.messages.from_messages import message_to_episode
-from skd_sim.messages.to_messages import episode_to_message
-from skd_sim.nodes.episode_follower import EpisodeFollower
+from skd_sim.ros.episode_follower import EpisodeFollower
+from skd_sim.ros.from_messages import message_to_episode
+from skd_sim.ros.to_messages import episode_to_message
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.stamps import NANOSECONDS, period_stamp
 
 START = NANOSECONDS
 SCENARIO = load_scenario("crossing")

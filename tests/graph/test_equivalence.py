@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 from common import assert_valid
 from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_evaluator.campaign.validation.episode_check import examine
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.sensors import Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.sensors import Scan
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.trajectory import Trajectory
 
 DIGESTED = (
     "car", "episode_id", "impact_speed", "impact_time", "mode", "objective", "offsets", "outcome", "positions",

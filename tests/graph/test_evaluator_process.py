@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_support import Program, assert_same_results, skd
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 
 MODULES = {
-    "vehicle_simulator": "skd_sim.nodes.vehicle_simulator",
-    "adversary": "skd_adversary.nodes.adversary_node",
-    "car_controller": "skd_sim.nodes.car_controller",
+    "vehicle_simulator": "skd_sim.ros.vehicle_simulator",
+    "adversary": "skd_adversary.ros.adversary_node",
+    "car_controller": "skd_sim.ros.car_controller",
     "evaluator": "skd_evaluator.ros.evaluator_main",
 }
 
@@ -106,7 +106,7 @@ def test_interrupted_leaves_nothing(tmp_path: Path):
 
 FAILS_TO_BEGIN = """
 import os, signal, sys, time
-from skd_sim.nodes.support import run_node
+from skd_sim.ros.support import run_node
 
 def make():
     try:

@@ -14,8 +14,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.graph_pool import GraphPool
 from skd_evaluator.ros.readiness.failures import Failures
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 0, 0)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from graph_support import HERE, skd
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 
-NODE = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p"]
+NODE = [sys.executable, "-m", "skd_sim.ros.car_controller", "--ros-args", "-p"]
 PATHS = {"PYTHONPATH": str(HERE / "controllers")}
 SMALL = (
     *("--safe-count", 1, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 20, "--seed", 2),

@@ -75,7 +75,7 @@ def test_an_error_of_an_import_is_said(tmp_path: Path) -> None:
 
 SLOW_NODE = """
 import sys, time
-from skd_sim.nodes.support import run_node
+from skd_sim.ros.support import run_node
 
 def make():
     print("importing", flush=True)
@@ -119,7 +119,7 @@ def test_a_signal_while_python_itself_ends(number: int, said: str) -> None:
 
 LOST = """
 import ctypes, os, signal, sys, time
-from skd_sim.nodes.support import run_node
+from skd_sim.ros.support import run_node
 
 @ctypes.CFUNCTYPE(None)
 def callback():

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 from common import PATIENCE
 from graph_support import assert_same_log, skd, skd_here, whole_graph
-from skd_adversary.car_model_file import car_model_text
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import learned_plan
+from skd_adversary.car_models.car_model_file import car_model_text
+from skd_evaluator.assessment.learning import lesson
+from skd_evaluator.assessment.plan.plan import Plan, walks_a_way
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.pipeline import learned_plan
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Plan, walks_a_way
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_evaluator.learning import lesson
-from skd_evaluator.measure.credibility import not_credible
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES
+from skd_evaluator.metrics.credibility import not_credible
 from skd_sim.controllers import BasicController
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
-BASIC = [sys.executable, "-m", "skd_sim.nodes.car_controller", "--ros-args", "-p", "controller:=basic"]
+BASIC = [sys.executable, "-m", "skd_sim.ros.car_controller", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
 RUNS = 6
 COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)

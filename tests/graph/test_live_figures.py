@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 from skd_adversary.adversary import BelievedCar
-from skd_adversary.nodes.adversary_node import belief_to_odometry
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_adversary.ros.adversary_node import belief_to_odometry
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.driving.situation import figures_of
-from skd_sim.encounter.road import road_pose
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.scenario.road import road_pose
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 
 def test_figures_of_a_recording(expected: EpisodeLog, replay: Episode) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import refuted
-from skd_sim.episode.episode import Episode, EpisodeLog
-from skd_sim.state import CarState
+from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.state import CarState
 
 
 def run(

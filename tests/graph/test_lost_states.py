@@ -13,11 +13,11 @@ import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import assert_same_log
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.episode.aborts import AbortKind, kind_of
-from skd_sim.episode.episode import Episode, Outcome
+from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import Episode, Outcome
 
 PERIODS = 100
 """The car's decisions in a tick: an episode of nine ticks has some 800 states."""

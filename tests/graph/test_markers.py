@@ -10,11 +10,11 @@ import pytest
 import shapely
 from matplotlib.colors import to_rgb
 from skd_evaluator import palette
-from skd_evaluator.campaign.run.assembly import Samples
+from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.ros.markers import episode_markers
-from skd_sim.encounter.road import ONCOMING, Lane, Road, road_pose
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode
+from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, Mode
 from visualization_msgs.msg import Marker
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")

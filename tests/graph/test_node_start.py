@@ -12,7 +12,7 @@ import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, get_current_signal_handlers_options
-from skd_sim.nodes.support import run_node
+from skd_sim.ros.support import run_node
 
 
 def swallow_an_interrupt() -> None:

@@ -20,13 +20,13 @@ from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, evaluator, 
 from graph_support import HERE, assert_same_log, whole_graph
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
-from skd_adversary.nodes.adversary_node import AdversaryNode
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_adversary.ros.adversary_node import AdversaryNode
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
 from skd_evaluator.ros.evaluator_main import EvaluatorProcess
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.nodes.car_controller import CarController
-from skd_sim.nodes.vehicle_simulator import VehicleSimulator
+from skd_sim.ros.car_controller import CarController
+from skd_sim.ros.vehicle_simulator import VehicleSimulator
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 # --- pacing
 

@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 from common import PATIENCE
 from graph_support import HERE, pids_with, whole_graph
-from skd_evaluator.assessing.asked import with_asked_period
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.judge.command_age import command_age
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.stages.asked import with_asked_period
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.judge.command_age import command_age
-from skd_evaluator.campaign.run.runner import run_episode
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.aborts import AbortKind, kind_of
-from skd_sim.episode.episode import Episode, Outcome
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.state import AdversaryState, CarState
 
 STALL = 0.5  # s
 

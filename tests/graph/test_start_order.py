@@ -31,10 +31,10 @@ from graph_support import (
     skd_here,
     whole_graph,
 )
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 STAGGER = 0.1  # s between two starts
 AT_ONCE = 4  # graphs
@@ -240,7 +240,7 @@ def test_misbehaviour_during_an_episode(
 @pytest.fixture
 def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
     """A campaign that takes long, with a controller whose command starts processes of its own."""
-    node = f"{shlex.quote(sys.executable)} -m skd_sim.nodes.car_controller --ros-args -p controller:=misbehaving:Slow"
+    node = f"{shlex.quote(sys.executable)} -m skd_sim.ros.car_controller --ros-args -p controller:=misbehaving:Slow"
     program = Program(
         skd_command(
             "assess",

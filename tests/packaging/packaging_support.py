@@ -11,21 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.cli.options import add_commands
-from skd_sim.choices.graph_options import SimulatorOptions
-from skd_sim.choices.options import options_of
+from skd_sim.options.graph_options import SimulatorOptions
+from skd_sim.options.options import options_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "ros_ws" / "src"
 PYTHON_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
 NODES = {  # node → package, module
-    "vehicle_simulator": ("skd_sim", "skd_sim.nodes.vehicle_simulator"),
-    "car_controller": ("skd_sim", "skd_sim.nodes.car_controller"),
-    "adversary": ("skd_adversary", "skd_adversary.nodes.adversary_node"),
+    "vehicle_simulator": ("skd_sim", "skd_sim.ros.vehicle_simulator"),
+    "car_controller": ("skd_sim", "skd_sim.ros.car_controller"),
+    "adversary": ("skd_adversary", "skd_adversary.ros.adversary_node"),
     "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_main"),
 }
-ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.nodes.carla_bridge")}  # no launch file starts the last
+ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.ros.carla_bridge")}  # no launch file starts the last
 
 
 def settings(node: str) -> dict[str, Any]:

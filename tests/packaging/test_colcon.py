@@ -20,13 +20,13 @@ import pytest
 from colcon_support import Workspace, make_workspace, signal_group, workspace_folder
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.run.workers import InProcessRunner, single_episode
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.ros_environment import ensure_ros
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog, Mode
 
 LAUNCH = ("launch", "launch_ros", "ros2cli", "ros2launch", "ros2run")
 NOT_FOUND = [name for name in LAUNCH if importlib.util.find_spec(name) is None]

@@ -23,7 +23,7 @@ ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--
 
 
 def topics() -> set[str]:
-    support = importlib.import_module("skd_sim.nodes.support")
+    support = importlib.import_module("skd_sim.ros.support")
     names = (
         *("EGO_ODOMETRY", "EGO_SCAN", "ROBOT_DESCRIPTION", "ADVERSARY_ODOMETRY"),
         *("ACCELERATION_COMMAND", "MARKERS", "ASSESSMENT", "CLEARANCE", "DEFORMATION", "BELIEVED_CAR"),

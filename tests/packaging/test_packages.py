@@ -17,10 +17,10 @@ from packaging_support import (
     settings,
     setup_arguments,
 )
-from skd_evaluator.assessing.graph_options import EvaluatorOptions
-from skd_evaluator.campaign.plan.options import CampaignOptions
-from skd_sim.choices.graph_options import SimulatorOptions
-from skd_sim.nodes.support import settings_of
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions
+from skd_sim.options.graph_options import SimulatorOptions
+from skd_sim.ros.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)
 ROSDEP = {"matplotlib": "python3-matplotlib", "numba": "python3-numba", "numpy": "python3-numpy"}

@@ -11,9 +11,9 @@ import pytest
 from bag_forge import Sent, campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import Replayed, attempts, crossing
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 
 @pytest.fixture(scope="session")

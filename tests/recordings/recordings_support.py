@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Plan
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.episode.episode import EpisodeLog, Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_sim.world.episode import EpisodeLog, Mode
+from skd_sim.world.trajectory import Trajectory
 
 
 def crossing(pace: float, ticks: int, name: str) -> Trajectory:

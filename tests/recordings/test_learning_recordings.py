@@ -8,16 +8,16 @@ from pathlib import Path
 
 from bag_forge import Sent, campaign_messages
 from recordings_support import Replayed
-from skd_adversary.car_model_file import car_model_text, fitted_car
+from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.campaign.plan.plan import Plan, Stage, episode_id
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.learning.attempts import own_attempts
+from skd_evaluator.assessment.learning.attempts import own_attempts
+from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros.recording import bag_name
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog
 
 CAR = fitted_car(any_car_models()[0])
 

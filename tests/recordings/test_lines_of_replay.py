@@ -9,9 +9,9 @@ import pytest
 from bag_forge import campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import attempts, crossing
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.scenario.scenario import load_scenario
 
 
 def test_a_search_that_found_no_hit_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,16 +12,16 @@ import pytest
 from bag_forge import ADVERSARY, CAR, RESULT, Sent, campaign_messages, forged
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.controllers import make_controller
-from skd_sim.dynamics.limits import CommandLimits
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.command_ages import Timing
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.simulation.framed_simulator import FramedSimulator
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.framed_simulator import FramedSimulator
+from skd_sim.world.command_ages import Timing
+from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import AdversaryState, CarState
 
 Write = Callable[..., Path]
 Refused = Callable[..., str]

@@ -20,8 +20,8 @@ from bag_forge import campaign_messages, write_mcap
 from common import run_skd
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import EpisodeLog
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = (

@@ -18,8 +18,8 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.reader import read_bags
-from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import EpisodeLog
 
 Write = Callable[..., Path]
 Refused = Callable[..., str]

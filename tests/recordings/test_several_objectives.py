@@ -12,12 +12,12 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
 from recordings_support import attempts, crossing
-from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.plan.plan import Plan, kamikaze_set, split_episode_id
-from skd_evaluator.campaign.store.results import write_assessment
-from skd_sim.choices.objective import DEFAULT_OBJECTIVES, Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import EpisodeLog, Mode
+from skd_evaluator.assessment.judge.rating import Rating, judge_all
+from skd_evaluator.assessment.plan.plan import Plan, kamikaze_set, split_episode_id
+from skd_evaluator.assessment.store.results import write_assessment
+from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import EpisodeLog, Mode
 
 Write = Callable[..., Path]
 PLAN = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessing.asked import with_asked_period
-from skd_sim.encounter.scenario import load_scenario
+from skd_evaluator.assessment.stages.asked import with_asked_period
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import installation, is_sourced
 from skd_sim.ros_environment.installation import MessagePackage, ensure_messages
+from skd_sim.scenario.scenario import load_scenario
 
 pytestmark = pytest.mark.skipif(is_sourced(), reason="a ROS 2 is sourced, so nothing is built")
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Outcome
-from skd_sim.episode.stamps import tick_stamp
-from skd_sim.lockstep.command_source import Source
-from skd_sim.lockstep.lockstep import Action, End, Limits, Lockstep, Step
-from skd_sim.simulation.simulator import Frame
-from skd_sim.simulation.world import Contact
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.ros.command_source import Source
+from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Step
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Outcome
+from skd_sim.world.simulator import Frame
+from skd_sim.world.stamps import tick_stamp
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import Contact
 
 CROSSING = load_scenario("crossing")
 START, TIME_STEP = 5_000_000_000, CROSSING.time_step

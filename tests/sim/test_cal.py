@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import CalController, Controller, SensingController, make_controller
 from skd_sim.controllers.cal import CalState
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork
 from skd_sim.hazard.perception import FEATURES
-from skd_sim.sensors import PlanarLaser
-from skd_sim.simulation.world import World
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.sensors import PlanarLaser
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import World
 
 CROSSING = replace(load_scenario("crossing"), control_period=CalController.control_period)
 QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0))

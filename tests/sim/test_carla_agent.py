@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from skd_sim.controllers import CarlaAgent
 from skd_sim.controllers.carla_agent import speed_factor
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.geometry.motion import next_speed, travelled
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.motion import next_speed, travelled
+from skd_sim.world.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
 

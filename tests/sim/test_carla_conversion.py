@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.geometry.placement import Placement
-from skd_sim.simulation.carla_conversion import (
+from skd_sim.simulators.carla_conversion import (
     adversary_from_odometry,
     car_from_odometry,
     pedals,
     walker_control,
     yaw_of,
 )
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.world.placement import Placement
+from skd_sim.world.state import AdversaryState, CarState
 
 COORDINATES = st.floats(-1e3, 1e3)
 PLACEMENTS = st.builds(Placement, COORDINATES, COORDINATES, st.floats(-7.0, 7.0))

@@ -13,10 +13,10 @@ from skd_sim.controllers import (
     basic_acceleration,
     make_controller,
 )
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 SCENARIO = load_scenario("crossing")
 RNG = np.random.default_rng(0)

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.arrays import FloatArray
-from skd_sim.dynamics.actuator import apply_brake, new_brake
-from skd_sim.dynamics.multi_body import (
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.dynamics.actuator import apply_brake, new_brake
+from skd_sim.world.dynamics.multi_body import (
     FRONT,
     HEIGHT,
     PITCH,
@@ -27,11 +28,10 @@ from skd_sim.dynamics.multi_body import (
     full_derivative,
     straight_derivative,
 )
-from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
-from skd_sim.dynamics.tyre import peak_slip, straight_force
-from skd_sim.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.state import CarState
+from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, rest_state
+from skd_sim.world.dynamics.tyre import peak_slip, straight_force
+from skd_sim.world.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
+from skd_sim.world.state import CarState
 
 BASE = load_scenario("crossing_multi_body")
 TICK = BASE.time_step

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from skd_sim.arrays import FloatArray
-from skd_sim.dynamics.multi_body import (
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.dynamics.multi_body import (
     FRONT,
     HEIGHT,
     JOINTS,
@@ -28,10 +29,9 @@ from skd_sim.dynamics.multi_body import (
     WheelInput,
     full_derivative,
 )
-from skd_sim.dynamics.multi_body_car import MultiBodyCar, rest_state
-from skd_sim.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.state import CarState
+from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, rest_state
+from skd_sim.world.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
+from skd_sim.world.state import CarState
 from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 from vehiclemodels.vehicle_parameters import setup_vehicle_parameters

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_sim.encounter.known_scenarios import is_named
-from skd_sim.encounter.scenario import changed_scenario, load_scenario, scenario_from_dict
 from skd_sim.errors import UsageError
+from skd_sim.scenario.known_scenarios import is_named
+from skd_sim.scenario.scenario import changed_scenario, load_scenario, scenario_from_dict
 
 
 def written(folder: Path, name: str, text: str) -> str:

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.dynamics.limits import CommandLimits
-from skd_sim.encounter.road_user import Other
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.heading import on_grid
-from skd_sim.simulation.framed_simulator import FramedSimulator
-from skd_sim.simulation.simulator import Frame, Simulator, WorldSimulator
-from skd_sim.state import AdversaryState, CarState, RoadUserState
+from skd_sim.scenario.road_user import Other
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.simulators.framed_simulator import FramedSimulator
+from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.heading import on_grid
+from skd_sim.world.simulator import Frame, Simulator, WorldSimulator
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 
 FRAME = 0.05
 

@@ -8,7 +8,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
-from skd_sim.geometry.contact import NO_CONTACT, first_contact, first_contact_of_boxes, rectangle_distance, to_car_frame
+from skd_sim.world.contact import NO_CONTACT, first_contact, first_contact_of_boxes, rectangle_distance, to_car_frame
 
 FRONT, REAR, HALF_WIDTH, RADIUS = 2.25, 1.75, 0.9, 0.25
 # In micrometres: shapely's distance to a segment of 1e-180 m is infinite.

@@ -11,14 +11,14 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
-from skd_sim.encounter.definition import Obstacle
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
 from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
 from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course
-from skd_sim.sensors import PlanarLaser
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.definition import Obstacle
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.sensors import PlanarLaser
+from skd_sim.world.state import AdversaryState, CarState
 from train_hazard_network import digest, fit, generate_scenes, probabilities_of, train
 
 CROSSING = load_scenario("crossing")

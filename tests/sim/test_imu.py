@@ -7,8 +7,8 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.sensors import Inertia, InertialUnit
-from skd_sim.state import CarState
+from skd_sim.world.sensors import Inertia, InertialUnit
+from skd_sim.world.state import CarState
 
 GRAVITY = 9.80665  # m/s², 3rd CGPM (1901)
 MILLISECOND = 1_000_000  # ns

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from skd_sim.encounter.road import ONCOMING, Lane, Part, Road
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.road import ONCOMING, Lane, Part, Road
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 
 BASE = load_scenario("crossing").as_dict()
 TURN = load_scenario("right_turn").as_dict()

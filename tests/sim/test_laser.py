@@ -9,13 +9,13 @@ import shapely
 import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.encounter.definition import Obstacle, Sensor
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.sensors import PlanarLaser, make_laser
-from skd_sim.sensors.laser import disc_range, rectangle_range
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.definition import Obstacle, Sensor
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.sensors import PlanarLaser, make_laser
+from skd_sim.world.sensors.laser import disc_range, rectangle_range
+from skd_sim.world.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")
 NOWHERE = AdversaryState(1e6, 1e6, 0.0, 0.0)

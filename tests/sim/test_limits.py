@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.dynamics.limits import GRIP, command_limits
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.simulation.world import World
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.dynamics.limits import GRIP, command_limits
+from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")
 MULTI_BODY = load_scenario("crossing_multi_body")

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_bench import LIMITS, START, TIME_STEP, Bench, Message, frame, send, stamp
-from skd_sim.episode.aborts import AbortKind, kind_of
-from skd_sim.episode.episode import Outcome
-from skd_sim.lockstep.lockstep import Action, End, Repeat, Step
-from skd_sim.simulation.world import Contact
+from skd_sim.ros.lockstep import Action, End, Repeat, Step
+from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import Outcome
+from skd_sim.world.world import Contact
 
 
 @pytest.fixture

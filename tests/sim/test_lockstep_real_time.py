@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from lockstep_bench import LIMITS, START, Bench, stamp
-from skd_sim.lockstep.lockstep import LEAD, End, Repeat, Start, Step
+from skd_sim.ros.lockstep import LEAD, End, Repeat, Start, Step
 
 
 @pytest.fixture

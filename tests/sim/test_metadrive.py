@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 if importlib.util.find_spec("metadrive") is None:
     pytest.skip("MetaDrive is not installed: python -m pip install '.[metadrive]'", allow_module_level=True)
 
-from skd_sim.simulation.metadrive.simulator import MetaDriveSimulator
+from skd_sim.simulators.metadrive.simulator import MetaDriveSimulator
 
 CROSSING = load_scenario("crossing")
 CARS = {"basic": None, "cal": 0.05, "carla": None, "metadrive_expert": 0.1}
@@ -34,7 +34,7 @@ CARS = {"basic": None, "cal": 0.05, "carla": None, "metadrive_expert": 0.1}
 def ended() -> Iterator[None]:
     """End the engine of this process, so that modules after this one may fork it."""
     yield
-    from skd_sim.simulation.metadrive.stage import end
+    from skd_sim.simulators.metadrive.stage import end
 
     end()
 
@@ -166,7 +166,7 @@ def test_a_fork_of_a_process_with_an_engine_is_refused() -> None:
 def test_the_expert_draws_from_what_metadrives_own_code_says() -> None:
     """Its mean at every decision of two episodes is that of MetaDrive's own function, at the same moment."""
     from metadrive.examples.ppo_expert import numpy_expert
-    from skd_sim.simulation.metadrive.expert import MetaDriveExpert, distribution
+    from skd_sim.simulators.metadrive.expert import MetaDriveExpert, distribution
 
     found = []
 
@@ -193,7 +193,7 @@ def test_the_expert_needs_metadrive_to_simulate() -> None:
 
 def test_an_assessment_has_all_its_parts_and_keeps_the_pedals(tmp_path) -> None:
     """In workers, none of which has an engine from here."""
-    from skd_sim.simulation.metadrive.stage import end
+    from skd_sim.simulators.metadrive.stage import end
 
     end()
     out = tmp_path / "out"

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
-from skd_evaluator.campaign.judge.struck import ADVERSARY, closing_speed, struck
-from skd_evaluator.campaign.run.runner import run_episode
-from skd_evaluator.campaign.validation.episode_check import implausible
-from skd_evaluator.campaign.validation.world_step import ROUNDING, first_touch, recompute, touches
+from skd_evaluator.assessment.judge.struck import ADVERSARY, closing_speed, struck
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.validation.episode_check import implausible
+from skd_evaluator.assessment.validation.world_step import ROUNDING, first_touch, recompute, touches
 from skd_sim.controllers import takes_scene
-from skd_sim.encounter.scenario import Scenario, load_scenario, scenario_from_dict
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.state import CarState, RoadUserState, Scene
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.sensors.laser import PlanarLaser
+from skd_sim.world.state import CarState, RoadUserState, Scene
+from skd_sim.world.trajectory import Trajectory
 
 BASE = load_scenario("crossing").as_dict()
 ASIDE = Trajectory(np.tile([-6.0, 0.0], (30, 1)), 0.3)  # an adversary who stays away
@@ -144,7 +144,7 @@ def test_who_stands_is_in_the_adversarys_way() -> None:
 
 
 def test_another_simulator_has_to_place_them() -> None:
-    from skd_sim.simulation.named_simulator import NamedSimulator
+    from skd_sim.simulators.named_simulator import NamedSimulator
 
     simulator = NamedSimulator()
     simulator._simulator, simulator._name = object(), "elsewhere"  # type: ignore[assignment]

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from skd_sim.encounter.road import (
+from skd_sim.scenario.road import (
     HEADING_NORTH,
     Part,
     Road,

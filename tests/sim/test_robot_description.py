@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import pytest
-from skd_sim.choices.frames import Frames
-from skd_sim.encounter.known_scenarios import shipped_scenarios
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.messages.robot_description import robot_description
+from skd_sim.options.frames import Frames
+from skd_sim.ros.robot_description import robot_description
+from skd_sim.scenario.known_scenarios import shipped_scenarios
+from skd_sim.scenario.scenario import load_scenario
 
 
 def numbers(element: ElementTree.Element | None, key: str) -> list[float]:

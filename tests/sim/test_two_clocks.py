@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.episode.episode import Episode, Mode, Outcome
-from skd_sim.episode.randomness import Role, generator
-from skd_sim.episode.stamps import period_of, period_stamp, tick_stamp
-from skd_sim.geometry.contact import rectangle_distance, to_car_frame
-from skd_sim.sensors import PlanarLaser
-from skd_sim.simulation.simulator import Frame, WorldSimulator
-from skd_sim.simulation.world import World, make_world
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.contact import rectangle_distance, to_car_frame
+from skd_sim.world.episode import Episode, Mode, Outcome
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.sensors import PlanarLaser
+from skd_sim.world.simulator import Frame, WorldSimulator
+from skd_sim.world.stamps import period_of, period_stamp, tick_stamp
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import World, make_world
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step

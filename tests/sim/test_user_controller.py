@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from skd_sim.controllers import make_controller
 from skd_sim.controllers.user_controller import user_controller
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
-from skd_sim.sensors import Scan
-from skd_sim.state import AdversaryState, CarState, Scene
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.sensors import Scan
+from skd_sim.world.state import AdversaryState, CarState, Scene
 
 CROSSING = load_scenario("crossing")
 CAR, ADVERSARY = CarState(0.0, -20.0, 1.5, 8.0), AdversaryState(0.0, 0.0, 0.0, 0.0)

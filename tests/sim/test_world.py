@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.simulation.world import World
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step

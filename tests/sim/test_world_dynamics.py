@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_sim.dynamics.basic import BasicCar
-from skd_sim.dynamics.interface import make_dynamics
-from skd_sim.dynamics.multi_body_car import MultiBodyCar
-from skd_sim.encounter.road import HEADING_NORTH
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.geometry.contact import first_contact, rectangle_distance, to_car_frame
-from skd_sim.geometry.motion import draw_relative, next_speed, travelled
 from skd_sim.kernels.compilation import kernel
-from skd_sim.simulation.world import World
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import HEADING_NORTH
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.contact import first_contact, rectangle_distance, to_car_frame
+from skd_sim.world.dynamics.basic import BasicCar
+from skd_sim.world.dynamics.interface import make_dynamics
+from skd_sim.world.dynamics.multi_body_car import MultiBodyCar
+from skd_sim.world.motion import draw_relative, next_speed, travelled
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import World
 
 BASIC = load_scenario("crossing")
 MULTI_BODY = load_scenario("crossing_multi_body")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import shapely
 from shapely import affinity
-from skd_sim.dynamics.basic import along_road
-from skd_sim.encounter.road import Part, Road, road_pose, road_position
-from skd_sim.encounter.scenario import Scenario, load_scenario
-from skd_sim.sensors.laser import PlanarLaser
-from skd_sim.simulation.world import World
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import Part, Road, road_pose, road_position
+from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.world.dynamics.basic import along_road
+from skd_sim.world.sensors.laser import PlanarLaser
+from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.world import World
 
 STEP = 0.3
 CROSSING = load_scenario("crossing")

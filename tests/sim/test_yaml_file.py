@@ -11,11 +11,11 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.car_model_file import fitted_car, read_car_model
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode
+from skd_adversary.car_models.car_model_file import fitted_car, read_car_model
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import LARGEST, parse_yaml, to_yaml
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode
 
 SCENARIO = yaml.safe_dump(load_scenario("crossing").as_dict())
 NO_MODELS = {

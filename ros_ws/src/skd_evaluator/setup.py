@@ -12,7 +12,7 @@ setup(
         PACKAGE: [
             "py.typed",
             "campaign/assessment.schema.json",
-            "report/ncap/templates/*",
+            "extensions/ncap/templates/*",
             "report/html/templates/*",
             "measure/behaviour/walkers.yaml",
         ]

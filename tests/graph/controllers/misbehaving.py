@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.controllers import BasicController
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 TICK = 3
 """At which it happens."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from skd_sim.controllers import BasicController
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import AdversaryState, CarState
 
 
 class Honest(BasicController):

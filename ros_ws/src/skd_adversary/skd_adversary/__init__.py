@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from skd_sim.public import exported
 
 if TYPE_CHECKING:
-    from skd_adversary.planning.belief import ParticleBelief as ParticleBelief
-    from skd_adversary.planning.closed_loop import play as play
-    from skd_adversary.planning.model_check import check_model as check_model
-    from skd_adversary.planning.options import PlannerOptions as PlannerOptions
-    from skd_adversary.planning.planner import Planner as Planner
-    from skd_adversary.planning.pomdp import Pomdp as Pomdp
+    from skd_adversary.pomdp.belief import ParticleBelief as ParticleBelief
+    from skd_adversary.pomdp.closed_loop import play as play
+    from skd_adversary.pomdp.model_check import check_model as check_model
+    from skd_adversary.pomdp.options import PlannerOptions as PlannerOptions
+    from skd_adversary.pomdp.planner import Planner as Planner
+    from skd_adversary.pomdp.pomdp import Pomdp as Pomdp
 
 __all__ = [
     "ParticleBelief",
@@ -27,11 +27,11 @@ __all__ = [
 ]
 
 _WHERE = {
-    "ParticleBelief": "skd_adversary.planning.belief",
-    "Planner": "skd_adversary.planning.planner",
-    "PlannerOptions": "skd_adversary.planning.options",
-    "Pomdp": "skd_adversary.planning.pomdp",
-    "check_model": "skd_adversary.planning.model_check",
-    "play": "skd_adversary.planning.closed_loop",
+    "ParticleBelief": "skd_adversary.pomdp.belief",
+    "Planner": "skd_adversary.pomdp.planner",
+    "PlannerOptions": "skd_adversary.pomdp.options",
+    "Pomdp": "skd_adversary.pomdp.pomdp",
+    "check_model": "skd_adversary.pomdp.model_check",
+    "play": "skd_adversary.pomdp.closed_loop",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)

@@ -7,38 +7,38 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.episode.randomness import Role, generator
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.state import CarState
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.state import CarState
+from skd_sim.world.trajectory import Trajectory
 
-from skd_adversary.car_model_file import fitted_car
-from skd_adversary.fitted_car import FittedCar
-from skd_adversary.model.car.basic import CarModel, known_basic_car, unknown_car
-from skd_adversary.model.car.fitted import LearnedCar
-from skd_adversary.model.car.forest import WAITING_REWARD, ForestCar
-from skd_adversary.model.composer import compose, road_user_interfaces
-from skd_adversary.model.crossing import CAR_S, CAR_SPEED
-from skd_adversary.model.objective import safe
-from skd_adversary.model.objectives import objective_named
-from skd_adversary.model.parts import CarPrediction, RoadUserModel
-from skd_adversary.model.road_users import road_user_named
-from skd_adversary.model.safe_path import velocities_of, velocity_at
-from skd_adversary.planning.belief import ParticleBelief
-from skd_adversary.planning.options import PlannerOptions
-from skd_adversary.planning.planner import Planner
-from skd_adversary.planning.pomdp import Pomdp
+from skd_adversary.car_models.car_model_file import fitted_car
+from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.crossing.car.basic import CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing.car.fitted import LearnedCar
+from skd_adversary.crossing.car.forest import WAITING_REWARD, ForestCar
+from skd_adversary.crossing.composer import compose, road_user_interfaces
+from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED
+from skd_adversary.crossing.objective import safe
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.parts import CarPrediction, RoadUserModel
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.safe_path import velocities_of, velocity_at
+from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.options import PlannerOptions
+from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.pomdp import Pomdp
 
 
 class BelievedCar(NamedTuple):
     """Mean and standard deviation of what is believed of the car.
 
     Attributes:
-        position: mean place of its reference point along the road (`skd_sim.encounter.road`), m.
+        position: mean place of its reference point along the road (`skd_sim.scenario.road`), m.
         position_deviation: standard deviation of the place, m.
         speed: mean speed, m/s.
         speed_deviation: standard deviation of the speed, m/s.

@@ -7,7 +7,7 @@ from functools import partial
 
 from skd_sim.start import start, start_named
 
-adversary = partial(start, "skd_adversary.nodes.adversary_node")
+adversary = partial(start, "skd_adversary.ros.adversary_node")
 
 if __name__ == "__main__":
     sys.exit(start_named({"adversary": adversary}))

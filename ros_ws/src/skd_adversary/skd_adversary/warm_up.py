@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_sim.choices.car_dynamics import BASIC, DYNAMICS
-from skd_sim.choices.car_under_test import DEFAULT
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.car_dynamics import BASIC, DYNAMICS
+from skd_sim.options.car_under_test import DEFAULT
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.trajectory import Trajectory
 
-from skd_adversary.car_forest import TICK, gridded, pack
-from skd_adversary.car_model_file import car_model_text
-from skd_adversary.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.car_models.car_forest import TICK, gridded, pack
+from skd_adversary.car_models.car_model_file import car_model_text
+from skd_adversary.car_models.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Parameter, Prior
 
 
 def any_car_models() -> list[str]:

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from skd_sim.nodes.installed_nodes import interrupt, parameters_of, shipped_parameters, topics_of
+from skd_sim.ros.installed_nodes import interrupt, parameters_of, shipped_parameters, topics_of
 
 PACKAGE = "skd_adversary"
-pytest_plugins = ["skd_sim.nodes.installed_nodes"]
+pytest_plugins = ["skd_sim.ros.installed_nodes"]
 
 
 def test_node(watcher, start):

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from skd_sim.public import exported
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessing.library import assess as assess
-    from skd_evaluator.assessing.library import load_result as load_result
-    from skd_evaluator.campaign.judge.rating import Rating as Rating
-    from skd_evaluator.campaign.plan.plan import Plan as Plan
-    from skd_evaluator.campaign.run.runner import run_episode as run_episode
+    from skd_evaluator.assessment.judge.rating import Rating as Rating
+    from skd_evaluator.assessment.plan.plan import Plan as Plan
+    from skd_evaluator.assessment.run.runner import run_episode as run_episode
+    from skd_evaluator.assessment.stages.library import assess as assess
+    from skd_evaluator.assessment.stages.library import load_result as load_result
     from skd_evaluator.errors import AssessmentError as AssessmentError
-    from skd_evaluator.measure.distances.deformation import deformation as deformation
-    from skd_evaluator.measure.distances.frechet import discrete_frechet as discrete_frechet
-    from skd_evaluator.measure.distances.measures import Measure as Measure
-    from skd_evaluator.measure.statistics.clustered import clustered_mean as clustered_mean
-    from skd_evaluator.measure.statistics.clustered_rate import clustered_rate as clustered_rate
-    from skd_evaluator.measure.statistics.difference import difference as difference
+    from skd_evaluator.metrics.distances.deformation import deformation as deformation
+    from skd_evaluator.metrics.distances.frechet import discrete_frechet as discrete_frechet
+    from skd_evaluator.metrics.distances.measures import Measure as Measure
+    from skd_evaluator.metrics.statistics.clustered import clustered_mean as clustered_mean
+    from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate as clustered_rate
+    from skd_evaluator.metrics.statistics.difference import difference as difference
 
 __all__ = [
     "AssessmentError",
@@ -40,16 +40,16 @@ __all__ = [
 
 _WHERE = {
     "AssessmentError": "skd_evaluator.errors",
-    "Measure": "skd_evaluator.measure.distances.measures",
-    "Plan": "skd_evaluator.campaign.plan.plan",
-    "Rating": "skd_evaluator.campaign.judge.rating",
-    "assess": "skd_evaluator.assessing.library",
-    "clustered_mean": "skd_evaluator.measure.statistics.clustered",
-    "clustered_rate": "skd_evaluator.measure.statistics.clustered_rate",
-    "deformation": "skd_evaluator.measure.distances.deformation",
-    "difference": "skd_evaluator.measure.statistics.difference",
-    "discrete_frechet": "skd_evaluator.measure.distances.frechet",
-    "load_result": "skd_evaluator.assessing.library",
-    "run_episode": "skd_evaluator.campaign.run.runner",
+    "Measure": "skd_evaluator.metrics.distances.measures",
+    "Plan": "skd_evaluator.assessment.plan.plan",
+    "Rating": "skd_evaluator.assessment.judge.rating",
+    "assess": "skd_evaluator.assessment.stages.library",
+    "clustered_mean": "skd_evaluator.metrics.statistics.clustered",
+    "clustered_rate": "skd_evaluator.metrics.statistics.clustered_rate",
+    "deformation": "skd_evaluator.metrics.distances.deformation",
+    "difference": "skd_evaluator.metrics.statistics.difference",
+    "discrete_frechet": "skd_evaluator.metrics.distances.frechet",
+    "load_result": "skd_evaluator.assessment.stages.library",
+    "run_episode": "skd_evaluator.assessment.run.runner",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)

@@ -23,10 +23,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from skd_sim.choices.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import sha256_of
 from skd_sim.kernels.arithmetic import arithmetic_digest
+from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 
 from skd_evaluator.files import MARKERS
 from skd_evaluator.version import version

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.fingerprint import code_files, code_paths, in_words
 

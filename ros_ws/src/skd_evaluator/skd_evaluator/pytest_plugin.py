@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from skd_evaluator.campaign.judge.rating import Rating
+    from skd_evaluator.assessment.judge.rating import Rating
 
 _OUT = "--skd-out"
 
@@ -85,8 +85,8 @@ def _guarded(figures: Mapping[str, Any], value: Any, path: tuple[str, ...]) -> A
         return type(value)(_guarded(figures, one, (*path, str(place))) for place, one in enumerate(value))
     if not isinstance(value, float):
         return value
-    from skd_evaluator.campaign.compare.gate import bound_of
-    from skd_evaluator.measure.aborted import at_worst
+    from skd_evaluator.assessment.compare.gate import bound_of
+    from skd_evaluator.metrics.aborted import at_worst
 
     name = ".".join(path)
     whole = name.partition("_ci95")[0]  # the ends of an interval hang on what its figure hangs on
@@ -134,8 +134,8 @@ class Assessed:
             AssessmentError: nothing can be said, as where the two do not compare: neither that it is worse nor that it
                 is not.
         """
-        from skd_evaluator.campaign.compare.gate import check_not_worse
-        from skd_evaluator.campaign.store.stored_result import read_result
+        from skd_evaluator.assessment.compare.gate import check_not_worse
+        from skd_evaluator.assessment.store.stored_result import read_result
         from skd_evaluator.errors import AssessmentError
 
         check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))
@@ -166,10 +166,10 @@ class Skd:
             AssessmentError: its figures are not credible, or `skd assess` would end with exit code 1 for
                 another reason, so that no test of them says anything.
         """
-        from skd_evaluator.assessing.findings import undefined
-        from skd_evaluator.assessing.library import assess
+        from skd_evaluator.assessment.stages.findings import undefined
+        from skd_evaluator.assessment.stages.library import assess
         from skd_evaluator.errors import AssessmentError
-        from skd_evaluator.measure.credibility import not_credible
+        from skd_evaluator.metrics.credibility import not_credible
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"

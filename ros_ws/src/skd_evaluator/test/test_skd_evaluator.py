@@ -14,10 +14,10 @@ import yaml
 pytest.importorskip("rclpy")
 
 from ament_index_python.packages import get_package_share_directory
-from skd_sim.nodes.installed_nodes import ended, interrupt, parameters_of, shipped_parameters, topics_of
+from skd_sim.ros.installed_nodes import ended, interrupt, parameters_of, shipped_parameters, topics_of
 
 PACKAGE = "skd_evaluator"
-pytest_plugins = ["skd_sim.nodes.installed_nodes"]
+pytest_plugins = ["skd_sim.ros.installed_nodes"]
 
 
 @pytest.mark.parametrize(

@@ -12,25 +12,25 @@ from skd_sim.public import exported
 if TYPE_CHECKING:
     from skd_sim.controllers.protocol import Controller as Controller
     from skd_sim.controllers.protocol import SensingController as SensingController
-    from skd_sim.encounter.scenario import Scenario as Scenario
-    from skd_sim.encounter.scenario import load_scenario as load_scenario
-    from skd_sim.episode.episode import Episode as Episode
-    from skd_sim.episode.episode import EpisodeLog as EpisodeLog
-    from skd_sim.episode.episode import Mode as Mode
-    from skd_sim.episode.episode import Outcome as Outcome
     from skd_sim.errors import UsageError as UsageError
-    from skd_sim.geometry.trajectory import Trajectory as Trajectory
     from skd_sim.kernels.compilation import kernel as kernel
-    from skd_sim.sensors.scan import Scan as Scan
-    from skd_sim.simulation.framed_simulator import FramedSimulator as FramedSimulator
-    from skd_sim.simulation.framed_simulator import FrameSource as FrameSource
-    from skd_sim.simulation.simulator import Frame as Frame
-    from skd_sim.simulation.simulator import Simulator as Simulator
-    from skd_sim.simulation.simulator import WorldSimulator as WorldSimulator
-    from skd_sim.state import AdversaryState as AdversaryState
-    from skd_sim.state import CarState as CarState
-    from skd_sim.state import RoadUserState as RoadUserState
-    from skd_sim.state import Scene as Scene
+    from skd_sim.scenario.scenario import Scenario as Scenario
+    from skd_sim.scenario.scenario import load_scenario as load_scenario
+    from skd_sim.simulators.framed_simulator import FramedSimulator as FramedSimulator
+    from skd_sim.simulators.framed_simulator import FrameSource as FrameSource
+    from skd_sim.world.episode import Episode as Episode
+    from skd_sim.world.episode import EpisodeLog as EpisodeLog
+    from skd_sim.world.episode import Mode as Mode
+    from skd_sim.world.episode import Outcome as Outcome
+    from skd_sim.world.sensors.scan import Scan as Scan
+    from skd_sim.world.simulator import Frame as Frame
+    from skd_sim.world.simulator import Simulator as Simulator
+    from skd_sim.world.simulator import WorldSimulator as WorldSimulator
+    from skd_sim.world.state import AdversaryState as AdversaryState
+    from skd_sim.world.state import CarState as CarState
+    from skd_sim.world.state import RoadUserState as RoadUserState
+    from skd_sim.world.state import Scene as Scene
+    from skd_sim.world.trajectory import Trajectory as Trajectory
 
 __all__ = [
     "AdversaryState",
@@ -57,26 +57,26 @@ __all__ = [
 ]
 
 _WHERE = {
-    "AdversaryState": "skd_sim.state",
-    "CarState": "skd_sim.state",
+    "AdversaryState": "skd_sim.world.state",
+    "CarState": "skd_sim.world.state",
     "Controller": "skd_sim.controllers.protocol",
-    "Episode": "skd_sim.episode.episode",
-    "EpisodeLog": "skd_sim.episode.episode",
-    "Frame": "skd_sim.simulation.simulator",
-    "FrameSource": "skd_sim.simulation.framed_simulator",
-    "FramedSimulator": "skd_sim.simulation.framed_simulator",
-    "Mode": "skd_sim.episode.episode",
-    "Outcome": "skd_sim.episode.episode",
-    "RoadUserState": "skd_sim.state",
-    "Scan": "skd_sim.sensors.scan",
-    "Scenario": "skd_sim.encounter.scenario",
-    "Scene": "skd_sim.state",
+    "Episode": "skd_sim.world.episode",
+    "EpisodeLog": "skd_sim.world.episode",
+    "Frame": "skd_sim.world.simulator",
+    "FrameSource": "skd_sim.simulators.framed_simulator",
+    "FramedSimulator": "skd_sim.simulators.framed_simulator",
+    "Mode": "skd_sim.world.episode",
+    "Outcome": "skd_sim.world.episode",
+    "RoadUserState": "skd_sim.world.state",
+    "Scan": "skd_sim.world.sensors.scan",
+    "Scenario": "skd_sim.scenario.scenario",
+    "Scene": "skd_sim.world.state",
     "SensingController": "skd_sim.controllers.protocol",
-    "Simulator": "skd_sim.simulation.simulator",
-    "Trajectory": "skd_sim.geometry.trajectory",
+    "Simulator": "skd_sim.world.simulator",
+    "Trajectory": "skd_sim.world.trajectory",
     "UsageError": "skd_sim.errors",
-    "WorldSimulator": "skd_sim.simulation.simulator",
+    "WorldSimulator": "skd_sim.world.simulator",
     "kernel": "skd_sim.kernels.compilation",
-    "load_scenario": "skd_sim.encounter.scenario",
+    "load_scenario": "skd_sim.scenario.scenario",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)

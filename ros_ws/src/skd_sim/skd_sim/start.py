@@ -105,9 +105,9 @@ def start_named(programs: Mapping[str, Callable[[], int]]) -> int:
     return programs[sys.argv.pop(1)]()
 
 
-vehicle_simulator = partial(start, "skd_sim.nodes.vehicle_simulator")
-car_controller = partial(start, "skd_sim.nodes.car_controller")
-carla_bridge = partial(start, "skd_sim.nodes.carla_bridge")
+vehicle_simulator = partial(start, "skd_sim.ros.vehicle_simulator")
+car_controller = partial(start, "skd_sim.ros.car_controller")
+carla_bridge = partial(start, "skd_sim.ros.carla_bridge")
 
 if __name__ == "__main__":
     programs = {

@@ -13,10 +13,10 @@ import yaml
 
 pytest.importorskip("rclpy")
 
-from skd_sim.nodes.installed_nodes import ended, interrupt, parameters_of, shipped_parameters, topics_of
+from skd_sim.ros.installed_nodes import ended, interrupt, parameters_of, shipped_parameters, topics_of
 
 PACKAGE = "skd_sim"
-pytest_plugins = ["skd_sim.nodes.installed_nodes"]
+pytest_plugins = ["skd_sim.ros.installed_nodes"]
 
 COMMANDS = ("/ego/acceleration_command", "/adversary/velocity_command")
 STATES = ("/ego/odometry", "/adversary/odometry")

@@ -19,14 +19,14 @@ from typing import Final, NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.encounter.checks import check_way
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import first_contact, to_car_frame
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.checks import check_way
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import first_contact, to_car_frame
+from skd_sim.world.trajectory import Trajectory
 
-from skd_adversary.model.road_user import pedestrian
+from skd_adversary.crossing.road_user import pedestrian
 from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
 from skd_adversary.safe_trajectories.track_checks import LONGEST_HOLE, check_apart, check_motion, check_once

@@ -11,12 +11,12 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from skd_sim.encounter.checks import check_way
-from skd_sim.encounter.known_scenarios import REGULATORY
-from skd_sim.encounter.protocol import regulatory_trajectories
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.checks import check_way
+from skd_sim.scenario.known_scenarios import REGULATORY
+from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.trajectory import Trajectory
 
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory

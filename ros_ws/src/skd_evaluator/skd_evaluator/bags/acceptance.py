@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skd_sim.episode.episode import EpisodeLog
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import EpisodeLog
 
-from skd_evaluator.campaign.validation.episode_check import examine
+from skd_evaluator.assessment.validation.episode_check import examine
 
 OPTION = "--skip-damaged"
 

@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Iterable, Mapping, Set
 from pathlib import Path
 
-from skd_sim.episode.aborts import counts_in_words
-from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json
+from skd_sim.world.aborts import counts_in_words
+from skd_sim.world.episode import EpisodeLog, Outcome
 
-from skd_evaluator.campaign.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.metrics.credibility import not_credible
 
 SUMMARIES = ("probe.json", "assessment.json")
 """Files that say of which car the episodes beside them are."""
@@ -40,7 +40,7 @@ def missing_episodes(
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
     Attempts are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
-    cap is reached (`skd_evaluator.campaign.plan.plan`). If the last attempts of every φ are missing alike, nobody can
+    cap is reached (`skd_evaluator.assessment.plan.plan`). If the last attempts of every φ are missing alike, nobody can
     tell.
 
     Args:

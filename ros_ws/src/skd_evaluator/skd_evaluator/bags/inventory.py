@@ -12,8 +12,8 @@ import yaml
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import is_there, read_text, real_path, sha256_of
 
+from skd_evaluator.assessment.store.manifest import MANIFEST, read_manifest
 from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.campaign.store.manifest import MANIFEST, read_manifest
 
 SUFFIX = ".mcap"
 METADATA = "metadata.yaml"

@@ -8,27 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from skd_adversary.car_fit import Recording
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario, scenario_from_dict
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_adversary.car_models import Recording
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.outside import folders_in, read_json
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.arrays import Array, Column, read_arrays
+from skd_evaluator.assessment.plan.plan import Stage, split_episode_id
+from skd_evaluator.assessment.plan.probe import probed
+from skd_evaluator.assessment.store.episodes_file import episode_columns
+from skd_evaluator.assessment.store.manifest import check_unchanged
 from skd_evaluator.bags.acceptance import Damage, Found, accept
 from skd_evaluator.bags.completeness import SUMMARIES, not_credible_beside
 from skd_evaluator.bags.inventory import holds_recordings
 from skd_evaluator.bags.reader import read_episodes
-from skd_evaluator.campaign.plan.plan import Stage, split_episode_id
-from skd_evaluator.campaign.plan.probe import probed
-from skd_evaluator.campaign.store.episodes_file import episode_columns
-from skd_evaluator.campaign.store.manifest import check_unchanged
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.metrics.credibility import not_credible
 
 EPISODES = "episodes.npz"
 _PER_EPISODE = {

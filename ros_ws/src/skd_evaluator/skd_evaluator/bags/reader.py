@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mcap.records import Channel
-from skd_sim.choices.options import shared_options
-from skd_sim.episode.episode import EpisodeLog, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.options.options import shared_options
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.bags.acceptance import Damage, Found, accept
 from skd_evaluator.bags.inventory import find_recordings

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
-from skd_sim.messages.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
+from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
+from skd_evaluator.assessment.plan.plan import model_digest
+from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.mcap_file import Received, shortened
 from skd_evaluator.bags.types import types_in
-from skd_evaluator.campaign.plan.plan import model_digest
-from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 
 EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
 CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"

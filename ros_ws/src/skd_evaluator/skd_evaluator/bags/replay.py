@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from skd_sim.choices.objective import Objective
-from skd_sim.choices.options import options_of, shared_options
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.options.options import options_of, shared_options
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.trajectory import Trajectory
 
+from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
+from skd_evaluator.assessment.judge.repeatability import standing
+from skd_evaluator.assessment.plan.options import RECORDED
+from skd_evaluator.assessment.plan.plan import (
+    ATTEMPTS_PER_WANTED,
+    KamikazeSet,
+    Plan,
+    Stage,
+    kamikaze_set,
+    split_episode_id,
+    walks_a_way,
+)
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.completeness import (
     aborted_episodes,
@@ -21,19 +33,7 @@ from skd_evaluator.bags.completeness import (
 )
 from skd_evaluator.bags.reader import Recorded
 from skd_evaluator.bags.recording import RecordedEpisode
-from skd_evaluator.campaign.judge.rating import Rating, in_order, judge_all
-from skd_evaluator.campaign.judge.repeatability import standing
-from skd_evaluator.campaign.plan.options import RECORDED
-from skd_evaluator.campaign.plan.plan import (
-    ATTEMPTS_PER_WANTED,
-    KamikazeSet,
-    Plan,
-    Stage,
-    kamikaze_set,
-    split_episode_id,
-    walks_a_way,
-)
-from skd_evaluator.measure.aborted import aborted_lines
+from skd_evaluator.metrics.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(Episode) if one.name != "objective"]  # a campaign may have several objectives
 _SHARED = ("scenario", "seed", *(one.name for one in _OPTIONS))

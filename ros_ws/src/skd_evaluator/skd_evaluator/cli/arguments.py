@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.choices.options import Option, options_of
+from skd_sim.options.options import Option, options_of
 
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
+from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 
 if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.results import ResultFolder
+    from skd_evaluator.assessment.store.results import ResultFolder
 
 CAR_GROUP = "car and test"
 
@@ -270,8 +270,8 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
     Raises:
         UsageError: it cannot be taken, or holds what the command reads.
     """
-    from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
-    from skd_evaluator.campaign.store.results import ResultFolder
+    from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+    from skd_evaluator.assessment.store.results import ResultFolder
 
     out = output_path(arguments)
     refuse_to_replace(out, inputs_of(vars(arguments)))
@@ -282,7 +282,7 @@ def output_path(arguments: argparse.Namespace) -> Path:
     """Return --out, or a new folder named for the command and the time."""
     if arguments.out is not None:
         return Path(arguments.out)
-    from skd_evaluator.assessing.asked import (
+    from skd_evaluator.assessment.stages.asked import (
         default_folder,  # this module is imported at every start, and has to be light
     )
 

@@ -20,8 +20,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
-    from skd_evaluator.campaign.compare.gate import Check, Limit
-    from skd_evaluator.campaign.store.stored_result import StoredResult
+    from skd_evaluator.assessment.compare.gate import Check, Limit
+    from skd_evaluator.assessment.store.stored_result import StoredResult
 
 _FILES = ("junit", "markdown", "csv")
 
@@ -91,9 +91,9 @@ class Gate:
             folder: folder of the result; None where it could not be written.
             errors: why nothing, or not enough, can be said of the car.
         """
-        from skd_evaluator.campaign.compare.gate import Check, check_limits, check_not_worse
-        from skd_evaluator.measure.aborted import aborted_lines
-        from skd_evaluator.measure.credibility import not_credible
+        from skd_evaluator.assessment.compare.gate import Check, check_limits, check_not_worse
+        from skd_evaluator.metrics.aborted import aborted_lines
+        from skd_evaluator.metrics.credibility import not_credible
 
         kinds = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
         aborted = "; ".join([*filter(None, [kinds]), *aborted_lines(result)])
@@ -140,7 +140,7 @@ class Gate:
             yield
         except AssessmentError as error:
             if "junit" in self.files:
-                from skd_evaluator.campaign.compare.gate import Check
+                from skd_evaluator.assessment.compare.gate import Check
                 from skd_evaluator.report.junit import junit_xml
 
                 checks = [Check("assessment", str(error), error=True)]
@@ -162,7 +162,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     limits = _limits_of(arguments)
     earlier = None
     if arguments.fail_if_worse_than is not None:
-        from skd_evaluator.campaign.store.stored_result import read_result
+        from skd_evaluator.assessment.store.stored_result import read_result
 
         try:
             earlier = read_result(arguments.fail_if_worse_than)
@@ -177,7 +177,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
         if not os.access(real_path(path).parent, os.W_OK | os.X_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
     if files:
-        from skd_evaluator.assessing.inputs import inputs_of, lies_in, refuse_to_replace
+        from skd_evaluator.assessment.stages.inputs import inputs_of, lies_in, refuse_to_replace
 
         inputs = inputs_of(vars(arguments))
         for name, path in files.items():
@@ -195,8 +195,8 @@ def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
     """
     limits: tuple[Limit, ...] = ()
     if arguments.fail_below or arguments.fail_above:
-        from skd_evaluator.campaign.compare.gate import Limit
-        from skd_evaluator.campaign.store.figure_names import check_figure, span_of
+        from skd_evaluator.assessment.compare.gate import Limit
+        from skd_evaluator.assessment.store.figure_names import check_figure, span_of
 
         for side in ("below", "above"):
             for name, value in getattr(arguments, f"fail_{side}"):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.choices.objective import OBJECTIVES
+from skd_sim.options.objective import OBJECTIVES
 
-from skd_evaluator.campaign.plan.options import AssessmentOptions, CampaignOptions
+from skd_evaluator.assessment.plan.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
     add_campaign_arguments,

@@ -16,12 +16,12 @@ from skd_sim.inputs.model import YesNo, limits, read_model
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.campaign.store.manifest import MANIFEST, check_unchanged
+from skd_evaluator.assessment.store.manifest import MANIFEST, check_unchanged
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.estimate.control_variate import LEAST_PAIRS
-from skd_evaluator.fusion.estimate.planning import trials_for_width
-from skd_evaluator.fusion.figures import FIGURES, Figure
-from skd_evaluator.fusion.simulated import read_simulated
+from skd_evaluator.extensions.fusion.estimate.control_variate import LEAST_PAIRS
+from skd_evaluator.extensions.fusion.estimate.planning import trials_for_width
+from skd_evaluator.extensions.fusion.figures import FIGURES, Figure
+from skd_evaluator.extensions.fusion.simulated import read_simulated
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
 FUSION = "fusion.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from skd_evaluator.campaign.plan.options import AssessmentOptions
+from skd_evaluator.assessment.plan.options import AssessmentOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
     add_count,
@@ -15,7 +15,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     steps_of,
 )
-from skd_evaluator.ncap.colours import ROOM
+from skd_evaluator.extensions.ncap.colours import ROOM
 
 REFERENCE_ATTEMPTS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"

@@ -6,8 +6,8 @@ import argparse
 
 from skd_sim.controllers.isolated import CALL_LIMIT
 
-from skd_evaluator.campaign.run.dask_cluster import make_runner
-from skd_evaluator.campaign.run.workers import ExecutorRunner, available_workers
+from skd_evaluator.assessment.run.dask_cluster import make_runner
+from skd_evaluator.assessment.run.workers import ExecutorRunner, available_workers
 
 
 def runner_of(

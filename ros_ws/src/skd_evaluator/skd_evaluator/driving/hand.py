@@ -6,8 +6,8 @@ import threading
 from enum import Enum
 from typing import Final
 
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.state import CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import CarState
 
 _DIRECTIONS: Final = {
     # As seen on the screen, on which the car drives to the right: (East, North).

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from skd_adversary.adversary import Adversary
-from skd_sim.choices.car_under_test import CarUnderTest
 from skd_sim.controllers import make_controller
-from skd_sim.episode.episode import Episode, EpisodeLog
-from skd_sim.simulation.named_simulator import NamedSimulator
-from skd_sim.simulation.simulator import Frame
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.simulators.named_simulator import NamedSimulator
+from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.simulator import Frame
 
-from skd_evaluator.campaign.run.runner import run_episode
+from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.driving.hand import Wish
 from skd_evaluator.driving.situation import Onlooker, Situation
 

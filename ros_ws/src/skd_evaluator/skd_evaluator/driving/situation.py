@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.state import CarState, RoadUserState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.state import CarState, RoadUserState
 
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.surrogate.clearance import clearance_at, clearances
-from skd_evaluator.measure.surrogate.scenes import course_of, scene_of
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.surrogate.clearance import clearance_at, clearances
+from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from rich.text import Text
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road_user import Body
+from skd_sim.scenario.road_user import Body
 
 from skd_evaluator import palette
 from skd_evaluator.driving.situation import Situation

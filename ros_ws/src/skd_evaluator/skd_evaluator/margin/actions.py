@@ -13,16 +13,16 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
-from skd_adversary.model.road_users import road_user_named
-from skd_adversary.model.safe_path import path_velocity
+from skd_adversary.crossing.road_user import pedestrian
+from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.safe_path import path_velocity
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.car_dynamics import DYNAMICS
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, Mode
 from skd_sim.kernels.compilation import kernel
+from skd_sim.options.car_dynamics import DYNAMICS
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, Mode
 
 FIRST_HALF: Final = AS_PHI + 1
 """Way FIRST_HALF + a is action a at half speed."""

@@ -12,10 +12,10 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 from skd_sim.kernels.code_cache import is_kept
 
-from skd_evaluator.campaign.run.workers import available_workers, in_background
+from skd_evaluator.assessment.run.workers import available_workers, in_background
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact_search import search_least_way
-from skd_evaluator.measure.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.distances.frechet import discrete_frechet
 
 
 @contextmanager

@@ -13,26 +13,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
-from skd_sim.choices.simulators import is_own_world
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.simulation.named_simulator import repeats_itself
+from skd_sim.options.simulators import is_own_world
+from skd_sim.simulators.named_simulator import repeats_itself
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.campaign.run.workers import ExecutorRunner
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import foretold
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.searching import by_episodes, in_processes, one_by_one, repeated
-from skd_evaluator.measure.credibility import NOT_CREDIBLE
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier
-from skd_evaluator.measure.margins import Excess, Margins
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.metrics.margins import Excess, Margins
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m

@@ -18,21 +18,21 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.model.road_user.pedestrian import AS_PHI
+from skd_adversary.crossing.road_user.pedestrian import AS_PHI
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.car_dynamics import BASIC
-from skd_sim.choices.simulators import WORLD
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.car_dynamics import BASIC
+from skd_sim.options.simulators import WORLD
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.campaign.plan.plan import Plan, Progress
-from skd_evaluator.campaign.run.workers import ExecutorRunner
+from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.margin.actions import foretold, velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
-from skd_evaluator.measure.equivalent_multiplier import (
+from skd_evaluator.metrics.equivalent_multiplier import (
     Difference,
     EquivalentMultiplier,
     difference,

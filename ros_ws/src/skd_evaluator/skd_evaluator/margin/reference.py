@@ -10,20 +10,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import scenario_from_dict
-from skd_sim.episode.episode import Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.world.episode import Mode
+from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.campaign.plan.plan import Plan, Progress
-from skd_evaluator.campaign.run.workers import ExecutorRunner
-from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.campaign.store.stored_result import StoredResult
+from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.store.result_file import ASSESSMENT
+from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.basic_margins import yardstick
-from skd_evaluator.measure.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
+from skd_evaluator.metrics.margins import Margins
 
 MULTIPLIERS = (0.5, 0.75, 1.0, 1.25, 1.5)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario
 
 DEVIATIONS = 2.0
 """Standard deviations to each side of the mean that pictures show: about 95 %."""
@@ -21,7 +21,7 @@ def believed_car(scenario: Scenario, car: FloatArray, belief: FloatArray) -> Flo
     Args:
         scenario: scenario of the test.
         car: n × 2 or more, place (x, y) of the car's reference point at ticks, m.
-        belief: what was believed of the car at ticks, n × 4, as in `skd_sim.episode.episode.EpisodeLog`.
+        belief: what was believed of the car at ticks, n × 4, as in `skd_sim.world.episode.EpisodeLog`.
     """
     known = np.isfinite(belief).all(axis=1)
     if not known.any():

@@ -25,10 +25,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from PIL import Image
-from skd_sim.encounter.road import right_and_along, road_pose
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import rectangle_distance, to_car_frame
+from skd_sim.scenario.road import right_and_along, road_pose
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import rectangle_distance, to_car_frame
 
 from skd_evaluator import palette
 from skd_evaluator.report.believed_car import DEVIATIONS

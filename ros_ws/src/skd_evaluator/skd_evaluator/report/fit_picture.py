@@ -11,7 +11,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from skd_adversary.car_fit import SeenAndPredicted
+from skd_adversary.car_models import SeenAndPredicted
 from skd_sim.arrays import FloatArray
 
 mpl.use("Agg")

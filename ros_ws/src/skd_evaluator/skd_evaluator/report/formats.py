@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skd_evaluator.campaign.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
-from skd_evaluator.measure.margins import UPPER_BOUNDS
-from skd_evaluator.measure.surrogate.episode import SURROGATE_MEASURES
+from skd_evaluator.assessment.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
+from skd_evaluator.metrics.margins import UPPER_BOUNDS
+from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES
 
 NOTHING = "–"
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-from skd_evaluator.campaign.compare.gate import Check
-from skd_evaluator.campaign.judge.figure_table import shown_in
+from skd_evaluator.assessment.compare.gate import Check
+from skd_evaluator.assessment.judge.figure_table import shown_in
 from skd_evaluator.report.terminal import car_name
 
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

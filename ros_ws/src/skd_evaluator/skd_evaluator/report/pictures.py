@@ -16,17 +16,17 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import right_and_along
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import EpisodeLog
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import EpisodeLog
+from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.judge.assessment import Assessment
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.plan import KamikazeSet
-from skd_evaluator.measure.contact_place import last_car_position
-from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.assessment.judge.assessment import Assessment
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import KamikazeSet
+from skd_evaluator.metrics.contact_place import last_car_position
+from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_fronts, draw_road
 from skd_evaluator.report.terminal import car_name, counted
 from skd_evaluator.saved_picture import PAGE, TYPE, save_picture

@@ -7,17 +7,17 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.knowledge import Knowledge, default_knowledge
-from skd_sim.choices.options import Option, options_of
-from skd_sim.encounter.known_scenarios import is_named
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Mode
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.knowledge import Knowledge, default_knowledge
+from skd_sim.options.options import Option, options_of
+from skd_sim.scenario.known_scenarios import is_named
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.episode import Mode
 
-from skd_evaluator.campaign.plan.options import CampaignOptions
-from skd_evaluator.campaign.plan.plan import split_episode_id
-from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.measure.behaviour.model import load_behaviour
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.plan import split_episode_id
+from skd_evaluator.metrics.behaviour import WALKERS
+from skd_evaluator.metrics.behaviour.model import load_behaviour
 
 SCENARIO_FILE, CAR_MODEL_FILE, BEHAVIOUR_FILE = "scenario.yaml", "car_model.yaml", "behaviour.yaml"
 """What a scenario, a car model and a behaviour model are called that only the results have: who repeats saves them."""

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import road_pose
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.scenario.road import road_pose
+from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator import palette
 

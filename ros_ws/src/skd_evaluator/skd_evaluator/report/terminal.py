@@ -13,14 +13,14 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.inputs.printable import one_line
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP, Of, shown_in
-from skd_evaluator.measure.credibility import not_credible
-from skd_evaluator.measure.margins import CLOSENESS_WARNING
-from skd_evaluator.measure.statistics.statistics import cantelli_bound
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
+from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.margins import CLOSENESS_WARNING
+from skd_evaluator.metrics.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NO_RATING,
     TERMINAL,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from skd_evaluator.measure.margins import CLOSENESS_WARNING, stopped_at
+from skd_evaluator.metrics.margins import CLOSENESS_WARNING, stopped_at
 
 _FEWEST = 10
 """Attempts below which closeness, or a quantile of impacts, says little."""

@@ -8,18 +8,18 @@ from typing import Final
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import road_pose, road_position
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.kernels.compilation import kernel
-from skd_sim.state import AdversaryState
+from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import AdversaryState
+from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.campaign.judge.struck import ADVERSARY, struck
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Stage, episode_id
-from skd_evaluator.measure.behaviour.walking import walked
-from skd_evaluator.measure.contact_place import Pose, car_at_contact, goes_straight
-from skd_evaluator.measure.risks import Touch
+from skd_evaluator.assessment.judge.struck import ADVERSARY, struck
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id
+from skd_evaluator.metrics.behaviour.walking import walked
+from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight
+from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
 

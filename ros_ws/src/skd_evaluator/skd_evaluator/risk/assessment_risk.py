@@ -11,21 +11,21 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary.model.road_users import road_user_named
+from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.choices.simulators import is_own_world
-from skd_sim.episode.episode import EpisodeLog
-from skd_sim.episode.randomness import Role, generator
-from skd_sim.simulation.named_simulator import repeats_itself
+from skd_sim.options.simulators import is_own_world
+from skd_sim.simulators.named_simulator import repeats_itself
+from skd_sim.world.episode import EpisodeLog
+from skd_sim.world.randomness import Role, generator
 
-from skd_evaluator.campaign.judge.failures import Walkers, failures_of
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
-from skd_evaluator.campaign.run.workers import ExecutorRunner
+from skd_evaluator.assessment.judge.failures import Walkers, failures_of
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
+from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import foretold
-from skd_evaluator.measure.behaviour.model import Behaviour
-from skd_evaluator.measure.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
+from skd_evaluator.metrics.behaviour.model import Behaviour
+from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
 from skd_evaluator.risk.batched_car import batched_car
@@ -123,7 +123,7 @@ def warm_up_risk(plan: Plan) -> None:
     if not _foretold(plan):
         return
     from skd_adversary.warm_up import warm_up_episodes
-    from skd_sim.episode.episode import Mode
+    from skd_sim.world.episode import Mode
 
     episode = next(one for one in warm_up_episodes() if one.mode == Mode.KAMIKAZE)
     assert episode.safe_trajectory is not None

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 from skd_sim.controllers.isolated import LostProcessError, isolated
-from skd_sim.encounter.road import road_pose
+from skd_sim.scenario.road import road_pose
 
-from skd_evaluator.campaign.run.side_by_side import answers_batches, replayed, why_not_side_by_side
-from skd_evaluator.campaign.run.workers import ExecutorRunner
-from skd_evaluator.measure.contact_place import goes_straight, pose_at_contact
+from skd_evaluator.assessment.run.side_by_side import answers_batches, replayed, why_not_side_by_side
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.metrics.contact_place import goes_straight, pose_at_contact
 from skd_evaluator.risk.any_car import NOWHERE, AnyCar, ended, footprint_of
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import SAME

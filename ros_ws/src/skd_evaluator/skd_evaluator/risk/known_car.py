@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers.basic import basic_acceleration
-from skd_sim.encounter.road import road_pose
-from skd_sim.episode.episode import Episode, Mode
-from skd_sim.geometry.contact import sweep, to_car_frame
-from skd_sim.geometry.motion import next_speed, travelled
 from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import road_pose
+from skd_sim.world.contact import sweep, to_car_frame
+from skd_sim.world.episode import Episode, Mode
+from skd_sim.world.motion import next_speed, travelled
 
-from skd_evaluator.measure.behaviour.walking import walk
+from skd_evaluator.metrics.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
 

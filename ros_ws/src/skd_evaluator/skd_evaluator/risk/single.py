@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import Episode
 
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.measure.behaviour.model import Behaviour
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.behaviour.model import Behaviour
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import walkers_of, why_no_risk
 from skd_evaluator.risk.crossings import Crossings, Encounter

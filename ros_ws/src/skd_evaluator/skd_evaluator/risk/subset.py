@@ -19,11 +19,11 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
-from skd_sim.episode.randomness import Role, generator
+from skd_sim.world.randomness import Role, generator
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.measure.behaviour.walking import OF_PERSON
-from skd_evaluator.measure.risks import Subsets, Touch, crossings_lost
+from skd_evaluator.metrics.behaviour.walking import OF_PERSON
+from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
 
 REPLICATES: Final = 16

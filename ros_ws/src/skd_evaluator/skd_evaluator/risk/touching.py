@@ -6,8 +6,8 @@ import math
 from typing import Final
 
 from skd_sim.arrays import FloatArray
-from skd_sim.geometry.contact import to_car_frame
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import to_car_frame
 
 SAME: Final = 1e-6
 """m by which a touching disc's distance may differ from its radius."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from skd_msgs.msg import Assessment as AssessmentMsg
-from skd_sim.messages.to_messages import to_stamp
+from skd_sim.ros.to_messages import to_stamp
 
-from skd_evaluator.campaign.judge.figure_table import Of, keys_of
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.store.figure_names import figure
+from skd_evaluator.assessment.judge.figure_table import Of, keys_of
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.store.figure_names import figure
 
 _FIGURES = ("double", "double[2]", "boolean")
 """Kinds of fields that say something of the car; the others count episodes."""

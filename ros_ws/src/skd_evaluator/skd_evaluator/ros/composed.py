@@ -11,16 +11,16 @@ from functools import partial
 from typing import Any
 
 from rclpy.node import Node
-from skd_adversary.nodes.adversary_node import GraphAdversary
+from skd_adversary.ros.adversary_node import GraphAdversary
 from skd_msgs.msg import Episode as EpisodeMsg
-from skd_sim.episode.aborts import AbortKind, abort_reason
-from skd_sim.episode.episode import Episode, Outcome
-from skd_sim.nodes.simulator_node import GraphSimulator
-from skd_sim.simulation.named_simulator import NamedSimulator
-from skd_sim.simulation.simulator import Frame
-from skd_sim.state import CarState
+from skd_sim.ros.simulator_node import GraphSimulator
+from skd_sim.simulators.named_simulator import NamedSimulator
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.simulator import Frame
+from skd_sim.world.state import CarState
 
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 
 
 class Composed:

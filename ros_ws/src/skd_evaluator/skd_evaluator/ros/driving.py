@@ -14,15 +14,15 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from skd_adversary.adversary import Adversary, make_adversary
-from skd_adversary.nodes.adversary_node import AdversaryNode
-from skd_sim.choices.graph_options import CommandOptions
-from skd_sim.episode.command_ages import CommandAges
-from skd_sim.episode.episode import Episode, EpisodeLog
-from skd_sim.lockstep.commands import Quantity
-from skd_sim.messages.command_messages import car_commands
-from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary
-from skd_sim.nodes.support import ADVERSARY_ODOMETRY, STREAM, spin
-from skd_sim.state import AdversaryState, CarState
+from skd_adversary.ros.adversary_node import AdversaryNode
+from skd_sim.options.graph_options import CommandOptions
+from skd_sim.ros.command_messages import car_commands
+from skd_sim.ros.commands import Quantity
+from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary
+from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, spin
+from skd_sim.world.command_ages import CommandAges
+from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.state import AdversaryState, CarState
 
 from skd_evaluator.driving.hand import Wish
 from skd_evaluator.driving.paced import Drive, HandFor, LeftError, Show

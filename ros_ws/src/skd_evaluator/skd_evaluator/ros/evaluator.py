@@ -18,18 +18,14 @@ from rosgraph_msgs.msg import Clock
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.choices.graph_options import CommandOptions
-from skd_sim.choices.simulators import is_own_world
-from skd_sim.episode.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.episode.stamps import NANOSECONDS, next_start, tick_stamp
 from skd_sim.errors import UsageError
-from skd_sim.messages.command_messages import car_commands
-from skd_sim.messages.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
-from skd_sim.messages.to_messages import episode_to_message
-from skd_sim.nodes.command_search import kind_name
-from skd_sim.nodes.publishers import living_publishers, second_publisher
-from skd_sim.nodes.support import (
+from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.simulators import is_own_world
+from skd_sim.ros.command_messages import car_commands
+from skd_sim.ros.command_search import kind_name
+from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
+from skd_sim.ros.publishers import living_publishers, second_publisher
+from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     ASSESSMENT,
     CLOCK,
@@ -43,15 +39,19 @@ from skd_sim.nodes.support import (
     VELOCITY_COMMAND,
     GraphNode,
 )
-from skd_sim.simulation.simulator import Frame
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.ros.to_messages import episode_to_message
+from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.simulator import Frame
+from skd_sim.world.stamps import NANOSECONDS, next_start, tick_stamp
+from skd_sim.world.state import AdversaryState, CarState
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.campaign.validation.episode_check import examine
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.assessment_message import assessment_to_message
 from skd_evaluator.ros.composed import Composed

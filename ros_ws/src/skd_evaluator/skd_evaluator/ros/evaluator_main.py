@@ -14,25 +14,25 @@ from dataclasses import replace
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
-from skd_sim.choices.graph_options import CommandOptions
-from skd_sim.choices.objective import objectives_named
-from skd_sim.choices.options import options_of, values_of
-from skd_sim.episode.episode import Mode, Outcome
-from skd_sim.nodes.support import Setting, declare, run_node, settings_of
+from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.objective import objectives_named
+from skd_sim.options.options import options_of, values_of
 from skd_sim.program.interruption import SIGNALS
+from skd_sim.ros.support import Setting, declare, run_node, settings_of
+from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.assessing.asked import default_folder, plan_of, scenario_for, with_asked_period
-from skd_evaluator.assessing.findings import episode_line, warnings_of, why_failed
-from skd_evaluator.assessing.graph_options import EvaluatorOptions, managed_nodes
-from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, compile_for_graph
-from skd_evaluator.assessing.written import fill, fill_episode, write_with_scratch
-from skd_evaluator.campaign.plan.options import CampaignOptions
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.run.workers import check_controller, single_episode
-from skd_evaluator.campaign.store.results import ResultFolder
+from skd_evaluator.assessment.learning.lesson import learned
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import check_controller, single_episode
+from skd_evaluator.assessment.stages.asked import default_folder, plan_of, scenario_for, with_asked_period
+from skd_evaluator.assessment.stages.findings import episode_line, warnings_of, why_failed
+from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions, managed_nodes
+from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, compile_for_graph
+from skd_evaluator.assessment.stages.written import fill, fill_episode, write_with_scratch
+from skd_evaluator.assessment.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.learning.lesson import learned
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.readiness.lifecycle import resetting

@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from skd_sim.messages.command_messages import car_commands
+from skd_sim.ros.command_messages import car_commands
 
-from skd_evaluator.assessing.graph_options import RESTART, GraphOptions, managed_nodes
+from skd_evaluator.assessment.stages.graph_options import RESTART, GraphOptions, managed_nodes
 from skd_evaluator.ros.domains import context_of
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator

@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from types import TracebackType
 
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.campaign.judge.rating import Rating
+from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.readiness.failures import Failures
 

@@ -15,13 +15,13 @@ from launch.events.process import ProcessExited
 from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
-from skd_sim.choices.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.choices.graph_options import SimulatorOptions
-from skd_sim.choices.options import options_of
+from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
+from skd_sim.options.graph_options import SimulatorOptions
+from skd_sim.options.options import options_of
 from skd_sim.program.requirements import remedy_for_executables
 
-from skd_evaluator.assessing.graph_options import EvaluatorOptions
-from skd_evaluator.campaign.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions
 
 SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from skd_sim.episode.episode import Episode, EpisodeLog
-from skd_sim.episode.stamps import period_of, tick_stamp
-from skd_sim.nodes.support import CLEARANCE, DEFORMATION, STREAM
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.ros.support import CLEARANCE, DEFORMATION, STREAM
+from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.stamps import period_of, tick_stamp
+from skd_sim.world.state import AdversaryState, CarState
 from std_msgs.msg import Float64
 
 from skd_evaluator.bags.writer import RecordedMessage

@@ -7,18 +7,18 @@ from collections.abc import Iterable
 
 import numpy as np
 from geometry_msgs.msg import Point
-from skd_sim.choices.frames import MAP_FRAME
-from skd_sim.encounter.kinds import height_of
-from skd_sim.encounter.road import Road, road_pose, road_position
-from skd_sim.encounter.road_user import Body
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode
-from skd_sim.messages.robot_description import CAR_HEIGHT
-from skd_sim.messages.to_messages import to_stamp
+from skd_sim.options.frames import MAP_FRAME
+from skd_sim.ros.robot_description import CAR_HEIGHT
+from skd_sim.ros.to_messages import to_stamp
+from skd_sim.scenario.kinds import height_of
+from skd_sim.scenario.road import Road, road_pose, road_position
+from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.run.assembly import Samples
+from skd_evaluator.assessment.run.assembly import Samples
 
 _LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # obstacles last: there may be many
 _LANE_ENDS = (-40.0, 40.0)  # m along a lane

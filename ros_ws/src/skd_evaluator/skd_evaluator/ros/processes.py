@@ -20,13 +20,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import printable
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
+from skd_sim.world.aborts import AbortKind, abort_reason
 
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 
 CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"

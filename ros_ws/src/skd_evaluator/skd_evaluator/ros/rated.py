@@ -8,15 +8,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.graph_options import LOCKSTEP
-from skd_sim.choices.objective import Objective
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.graph_options import LOCKSTEP
+from skd_sim.options.objective import Objective
 
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
-from skd_evaluator.campaign.judge.rating import Rating
-from skd_evaluator.campaign.judge.repeatability import Fresh
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.judge.repeatability import Fresh
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
 from skd_evaluator.ros.session import campaign_name, graphs_session
 
 

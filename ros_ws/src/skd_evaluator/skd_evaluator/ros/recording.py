@@ -16,10 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from skd_msgs.msg import EpisodeResult
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode
-from skd_sim.episode.stamps import period_stamp, tick_stamp
-from skd_sim.messages.to_messages import to_stamp
-from skd_sim.nodes.support import (
+from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     CLEARANCE,
     CLOCK,
@@ -32,13 +29,16 @@ from skd_sim.nodes.support import (
     TF,
     TF_STATIC,
 )
+from skd_sim.ros.to_messages import to_stamp
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.stamps import period_stamp, tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from skd_evaluator.assessment.plan.plan import model_digest, walks_a_way
+from skd_evaluator.assessment.run.assembly import EpisodeKey, Result
 from skd_evaluator.bags.writer import RecordedMessage, write_bag
-from skd_evaluator.campaign.plan.plan import model_digest, walks_a_way
-from skd_evaluator.campaign.run.assembly import EpisodeKey, Result
 from skd_evaluator.ros.live_figures import recorded_figures
 from skd_evaluator.ros.markers import fixed_markers, moving_markers
 

@@ -13,14 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.simulators import WORLD
-from skd_sim.episode.aborts import counts_in_words
 from skd_sim.errors import UsageError
-from skd_sim.lockstep.commands import command_format
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.simulators import WORLD
+from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
+from skd_sim.world.aborts import counts_in_words
 
-from skd_evaluator.assessing.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import log_of
 from skd_evaluator.ros.readiness.failures import Failures

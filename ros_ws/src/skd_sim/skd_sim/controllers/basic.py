@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from skd_sim.encounter.road import road_position
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.contact import to_car_frame
 from skd_sim.kernels.compilation import kernel
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.state import AdversaryState, CarState
 
 PAPER_MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15)
 """The nine multipliers C of the paper, section "The Cars"."""

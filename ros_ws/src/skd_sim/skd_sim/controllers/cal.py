@@ -12,12 +12,12 @@ from enum import Enum
 import numpy as np
 
 from skd_sim.controllers.pedals import CONTROL_PERIOD, KILOMETRES_PER_HOUR, Pid, pedal_acceleration
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.hazard.network import HazardNetwork, shipped_network
 from skd_sim.hazard.perception import Perception
-from skd_sim.sensors.scan import Scan
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.sensors.scan import Scan
+from skd_sim.world.state import AdversaryState, CarState
 
 SPEED_LIMIT = 30.0  # km/h, and from here on all of these are published
 HAZARD_PROBABILITY = 0.9

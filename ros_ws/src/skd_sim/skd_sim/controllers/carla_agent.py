@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from skd_sim.controllers.pedals import KILOMETRES_PER_HOUR, Pid, pedal_acceleration, sub_steps
-from skd_sim.encounter.road import road_position
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.geometry.contact import to_car_frame
-from skd_sim.geometry.motion import next_speed, travelled
-from skd_sim.state import AdversaryState, CarState
+from skd_sim.scenario.road import road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+from skd_sim.world.motion import next_speed, travelled
+from skd_sim.world.state import AdversaryState, CarState
 
 TARGET_SPEED = 36.0  # km/h
 SLOW_DISTANCE = 35.0  # m

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from skd_sim.choices.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
-from skd_sim.choices.registry import load, reason_of
 from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.controllers.protocol import Controller
 from skd_sim.controllers.user_controller import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
+from skd_sim.options.registry import load, reason_of
 from skd_sim.program.interruption import Interrupted
 
 

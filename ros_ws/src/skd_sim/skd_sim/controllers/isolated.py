@@ -23,8 +23,8 @@ from typing import Any, Final, NoReturn, TypeVar
 
 import numpy as np
 
-from skd_sim.episode.aborts import AbortKind, abort_reason
 from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.world.aborts import AbortKind, abort_reason
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

@@ -11,12 +11,12 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
-from skd_sim.encounter.checks import check_control_period
-from skd_sim.encounter.definition import CONTROL_PERIODS
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
-from skd_sim.sensors.scan import Scan
-from skd_sim.state import AdversaryState, CarState, Scene
+from skd_sim.scenario.checks import check_control_period
+from skd_sim.scenario.definition import CONTROL_PERIODS
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.sensors.scan import Scan
+from skd_sim.world.state import AdversaryState, CarState, Scene
 
 
 @runtime_checkable
@@ -32,7 +32,7 @@ class Controller(Protocol):
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Return the acceleration (m/s²) for the coming control period.
 
-        A controller whose second parameter is called `scene` gets a `skd_sim.state.Scene` instead: everybody.
+        A controller whose second parameter is called `scene` gets a `skd_sim.world.state.Scene` instead: everybody.
         """
 
 

@@ -23,11 +23,11 @@ from skd_sim.controllers.protocol import (
     takes_batches,
     takes_scene,
 )
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.program.interruption import Interrupted
-from skd_sim.sensors import Scan
-from skd_sim.state import AdversaryState, CarState, Scene
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.sensors import Scan
+from skd_sim.world.state import AdversaryState, CarState, Scene
 
 _Result = TypeVar("_Result")
 

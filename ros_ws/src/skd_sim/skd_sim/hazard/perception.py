@@ -15,11 +15,11 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.hazard.region import stopping_zone, time_to_stand
 from skd_sim.kernels.compilation import kernel
-from skd_sim.sensors.scan import FloatRanges, Scan
-from skd_sim.state import CarState
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.sensors.scan import FloatRanges, Scan
+from skd_sim.world.state import CarState
 
 FloatArray = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ be 90 % sure of the label does not miss the collision course itself.
 
 from __future__ import annotations
 
-from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import first_contact
 
 REACTION_TIME = 0.3  # s: one tick
 STANDOFF = 1.0  # m ahead of the bumper that stay free

@@ -11,28 +11,28 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.objective import Objective, objectives_named
-from skd_sim.choices.options import values_of
-from skd_sim.episode.aborts import counts_in_words
-from skd_sim.episode.episode import EpisodeLog, Mode
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.named_simulator import make_simulator
+from skd_sim.options.objective import Objective, objectives_named
+from skd_sim.options.options import values_of
+from skd_sim.simulators.named_simulator import make_simulator
+from skd_sim.world.aborts import counts_in_words
+from skd_sim.world.episode import EpisodeLog, Mode
+from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.assessing.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessing.findings import most_frequent, warnings_of, why_failed
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.assessing.pipeline import (
+from skd_evaluator.assessment.judge.rating import Rating, judge_all
+from skd_evaluator.assessment.judge.repeatability import fresh_process
+from skd_evaluator.assessment.plan.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
+from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessment.stages.findings import most_frequent, warnings_of, why_failed
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.pipeline import (
     Further,
     Runners,
     assess_in_process,
     compile_for_graph,
 )
-from skd_evaluator.assessing.written import fill, save_with_scratch
-from skd_evaluator.campaign.judge.rating import Rating, judge_all
-from skd_evaluator.campaign.judge.repeatability import fresh_process
-from skd_evaluator.campaign.plan.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
-from skd_evaluator.campaign.store.results import ResultFolder, write_assessment
+from skd_evaluator.assessment.stages.written import fill, save_with_scratch
+from skd_evaluator.assessment.store.results import ResultFolder, write_assessment
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json

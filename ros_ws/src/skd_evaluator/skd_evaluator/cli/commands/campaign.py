@@ -11,22 +11,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skd_sim.episode.episode import Episode
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import Episode
 
-from skd_evaluator.assessing.inputs import inputs_of
-from skd_evaluator.assessing.pipeline import compile_for_graph, planners_of
-from skd_evaluator.campaign.run.workers import available_workers
-from skd_evaluator.campaigns.campaign import Campaign, planned_rows
-from skd_evaluator.campaigns.campaign_file import Combination, read_campaign
-from skd_evaluator.campaigns.cell import Cell, make_cells
-from skd_evaluator.campaigns.folder import CampaignFolder
-from skd_evaluator.campaigns.rows import DONE, FAILED, Row
+from skd_evaluator.assessment.run.workers import available_workers
+from skd_evaluator.assessment.stages.inputs import inputs_of
+from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
+from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
+from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign
+from skd_evaluator.extensions.campaign.cell import Cell, make_cells
+from skd_evaluator.extensions.campaign.folder import CampaignFolder
+from skd_evaluator.extensions.campaign.rows import DONE, FAILED, Row
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program

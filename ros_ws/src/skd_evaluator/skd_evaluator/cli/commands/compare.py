@@ -10,23 +10,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import real_path
+from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.assessing.asked import scenario_for
-from skd_evaluator.campaign.compare.comparison import MARGIN, compare, ranking_figure
-from skd_evaluator.campaign.compare.encounter_difference import encounter_difference
-from skd_evaluator.campaign.judge.figure_table import columns
-from skd_evaluator.campaign.plan.options import SYNTHETIC
-from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.campaign.store.stored_result import StoredResult, read_result
+from skd_evaluator.assessment.compare.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.assessment.compare.encounter_difference import encounter_difference
+from skd_evaluator.assessment.judge.figure_table import columns
+from skd_evaluator.assessment.plan.options import SYNTHETIC
+from skd_evaluator.assessment.stages.asked import scenario_for
+from skd_evaluator.assessment.store.result_file import understood
+from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
-from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.metrics.behaviour import WALKERS
+from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report import repeat
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car

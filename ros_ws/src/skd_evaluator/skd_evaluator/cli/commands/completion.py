@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
-from skd_sim.choices.car_under_test import CONTROLLERS
-from skd_sim.choices.registry import Registry
-from skd_sim.encounter.known_scenarios import REGULATORY, SCENARIOS
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CONTROLLERS
+from skd_sim.options.registry import Registry
+from skd_sim.scenario.known_scenarios import REGULATORY, SCENARIOS
 
-from skd_evaluator.campaign.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
 from skd_evaluator.cli.parser import commands_of, make_parser
-from skd_evaluator.measure.behaviour import WALKERS
-from skd_evaluator.ncap.matrices import known_encounters
+from skd_evaluator.extensions.ncap.matrices import known_encounters
+from skd_evaluator.metrics.behaviour import WALKERS
 
 _NAMES: Final[Mapping[str, Callable[[], Iterable[str]]]] = {
     "behaviour": lambda: (WALKERS, NO_BEHAVIOUR),

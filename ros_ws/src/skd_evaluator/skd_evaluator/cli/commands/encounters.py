@@ -8,17 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.markup import escape
-from skd_adversary.model.road_users import check_kind
+from skd_adversary.crossing.road_users import check_kind
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
-from skd_sim.encounter.known_scenarios import SCENARIOS, is_named
-from skd_sim.encounter.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
 from skd_sim.inputs.yaml_file import as_yaml
+from skd_sim.scenario.known_scenarios import SCENARIOS, is_named
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.assessing.inputs import inputs_of, refuse_to_replace
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError

@@ -10,26 +10,26 @@ from dataclasses import replace
 from pathlib import Path
 
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_sim.choices.options import options_of, values_of
 from skd_sim.errors import UsageError
+from skd_sim.options.options import options_of, values_of
 
-from skd_evaluator.assessing.asked import check_car
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.judge.repeatability import fresh_process, repeatability
-from skd_evaluator.campaign.plan.options import CampaignOptions
-from skd_evaluator.campaign.plan.plan import Plan
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
+from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.stages.asked import check_car
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
+from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid
+from skd_evaluator.extensions.ncap.points import HOW, points_of, with_calculator
+from skd_evaluator.extensions.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
+from skd_evaluator.extensions.ncap.table import print_ncap
+from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.measure.credibility import not_credible
-from skd_evaluator.ncap.judging import Asked, Seen, judged_grid
-from skd_evaluator.ncap.points import HOW, points_of, with_calculator
-from skd_evaluator.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
-from skd_evaluator.ncap.wanted import scenario_of, wanted_cells
+from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.provenance import provenance
-from skd_evaluator.report.ncap.table import print_ncap
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.version import version
 
@@ -68,8 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
 
     def write(folder: Path) -> None:
-        from skd_evaluator.report.ncap.page import render  # slow to import, and needed only now
-        from skd_evaluator.report.ncap.picture import save_ncap
+        from skd_evaluator.extensions.ncap.page import render  # slow to import, and needed only now
+        from skd_evaluator.extensions.ncap.picture import save_ncap
 
         write_json(folder / RESULT, content)
         write_table(folder / TABLE, found)

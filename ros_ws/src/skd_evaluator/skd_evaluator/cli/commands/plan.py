@@ -14,13 +14,13 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.statistics.clustered import VarianceComponents, variance_components
-from skd_evaluator.measure.statistics.prior import DISTANCES
-from skd_evaluator.measure.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
+from skd_evaluator.metrics.statistics.clustered import VarianceComponents, variance_components
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 if TYPE_CHECKING:
-    from skd_evaluator.campaign.store.stored_result import StoredResult
+    from skd_evaluator.assessment.store.stored_result import StoredResult
 
 _STATED = {
     "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
@@ -54,8 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{what} is for --physical")
     if not arguments.paths:  # what reads results takes longer to import than all of this
         return _run(arguments, [])
-    from skd_evaluator.campaign.store.result_file import understood
-    from skd_evaluator.campaign.store.stored_result import read_result
+    from skd_evaluator.assessment.store.result_file import understood
+    from skd_evaluator.assessment.store.stored_result import read_result
 
     with understood(Path("one of the results")):
         return _run(arguments, [read_result(path) for path in arguments.paths])
@@ -144,8 +144,8 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
 
 
 def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Source:
-    from skd_evaluator.campaign.compare.comparison import compare
-    from skd_evaluator.campaign.judge.planned_figures import PLANNED
+    from skd_evaluator.assessment.compare.comparison import compare
+    from skd_evaluator.assessment.judge.planned_figures import PLANNED
 
     held = compare(first, second)
     if held.refusals:

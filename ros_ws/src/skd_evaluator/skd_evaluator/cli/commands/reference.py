@@ -10,23 +10,23 @@ from typing import Any
 
 from rich.table import Table
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
-from skd_sim.choices.objective import Objective
-from skd_sim.encounter.scenario import load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import load_scenario
 
-from skd_evaluator.campaign.plan.options import SYNTHETIC
-from skd_evaluator.campaign.plan.plan import Plan, Progress, safe_trajectories
-from skd_evaluator.campaign.run.workers import ExecutorRunner
-from skd_evaluator.campaign.store.result_file import ASSESSMENT
-from skd_evaluator.campaign.store.results import write_json
-from skd_evaluator.campaign.store.stored_result import read_result
+from skd_evaluator.assessment.plan.options import SYNTHETIC
+from skd_evaluator.assessment.plan.plan import Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.store.result_file import ASSESSMENT
+from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.reference import MULTIPLIERS, Asked, asked_of_result, equivalent_in, reference_sweep
-from skd_evaluator.measure.equivalent_multiplier import equivalent_entries
-from skd_evaluator.measure.margins import Margins
+from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries
+from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.formats import bounded, spoken_interval
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table

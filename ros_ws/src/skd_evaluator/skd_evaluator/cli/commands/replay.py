@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessing.written import fill
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.reader import read_bags
 from skd_evaluator.bags.replay import rating_from
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out

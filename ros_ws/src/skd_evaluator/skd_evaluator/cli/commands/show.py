@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_sim.episode.episode import Mode, Outcome
 from skd_sim.errors import UsageError
+from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.store.result_file import understood
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.surrogate.episode import episode_measures
-from skd_evaluator.measure.surrogate.scenes import course_of
+from skd_evaluator.metrics.surrogate.episode import episode_measures
+from skd_evaluator.metrics.surrogate.scenes import course_of
 from skd_evaluator.report.believed_car import believed_car
 from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
 from skd_evaluator.report.html.subjects import Subject, read_subjects

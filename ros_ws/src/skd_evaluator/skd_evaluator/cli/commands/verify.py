@@ -6,9 +6,9 @@ import argparse
 
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.campaign.store.verification import Verified, folders_below, verify
+from skd_evaluator.assessment.store.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.ncap.verification import with_regulator
+from skd_evaluator.extensions.ncap.verification import with_regulator
 from skd_evaluator.report.terminal import counted
 
 _SHOWN = 20

@@ -10,18 +10,18 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import BasicController
-from skd_sim.episode.episode import Episode
-from skd_sim.episode.randomness import controller_generator, controller_seed
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
-from skd_sim.simulation.world import Contact, make_world
+from skd_sim.world.episode import Episode
+from skd_sim.world.randomness import controller_generator, controller_seed
+from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.world import Contact, make_world
 
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_foretold, way_velocity
 from skd_evaluator.margin.exact.course import make_course
 from skd_evaluator.margin.exact.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.exact.foresight import make_foresight
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.least_way import LeastWay
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
 """Tried one after the other until one has room: histories, nodes, and whether a gap will do."""

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.geometry.contact import first_contact
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import first_contact
 
 from skd_evaluator.margin.actions import WAY_COUNT, way_velocity
 from skd_evaluator.margin.exact.course import SURE, Course, place_of_phi

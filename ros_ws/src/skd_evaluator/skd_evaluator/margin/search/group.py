@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import IntArray
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.world.episode import Episode, EpisodeLog
 
 from skd_evaluator.margin.search.moves import changed, excursion
 from skd_evaluator.margin.search.planner import Planner

@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.model.crossing import within
+from skd_adversary.crossing.crossing import within
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.encounter.road import is_straight_north, road_pose, road_position
-from skd_sim.geometry.contact import first_contact, rectangle_distance, sweep
-from skd_sim.geometry.obstruction import runs_into
 from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import is_straight_north, road_pose, road_position
+from skd_sim.world.contact import first_contact, rectangle_distance, sweep
+from skd_sim.world.obstruction import runs_into
 
 from skd_evaluator.margin.search.surrogate import SITUATION, nearest_sample
 

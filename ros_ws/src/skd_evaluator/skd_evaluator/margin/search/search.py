@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_sim.episode.episode import Episode, EpisodeLog
+from skd_sim.world.episode import Episode, EpisodeLog
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.group import OTHER, Group
 from skd_evaluator.margin.search.trial import Trial
-from skd_evaluator.measure.distances.least_way import LeastWay
-from skd_evaluator.measure.margins import CONVERGED_WITHIN, Excess
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess
 
 CHANGE: Final = 0.02
 """Of the mean, below which it may have converged: in the last doubling, and in the three beyond it of deep trials."""

@@ -11,18 +11,18 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.model.road_user import pedestrian
-from skd_adversary.model.road_users import road_user_named
-from skd_adversary.model.safe_path import path_velocities
+from skd_adversary.crossing.road_user import pedestrian
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
-from skd_sim.encounter.road import right_and_along, road_position
-from skd_sim.encounter.scenario import Scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.scenario.road import right_and_along, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.margin.actions import velocities
-from skd_evaluator.measure.distances.deformation import deformation
-from skd_evaluator.measure.distances.least_way import LeastWay
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.least_way import LeastWay
 
 ENOUGH = 1e-9
 """m: a trajectory that deviates less is φ itself."""

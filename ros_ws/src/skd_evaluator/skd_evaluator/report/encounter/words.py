@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from skd_adversary.model.road_users import road_user_named
+from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
 
 _KMH = 3.6
 

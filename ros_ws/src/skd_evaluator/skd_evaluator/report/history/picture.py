@@ -12,7 +12,7 @@ mpl.use("Agg")
 from matplotlib.figure import Figure
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.judge.figure_table import Kind
+from skd_evaluator.assessment.judge.figure_table import Kind
 from skd_evaluator.report.history.table import day, scaled
 from skd_evaluator.report.history.trend import Trend
 from skd_evaluator.saved_picture import PAGE, TYPE, save_picture

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from skd_evaluator.campaign.judge.figure_table import Kind
+from skd_evaluator.assessment.judge.figure_table import Kind
 from skd_evaluator.report.formats import TERMINAL
 from skd_evaluator.report.history.runs import Run
 from skd_evaluator.report.history.trend import Trend

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
-from skd_evaluator.measure.statistics.statistics import Interval
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
+from skd_evaluator.metrics.statistics.statistics import Interval
 from skd_evaluator.report.history.runs import Run
 
 FIGURES = ("margin", "deformation", "skd", "hit_rate", "risk_1")
@@ -19,7 +19,7 @@ FIGURES = ("margin", "deformation", "skd", "hit_rate", "risk_1")
 
 
 class Compared(Protocol):
-    """What is said of a result beside another one, as `skd_evaluator.campaign.compare` has it."""
+    """What is said of a result beside another one, as `skd_evaluator.assessment.compare` has it."""
 
     @property
     def differences(self) -> Mapping[str, Any]:

@@ -12,8 +12,8 @@ import altair as alt
 import numpy as np
 
 from skd_evaluator import palette
-from skd_evaluator.campaign.judge.figure_table import CI95, SHARE, Figure, shown_in
-from skd_evaluator.measure.risks import SCALES
+from skd_evaluator.assessment.judge.figure_table import CI95, SHARE, Figure, shown_in
+from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.html.matrix import encounters_of
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car

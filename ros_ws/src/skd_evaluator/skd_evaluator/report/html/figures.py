@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.episode.episode import Mode
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.world.episode import Mode
 
-from skd_evaluator.campaign.judge.figure_table import AT_THE_TOP
-from skd_evaluator.measure.aborted import aborted_lines
-from skd_evaluator.measure.statistics.statistics import mean
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
+from skd_evaluator.metrics.aborted import aborted_lines
+from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.formats import NOTHING, counted, number, percent
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name

@@ -10,15 +10,18 @@ from importlib import resources
 from shlex import join
 from typing import Any
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.episode.episode import Mode, Outcome
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.measure.margins import CLOSENESS_WARNING
-from skd_evaluator.measure.risks import SCALES
-from skd_evaluator.measure.statistics.statistics import mean
-from skd_evaluator.ncap.colours import ROOM
+from skd_evaluator.extensions.ncap.colours import ROOM
+from skd_evaluator.extensions.ncap.layout import COLOURS, LEGEND, LIGHT, impact_text, letter_of, margin_text
+from skd_evaluator.extensions.ncap.of_results import views_of
+from skd_evaluator.extensions.ncap.page import details
+from skd_evaluator.metrics.margins import CLOSENESS_WARNING
+from skd_evaluator.metrics.risks import SCALES
+from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import (
@@ -35,9 +38,6 @@ from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import filled
-from skd_evaluator.report.ncap.layout import COLOURS, LEGEND, LIGHT, impact_text, letter_of, margin_text
-from skd_evaluator.report.ncap.of_results import views_of
-from skd_evaluator.report.ncap.page import details
 from skd_evaluator.report.repeat import (
     BEHAVIOUR_FILE,
     CAR_MODEL_FILE,

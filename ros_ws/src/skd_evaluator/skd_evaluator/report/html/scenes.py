@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.road import right_and_along, road_pose
-from skd_sim.encounter.scenario import Scenario
+from skd_sim.scenario.road import right_and_along, road_pose
+from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator.report.html.subjects import Subject
 

@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.choices.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
-from skd_sim.encounter.scenario import Scenario, scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json, real_path
+from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
-from skd_evaluator.campaign.store.result_file import ASSESSMENT, understood
-from skd_evaluator.campaign.store.stored_episodes import StoredEpisodes
-from skd_evaluator.campaign.store.stored_failures import failing_episodes
-from skd_evaluator.campaign.store.stored_result import read_checked
+from skd_evaluator.assessment.store.result_file import ASSESSMENT, understood
+from skd_evaluator.assessment.store.stored_episodes import StoredEpisodes
+from skd_evaluator.assessment.store.stored_failures import failing_episodes
+from skd_evaluator.assessment.store.stored_result import read_checked
+from skd_evaluator.extensions.ncap.colours import ROOM
+from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.files import tails
-from skd_evaluator.measure.credibility import not_credible
-from skd_evaluator.measure.vulnerability_curve import vulnerability_curve
-from skd_evaluator.ncap.colours import ROOM
-from skd_evaluator.report.ncap.of_results import views_of
+from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.report.terminal import car_name
 

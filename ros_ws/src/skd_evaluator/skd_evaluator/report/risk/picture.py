@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from skd_evaluator import palette
-from skd_evaluator.measure.risks import SCALES
+from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled
 from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 

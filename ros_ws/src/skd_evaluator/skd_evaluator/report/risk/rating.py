@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from skd_sim.choices.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import CarUnderTest
 
-from skd_evaluator.measure.risks import SCALES
-from skd_evaluator.measure.statistics.statistics import Interval
+from skd_evaluator.metrics.risks import SCALES
+from skd_evaluator.metrics.statistics.statistics import Interval
 
 LEAST: Final = 1e-9
 """Below it no risk is drawn: subset simulation ends there."""

@@ -18,8 +18,8 @@ import numpy as np
 import scipy
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.measure.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
-from skd_evaluator.measure.behaviour.walking import normals_of, walk_many
+from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
+from skd_evaluator.metrics.behaviour.walking import normals_of, walk_many
 from skd_evaluator.risk.behaviour.inversion import inverted, ridge
 from skd_evaluator.risk.behaviour.residuals import padded, summary
 

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from skd_adversary.model.road_users import road_user_named
+from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
 from skd_adversary.safe_trajectories.table import read_table, resample, too_fast
 from skd_adversary.safe_trajectories.track_checks import LONGEST_HOLE, check_once
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.geometry.trajectory import Trajectory
+from skd_sim.world.trajectory import Trajectory
 
+from skd_evaluator.assessment.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.reader import read_bags
-from skd_evaluator.campaign.store.stored_episodes import EPISODES, read_episodes
 from skd_evaluator.risk.behaviour.residuals import padded, quantile_table
 
 TIME_STEP: Final = 0.3

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.measure.behaviour.walking import normals_of
+from skd_evaluator.metrics.behaviour.walking import normals_of
 from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, fit_behaviour, simulated
 from skd_evaluator.risk.behaviour.residuals import HORIZONS, QUANTILES, padded, quantile_table
 from skd_evaluator.risk.behaviour.tracks import TIME_STEP, Tracked

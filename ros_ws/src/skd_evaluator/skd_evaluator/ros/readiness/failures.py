@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from skd_sim.controllers.isolated import FAILED_STARTS
-from skd_sim.episode.aborts import AbortKind, kind_of
-from skd_sim.episode.episode import EpisodeLog, Outcome
+from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import log_of

@@ -17,7 +17,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from skd_sim.episode.aborts import AbortKind, abort_reason
+from skd_sim.world.aborts import AbortKind, abort_reason
 
 _WAKE = 0.1  # s
 _FAREWELL = 2.0  # s in which all nodes together have to be down at the end

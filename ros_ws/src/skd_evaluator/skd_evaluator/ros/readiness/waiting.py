@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from skd_sim.episode.stamps import NANOSECONDS, WALL_CLOCK, stamp_fault
-from skd_sim.nodes.command_search import (
+from skd_sim.ros.command_search import (
     candidates,
     class_of,
     foreign_nodes,
@@ -24,8 +23,9 @@ from skd_sim.nodes.command_search import (
     unheard,
     why_no_command,
 )
-from skd_sim.nodes.publishers import living_publishers
-from skd_sim.nodes.support import EGO_ODOMETRY
+from skd_sim.ros.publishers import living_publishers
+from skd_sim.ros.support import EGO_ODOMETRY
+from skd_sim.world.stamps import NANOSECONDS, WALL_CLOCK, stamp_fault
 
 from skd_evaluator.errors import AssessmentError
 

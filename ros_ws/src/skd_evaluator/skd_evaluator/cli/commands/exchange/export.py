@@ -9,14 +9,14 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.campaign.store.result_file import understood
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.store.result_file import understood
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.exchange.going_out.chosen import Going, chosen, going_out
-from skd_evaluator.exchange.going_out.formats import FORMATS, Format
-from skd_evaluator.exchange.going_out.opendrive import write_road
-from skd_evaluator.exchange.names import EXPORT, ROAD_FILE
+from skd_evaluator.extensions.exchange.going_out.chosen import Going, chosen, going_out
+from skd_evaluator.extensions.exchange.going_out.formats import FORMATS, Format
+from skd_evaluator.extensions.exchange.going_out.opendrive import write_road
+from skd_evaluator.extensions.exchange.names import EXPORT, ROAD_FILE
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.terminal import counted
 from skd_evaluator.version import version

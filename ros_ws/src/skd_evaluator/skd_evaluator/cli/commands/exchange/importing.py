@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from skd_adversary.safe_trajectories.track_checks import once_more, repeated
 from skd_sim.arrays import FloatArray
-from skd_sim.encounter.kinds import ROAD_USERS
-from skd_sim.encounter.scenario import Scenario, load_scenario
 from skd_sim.errors import UsageError
+from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.scenario import Scenario, load_scenario
 
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.exchange_options import BY_CAR
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.exchange.coming_in.sources import Asked, files_in, read_sources
-from skd_evaluator.exchange.coming_in.ways import UnusableError, Way, entry, read_as_safe, way_of
-from skd_evaluator.exchange.names import IMPORT
-from skd_evaluator.fusion.track import Frame
+from skd_evaluator.extensions.exchange.coming_in.sources import Asked, files_in, read_sources
+from skd_evaluator.extensions.exchange.coming_in.ways import UnusableError, Way, entry, read_as_safe, way_of
+from skd_evaluator.extensions.exchange.names import IMPORT
+from skd_evaluator.extensions.fusion.track import Frame
 from skd_evaluator.version import version
 
 SAFE = "safe"

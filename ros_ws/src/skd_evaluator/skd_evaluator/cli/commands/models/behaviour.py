@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_sim.encounter.kinds import ROAD_USERS
 from skd_sim.errors import UsageError
+from skd_sim.scenario.kinds import ROAD_USERS
 
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
+from skd_evaluator.metrics.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table
 from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, behaviour_of, fit_behaviour

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_adversary.car_fit import SeenAndPredicted, learn_and_look, observe
-from skd_adversary.car_fit.prediction import NEAR
-from skd_adversary.car_fit.speed_change import LARGEST_NOISE
-from skd_adversary.car_model_file import FILE_NAME, car_model_data, write_car_model
-from skd_adversary.fitted_car import FittedCar
+from skd_adversary.car_models import SeenAndPredicted, learn_and_look, observe
+from skd_adversary.car_models.car_model_file import FILE_NAME, car_model_data, write_car_model
+from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models.prediction import NEAR
+from skd_adversary.car_models.speed_change import LARGEST_NOISE
 
 from skd_evaluator.bags.acceptance import Damage
 from skd_evaluator.bags.logs import read_recordings

@@ -11,16 +11,16 @@ from pathlib import Path
 from rich.table import Table
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.estimate.control_variate import Mean
-from skd_evaluator.fusion.fusion import FusedFigure, fuse
-from skd_evaluator.fusion.measured import Recorder, overruled
-from skd_evaluator.fusion.pairs import GAP_TOLERANCE
-from skd_evaluator.fusion.simulated import Simulated, by_phi, read_simulated
-from skd_evaluator.fusion.table import read_trials, table_in
-from skd_evaluator.fusion.track import Frame
+from skd_evaluator.extensions.fusion.estimate.control_variate import Mean
+from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
+from skd_evaluator.extensions.fusion.measured import Recorder, overruled
+from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE
+from skd_evaluator.extensions.fusion.simulated import Simulated, by_phi, read_simulated
+from skd_evaluator.extensions.fusion.table import read_trials, table_in
+from skd_evaluator.extensions.fusion.track import Frame
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
 RESULT, PICTURE = "fusion.json", "fusion.png"
@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
 
     def write(folder: Path) -> None:
-        from skd_evaluator.fusion.picture import save_fusion  # slow to import, and needed only now
+        from skd_evaluator.extensions.fusion.picture import save_fusion  # slow to import, and needed only now
 
         write_json(folder / RESULT, content)
         save_fusion(folder / PICTURE, figures)

@@ -11,24 +11,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.choices.simulators import is_own_world
-from skd_sim.encounter.scenario import load_scenario
-from skd_sim.episode.episode import Episode, EpisodeLog, Outcome
-from skd_sim.simulation.named_simulator import make_simulator
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.simulators import is_own_world
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.named_simulator import make_simulator
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
-from skd_evaluator.assessing.asked import check_car
-from skd_evaluator.assessing.written import write_with_scratch
+from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress, Recorder
+from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.stages.asked import check_car
+from skd_evaluator.assessment.stages.written import write_with_scratch
+from skd_evaluator.assessment.store.results import ResultFolder, write_json
 from skd_evaluator.bags.logs import EPISODES, write_logs
-from skd_evaluator.campaign.judge.repeatability import fresh_process, repeatability
-from skd_evaluator.campaign.plan.plan import EpisodeRunner, Progress, Recorder
-from skd_evaluator.campaign.plan.probe import probe_episodes
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers
-from skd_evaluator.campaign.store.results import ResultFolder, write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.rated import fresh_graph
 from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros

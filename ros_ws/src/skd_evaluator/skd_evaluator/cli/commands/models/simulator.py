@@ -12,26 +12,26 @@ from typing import Any
 
 import numpy as np
 from rich.table import Table
-from skd_sim.choices.car_under_test import CarUnderTest
-from skd_sim.encounter.scenario import Scenario
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import to_yaml
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.assessing.propagated import Propagated, assessed_draws, draw_warnings, propagated
-from skd_evaluator.campaign.plan.options import MAXIMUM_ABORTED
-from skd_evaluator.campaign.run.workers import InProcessRunner, available_workers, check_controller
-from skd_evaluator.campaign.store.results import write_json
+from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
+from skd_evaluator.assessment.stages.propagated import Propagated, assessed_draws, draw_warnings, propagated
+from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.fusion.calibration.estimate import POOR, Calibration, estimated
-from skd_evaluator.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
-from skd_evaluator.fusion.measured import PATH_TOLERANCE, track_of
-from skd_evaluator.fusion.simulated import Simulated, read_simulated
-from skd_evaluator.fusion.table import read_trials, table_in
-from skd_evaluator.fusion.trial import Trial
-from skd_evaluator.measure.credibility import not_credible
+from skd_evaluator.extensions.fusion.calibration.estimate import POOR, Calibration, estimated
+from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
+from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
+from skd_evaluator.extensions.fusion.measured import PATH_TOLERANCE, track_of
+from skd_evaluator.extensions.fusion.simulated import Simulated, read_simulated
+from skd_evaluator.extensions.fusion.table import read_trials, table_in
+from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 

@@ -153,7 +153,7 @@ def _remedy(*, sourced: bool) -> str:
 
 def _asked() -> dict[str, Any]:
     """Return what a process with ROS 2 says of it."""
-    words = [sys.executable, "-P", "-m", "skd_sim.messages.round_trip"]
+    words = [sys.executable, "-P", "-m", "skd_sim.ros.round_trip"]
     variables = ros_environment.node_variables(dict(os.environ))
     variables.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:

@@ -12,20 +12,20 @@ from dataclasses import replace
 from typing import Any
 
 from skd_adversary.safe_trajectories import count_safe_trajectories
-from skd_sim.choices.graph_options import REAL_TIME
-from skd_sim.choices.knowledge import Knowledge
-from skd_sim.choices.options import options_of, values_of
-from skd_sim.episode.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
+from skd_sim.options.graph_options import REAL_TIME
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.options import options_of, values_of
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
-from skd_evaluator.assessing.asked import check_car, default_folder, plan_of, scenario_for
-from skd_evaluator.assessing.findings import episode_line
-from skd_evaluator.assessing.graph_options import GraphOptions
-from skd_evaluator.campaign.plan.options import OWN, SYNTHETIC, CampaignOptions
-from skd_evaluator.campaign.plan.plan import Plan, safe_trajectories
-from skd_evaluator.campaign.run.workers import InProcessRunner
-from skd_evaluator.campaign.store.results import ResultFolder, episode_summary
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.asked import check_car, default_folder, plan_of, scenario_for
+from skd_evaluator.assessment.stages.findings import episode_line
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.store.results import ResultFolder, episode_summary
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.driving.hand import Controls, Hand, Wish
 from skd_evaluator.driving.paced import Drive, LeftError, driving_in_process

@@ -8,11 +8,11 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from skd_sim.encounter.scenario import scenario_from_dict
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import one_line
+from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.campaign.compare.encounter_difference import encounter_difference, has_tyres
+from skd_evaluator.assessment.compare.encounter_difference import encounter_difference, has_tyres
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import runs_table

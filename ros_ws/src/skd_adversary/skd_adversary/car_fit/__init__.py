@@ -1,7 +1,0 @@
-"""Learning the predictive model of a car from logs: a law by maximum likelihood, or a forest where none fits."""
-
-from skd_adversary.car_fit.fit import fit_car
-from skd_adversary.car_fit.observations import Observations, Recording, observe
-from skd_adversary.car_fit.prediction import SeenAndPredicted, learn_and_look, learn_car
-
-__all__ = ["Observations", "Recording", "SeenAndPredicted", "fit_car", "learn_and_look", "learn_car", "observe"]

@@ -1,0 +1,340 @@
+"""Families of braking laws: what decides, tick by tick, whether the car brakes.
+
+A law brakes while a measure of nearness is at most a trigger and, in some families, the adversary is in a path.
+Measures: the distance, or the time until the front is there at the speeds of now. Paths: where the adversary is, or
+where it will be when the car passes. The law is followed at once or some ticks later. The trigger is the same always
+(sharp), drawn anew in each encounter (normal), or blurred from tick to tick (logistic).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from skd_sim.arrays import BoolArray, FloatArray, IntArray
+
+from skd_adversary.car_models.intervals import Estimate, step_estimate
+from skd_adversary.car_models.observations import Observations
+from skd_adversary.car_models.speed_change import SpeedChange, densities
+
+MEASURES = ("distance", "time")
+GATES = ("none", "position", "predicted")
+SPREADS = ("sharp", "encounter", "tick")
+LARGEST_TRIGGER = {"distance": 60.0, "time": 8.0}
+"""Triggers thought possible go from 0 to this, in m and s."""
+LARGEST_GATE = 20.0  # m
+_BACKGROUND = 1e-6  # share of ticks in which the car does anything at all
+
+
+@dataclass(frozen=True)
+class Family:
+    """A braking law without its numbers.
+
+    Attributes:
+        measure: `distance` (front to the adversary's centre along the lane) or `time` (that over the closing speed).
+        gate: `none`, `position` (the adversary's distance from the car's centre line now) or `predicted` (its
+            least distance from it while the car passes, at the velocities of now).
+        spread: `sharp`, `encounter` or `tick`.
+        delay: ticks between what the car sees and what it does.
+    """
+
+    measure: str = "distance"
+    gate: str = "none"
+    spread: str = "sharp"
+    delay: int = 0
+
+    @property
+    def name(self) -> str:
+        """A name for tables."""
+        path = {"none": "", "position": " in the lane", "predicted": " on a collision course"}[self.gate]
+        spread = {"sharp": "", "encounter": ", differs per encounter", "tick": ", blurred per tick"}[self.spread]
+        late = f", {self.delay} tick{'s' * (self.delay > 1)} late" if self.delay else ""
+        return f"{self.measure}{path}{spread}{late}"
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters of the decision: trigger, lapse, and what the family adds."""
+        return 2 + (self.gate != "none") + (self.spread != "sharp") + (self.delay > 0)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A family with its likeliest numbers.
+
+    Attributes:
+        family: the family of the law.
+        trigger: m or s.
+        gate: half-width of the path, m; infinite without one.
+        spread: standard deviation (encounter) or scale (tick) of the trigger, m or s; 0 where sharp.
+        lapse: share of ticks that go against the law.
+        log_likelihood: log-likelihood of all ticks to which it was fitted.
+    """
+
+    family: Family
+    trigger: float
+    gate: float
+    spread: float
+    lapse: float
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What each tick says for and against braking, and the numbers by which a law decides.
+
+    Attributes:
+        braking: likelihood of the change of speed if the car braked.
+        free: likelihood of the change of speed if it did not.
+        nearness: measure of the family; infinite where it cannot trigger.
+        aside: distance at which the family's gate looks, m; 0 without a gate.
+        episode: number of the episode, for each tick.
+    """
+
+    braking: FloatArray
+    free: FloatArray
+    nearness: FloatArray
+    aside: FloatArray
+    episode: FloatArray
+
+
+def _delayed(column: FloatArray, data: Observations, delay: int, before: float) -> FloatArray:
+    """Return a column as it was `delay` ticks ago in the same episode; `before` where that is before its start."""
+    if delay == 0:
+        return column
+    shifted = np.full(column.shape, before)
+    shifted[delay:] = column[:-delay]
+    same = np.zeros(column.shape, dtype=bool)
+    same[delay:] = (data.episode[delay:] == data.episode[:-delay]) & (data.tick[delay:] - data.tick[:-delay] == delay)
+    return np.where(same, shifted, before)
+
+
+def nearness(data: Observations, family: Family) -> FloatArray:
+    """Return what the trigger is compared with, m or s; infinite where the car would not brake however near."""
+    if family.measure == "distance":
+        near = np.where(data.gap >= 0.0, data.gap, np.inf)
+    else:
+        closing = data.speed - data.receding
+        ahead = (closing > 0.0) & (data.gap >= -data.car_length)
+        near = np.where(ahead, np.maximum(data.gap, 0.0) / np.where(ahead, closing, 1.0), np.inf)
+    return _delayed(near, data, family.delay, np.inf)
+
+
+def aside(data: Observations, family: Family) -> FloatArray:
+    """Return the adversary's distance from the car's centre line that the gate looks at, m."""
+    if family.gate == "none":
+        return np.zeros(len(data))
+    if family.gate == "position":
+        return _delayed(np.abs(data.lateral), data, family.delay, np.inf)
+    closing = data.speed - data.receding
+    coming = closing > 1e-9
+    safe = np.where(coming, closing, 1.0)
+    begin = data.lateral + data.sideways * np.maximum(data.gap, 0.0) / safe
+    end = data.lateral + data.sideways * np.maximum(data.gap + data.car_length, 0.0) / safe
+    least = np.where(begin * end <= 0.0, 0.0, np.minimum(np.abs(begin), np.abs(end)))
+    return _delayed(np.where(coming, least, np.inf), data, family.delay, np.inf)
+
+
+def evidence(change: SpeedChange, data: Observations, family: Family, rows: BoolArray) -> Evidence:
+    """Return the evidence of the chosen rows; delays look back over all of `data`."""
+    free, brake, background = (part[rows] for part in densities(change, data))
+    share = _BACKGROUND * background
+    near, beside = nearness(data, family)[rows], aside(data, family)[rows]
+    return Evidence(brake + share, free + share, near, beside, data.episode[rows].astype(np.float64))
+
+
+def _gains(e: Evidence, lapse: float) -> tuple[FloatArray, FloatArray]:
+    """Return each tick's log-likelihood if the law drives freely, and how much it gains if the law brakes."""
+    free = np.log((1.0 - lapse) * e.free + lapse * e.braking)
+    return free, np.log((1.0 - lapse) * e.braking + lapse * e.free) - free
+
+
+def _profile(position: FloatArray, gain: FloatArray, largest: float) -> tuple[FloatArray, FloatArray]:
+    """Return (edges, values): the gain as a step function of a boundary, all positions at or below it counting."""
+    inside = position <= largest
+    order = np.argsort(position[inside], kind="stable")
+    edges = np.concatenate([[0.0], position[inside][order], [largest]])
+    return edges, np.append(0.0, np.cumsum(gain[inside][order]))
+
+
+def trigger_profile(e: Evidence, law: Law) -> tuple[FloatArray, FloatArray]:
+    """Return (edges, values) of the log-likelihood, up to a constant, as a function of a sharp trigger."""
+    _, gain = _gains(e, law.lapse)
+    chosen = e.aside <= law.gate
+    return _profile(e.nearness[chosen], gain[chosen], LARGEST_TRIGGER[law.family.measure])
+
+
+def gate_profile(e: Evidence, law: Law) -> tuple[FloatArray, FloatArray]:
+    """Return (edges, values) of the log-likelihood, up to a constant, as a function of the path's half-width."""
+    _, gain = _gains(e, law.lapse)
+    chosen = e.nearness <= law.trigger
+    return _profile(e.aside[chosen], gain[chosen], LARGEST_GATE)
+
+
+def _sharp(family: Family, e: Evidence, lapse: float, gate: float) -> Law:
+    """Return the likeliest sharp law, trigger and gate in turn."""
+    law = Law(family, 0.0, gate, 0.0, lapse, -np.inf)
+    free, gain = _gains(e, lapse)
+    for _ in range(8):
+        before = law.log_likelihood
+        law = replace(law, trigger=step_estimate(*trigger_profile(e, law)).value)
+        if family.gate != "none":
+            law = replace(law, gate=step_estimate(*gate_profile(e, law)).value)
+        chosen = (e.nearness <= law.trigger) & (e.aside <= law.gate)
+        law = replace(law, log_likelihood=float(free.sum() + gain[chosen].sum()))
+        if law.log_likelihood <= before + 1e-9:
+            break
+    return law
+
+
+def _fit_sharp(family: Family, e: Evidence, near: Law | None = None) -> Law:
+    if family.gate == "none":
+        starts = [np.inf]
+    elif near is not None:
+        starts = [near.gate]
+    else:
+        finite = e.aside[np.isfinite(e.aside)]
+        quantiles = np.quantile(finite, np.linspace(0.2, 1.0, 5)) if finite.size else np.array([LARGEST_GATE])
+        starts = [float(value) for value in np.unique(quantiles)]
+    lapse = 0.02
+    best = max((_sharp(family, e, lapse, start) for start in starts), key=lambda law: law.log_likelihood)
+    for _ in range(3):
+        said = (e.nearness <= best.trigger) & (e.aside <= best.gate)
+        against = np.where(said, e.free, e.braking)
+        with_it = np.where(said, e.braking, e.free)
+        share = best.lapse * against / (best.lapse * against + (1.0 - best.lapse) * with_it)
+        lapse = float((share.sum() + 0.5) / (share.size + 1.0))  # never 0: what was not seen is not impossible
+        best = _sharp(family, e, lapse, best.gate)
+    return best
+
+
+class _Segments(NamedTuple):
+    """Segments of the trigger, over all episodes: edges, log-likelihoods, and the index of each episode's first."""
+
+    lower: FloatArray
+    upper: FloatArray
+    values: FloatArray
+    starts: IntArray
+
+
+def _segments(e: Evidence, law: Law) -> _Segments:
+    """Return the log-likelihood of each episode as a step function of its own trigger."""
+    free, gain = _gains(e, law.lapse)
+    gain = np.where(e.aside <= law.gate, gain, 0.0)
+    near = np.where(e.aside <= law.gate, e.nearness, np.inf)
+    names, first = np.unique(e.episode, return_index=True)
+    base = np.add.reduceat(free, first)
+    # A row for "no tick triggers" at the head of each episode.
+    episode = np.concatenate([names, e.episode])
+    position = np.concatenate([np.full(names.size, -np.inf), near])
+    value = np.concatenate([base, gain])
+    order = np.lexsort((position, episode))
+    episode, position, value = episode[order], position[order], value[order]
+    starts = np.flatnonzero(np.append(True, episode[1:] != episode[:-1]))
+    running = np.cumsum(value)
+    offset = np.append(0.0, running[starts[1:] - 1])
+    values = running - np.repeat(offset, np.diff(np.append(starts, episode.size)))
+    upper = np.append(position[1:], np.inf)
+    upper[np.append(starts[1:] - 1, episode.size - 1)] = np.inf
+    return _Segments(np.asarray(position), np.asarray(upper), np.asarray(values), np.asarray(starts))
+
+
+def _encounter_values(segments: _Segments, trigger: float, spread: float) -> FloatArray:
+    """Return the log-likelihood of each episode when its trigger is N(trigger, spread²)."""
+    lower, upper, values, starts = segments
+    a, b = (lower - trigger) / spread, (upper - trigger) / spread
+    flip = a > 0.0  # the tail on the near side keeps its digits
+    with np.errstate(invalid="ignore"):
+        mass = np.where(
+            flip, scipy.special.ndtr(-a) - scipy.special.ndtr(-b), scipy.special.ndtr(b) - scipy.special.ndtr(a)
+        )
+    with np.errstate(divide="ignore"):
+        terms = values + np.log(mass)
+    tops = np.maximum.reduceat(terms, starts)
+    counts = np.diff(np.append(starts, terms.size))
+    return np.asarray(tops + np.log(np.add.reduceat(np.exp(terms - np.repeat(tops, counts)), starts)))
+
+
+def _tick_values(e: Evidence, law: Law) -> FloatArray:
+    """Return the log-likelihood of each tick when the trigger is blurred by a logistic distribution."""
+    inside = (e.aside <= law.gate) & np.isfinite(e.nearness)
+    near = np.where(inside, e.nearness, 0.0)
+    brakes = np.where(inside, scipy.special.expit((law.trigger - near) / law.spread), 0.0)
+    brakes = law.lapse + (1.0 - 2.0 * law.lapse) * brakes
+    return np.asarray(np.log(brakes * e.braking + (1.0 - brakes) * e.free))
+
+
+def episode_values(e: Evidence, law: Law) -> FloatArray:
+    """Return the log-likelihood of each episode under a law."""
+    if law.family.spread == "encounter":
+        return _encounter_values(_segments(e, law), law.trigger, law.spread)
+    if law.family.spread == "tick":
+        ticks = _tick_values(e, law)
+    else:
+        free, gain = _gains(e, law.lapse)
+        ticks = free + np.where((e.nearness <= law.trigger) & (e.aside <= law.gate), gain, 0.0)
+    _, first = np.unique(e.episode, return_index=True)
+    return np.asarray(np.add.reduceat(ticks, first))
+
+
+def encounter_values(e: Evidence, law: Law, spreads: FloatArray) -> FloatArray:
+    """Return, per spread, the log-likelihood of all ticks when each encounter draws N(law's trigger, spread²)."""
+    segments = _segments(e, law)
+    return np.array([_encounter_values(segments, law.trigger, float(spread)).sum() for spread in spreads])
+
+
+def spread_values(e: Evidence, law: Law, triggers: FloatArray, spreads: FloatArray) -> FloatArray:
+    """Return the log-likelihood of all ticks over a grid, triggers × spreads, under a law that is not sharp."""
+    if law.family.spread == "encounter":
+        return np.stack([encounter_values(e, replace(law, trigger=float(trigger)), spreads) for trigger in triggers])
+    return np.array([[_tick_values(e, replace(law, trigger=t, spread=s)).sum() for s in spreads] for t in triggers])
+
+
+def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law | None = None) -> Law:
+    """Return the likeliest law of a family.
+
+    Args:
+        family: the family.
+        e: the evidence, made for this family.
+        sharp: the sharp law of the same measure, gate and delay, where it is known already.
+        near: a law, fitted to other ticks, near which to look for this one; by default it is looked for everywhere.
+    """
+    law = sharp or _fit_sharp(replace(family, spread="sharp"), e, near)
+    if family.spread == "sharp":
+        return law
+    law = replace(law, family=family, lapse=min(law.lapse, 1.0 / (len(e.free) + 1.0)))
+    segments = _segments(e, law)
+
+    def value(trigger: float, spread: float) -> float:
+        if family.spread == "encounter":
+            return float(_encounter_values(segments, trigger, spread).sum())
+        return float(_tick_values(e, replace(law, trigger=trigger, spread=spread)).sum())
+
+    def cost(point: FloatArray) -> float:
+        inside = 0.0 <= point[0] <= LARGEST_TRIGGER[family.measure] and -12.0 <= point[1] <= 4.0
+        return -value(float(point[0]), float(np.exp(point[1]))) if inside else np.inf
+
+    scale = max(law.trigger, 0.1)
+    options: Any = {"xatol": 1e-3 * max(law.trigger, 0.1), "fatol": 1e-2, "maxiter": 70}
+    best: Any = None
+    for share in (0.01, 0.15) if near is None else (near.spread / scale,):
+        share = max(share, 1e-4)
+        start = np.array([law.trigger, np.log(share * scale)])
+        simplex = start + np.array([[0.0, 0.0], [share * scale, 0.0], [0.0, 1.0]])
+        found = scipy.optimize.minimize(
+            cost, start, method="Nelder-Mead", options=options | {"initial_simplex": simplex}
+        )
+        if best is None or found.fun < best.fun:
+            best = found
+    return replace(law, trigger=float(best.x[0]), spread=float(np.exp(best.x[1])), log_likelihood=-float(best.fun))
+
+
+def sharp_estimate(e: Evidence, law: Law) -> Estimate:
+    """Return the trigger of a sharp law with what the data leave open about it."""
+    return step_estimate(*trigger_profile(e, law))
+
+
+def gate_estimate(e: Evidence, law: Law) -> Estimate:
+    """Return the half-width of the path with what the data leave open about it."""
+    return step_estimate(*gate_profile(e, law))

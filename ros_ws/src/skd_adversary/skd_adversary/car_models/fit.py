@@ -1,0 +1,346 @@
+"""From ticks to a fitted car: change of speed, law of braking, intervals, calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from skd_sim.arrays import BoolArray, FloatArray
+
+from skd_adversary.car_models.braking import braking_estimates
+from skd_adversary.car_models.calibration import braking_probability, integral_transform, kolmogorov_smirnov
+from skd_adversary.car_models.families import Law, evidence, fit_family, gate_estimate, sharp_estimate
+from skd_adversary.car_models.fitted_car import (
+    OPTIONAL,
+    PARAMETERS,
+    Calibration,
+    FamilyRow,
+    FittedCar,
+    Parameter,
+    Prior,
+)
+from skd_adversary.car_models.identifiability import LEAST_LOGS, Judge, parameter, wide_prior
+from skd_adversary.car_models.intervals import LEVEL, Estimate, half_width_estimate
+from skd_adversary.car_models.observations import Observations
+from skd_adversary.car_models.selection import Candidate, choose, compare, folds_of
+from skd_adversary.car_models.speed_change import SpeedChange, densities, fit_speed_change, moving, refit
+from skd_adversary.car_models.spread import sharp_spread, spread_estimates
+
+_HELD_OUT_FOLDS = 4  # one of them is predicted from the others, for the calibration
+_KS_TICKS = 20  # fewer say nothing about calibration
+
+
+@dataclass(frozen=True, eq=False)
+class _Modes:
+    """Which ticks, of those that count, were braking and which free, given the law."""
+
+    braking: BoolArray
+    free: BoolArray
+
+
+def _modes(change: SpeedChange, law: Law, data: Observations, rows: BoolArray) -> _Modes:
+    free, braking, _ = (part[rows] for part in densities(change, data))
+    brakes = braking_probability(law, data)[rows]
+    for_it, against = brakes * braking, (1.0 - brakes) * free
+    return _Modes(for_it > against, (against >= for_it) & (brakes < 0.5))
+
+
+def _learn(change: SpeedChange, data: Observations, rows: BoolArray) -> tuple[SpeedChange, Candidate, list[Candidate]]:
+    """Return the change of speed, the chosen family and all families."""
+    candidates = compare(change, data, rows)
+    chosen = choose(candidates)
+    # A fast car's free and braking ticks can look alike; the law tells which they were.
+    modes = _modes(change, chosen.law, data, rows)
+    change = refit(change, data.of(rows), modes.free, modes.braking)
+    e = evidence(change, data, chosen.law.family, rows)
+    return change, replace(chosen, law=fit_family(chosen.law.family, e), evidence=e), candidates
+
+
+def fit_car(data: Observations, *, seed: int = 0, version: str = "unknown") -> FittedCar:
+    """Return the car that the logs show, by a law; see `fit_with_law`."""
+    return fit_with_law(data, seed=seed, version=version)[0]
+
+
+def fit_with_law(
+    data: Observations, *, seed: int = 0, version: str = "unknown"
+) -> tuple[FittedCar, tuple[SpeedChange, Law] | None]:
+    """Return the car that the logs show, and its law with how the speed changes; None where they show no law.
+
+    Args:
+        data: all ticks of all logs.
+        seed: seed of the random draws that the calibration needs where the car stops within a tick.
+        version: version of SKD, which the model records.
+    """
+    rows = moving(data)
+    starts = data.speed[data.tick == 0]
+    start_speed = float(np.median(starts)) if starts.size else 0.0
+    if data.of(rows).episodes < 2 or int(rows.sum()) < LEAST_LOGS:
+        return _nothing(data, start_speed, version), None
+    seen = data.of(rows)
+    change, _, _ = fit_speed_change(seen)
+    if change.weights[1] <= 0.0:
+        return _never_brakes(change, data, seen, starts, start_speed, version), None
+    change, chosen, candidates = _learn(change, data, rows)
+    law = chosen.law
+    modes = _modes(change, law, data, rows)
+    free = seen.of(modes.free & (densities(change, seen)[0] > 0.0))
+    judge = Judge(
+        logs=data.episodes,
+        braking_logs=int(np.unique(seen.episode[modes.braking]).size),
+        free=len(free),
+        braking=int(modes.braking.sum()),
+        lapse=law.lapse,
+    )
+    parameters = {
+        **_law_parameters(judge, chosen, candidates, data.time_step, start_speed),
+        **_braking_parameters(judge, change, seen.of(modes.braking), start_speed),
+        **_free_parameters(judge, change, free, starts, start_speed),
+    }
+    rows_of_table = tuple(
+        FamilyRow(
+            name=one.law.family.name,
+            parameters=one.law.family.parameters,
+            log_likelihood=one.law.log_likelihood,
+            aic=one.aic,
+            bic=one.bic,
+            held_out=one.score if one.held_out is not None else None,
+            trigger=one.law.trigger,
+        )
+        for one in candidates
+    )
+    car = FittedCar(
+        measure=law.family.measure,
+        gate=law.family.gate,
+        spread=law.family.spread,
+        lapse=law.lapse,
+        parameters=parameters,
+        families=rows_of_table,
+        chosen=law.family.name,
+        calibration=_calibration(data, change, law, seed),
+        logs=data.episodes,
+        ticks=len(data),
+        braking_ticks=int(modes.braking.sum()),
+        time_step=data.time_step,
+        version=version,
+        front=data.front,
+        rear=data.rear,
+    )
+    return car, (change, law)
+
+
+def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
+    """Return a car for logs that show too little to fit anything."""
+    why = f"not identifiable: only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
+    parameters = {
+        name: Parameter(wide_prior(name, "distance", start_speed), reason=why)
+        for name in PARAMETERS
+        if name not in OPTIONAL
+    }
+    return _without_law(parameters, data, version)
+
+
+def _without_law(parameters: dict[str, Parameter], data: Observations, version: str) -> FittedCar:
+    """Return a car that was seen braking too seldom to say by which law it does."""
+    return FittedCar(
+        measure="distance",
+        gate="none",
+        spread="sharp",
+        lapse=0.0,
+        parameters=parameters,
+        families=(),
+        chosen="",
+        calibration=None,
+        logs=data.episodes,
+        ticks=len(data),
+        braking_ticks=0,
+        time_step=data.time_step,
+        version=version,
+        front=data.front,
+        rear=data.rear,
+    )
+
+
+def _never_brakes(
+    change: SpeedChange, data: Observations, seen: Observations, starts: FloatArray, start_speed: float, version: str
+) -> FittedCar:
+    """Return the car that was only seen driving freely."""
+    judge = Judge(logs=data.episodes, braking_logs=0, free=len(seen), braking=0, lapse=0.0)
+    why = f"not identifiable: {judge.why_not_braking()}"
+    names = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
+    parameters = {name: Parameter(wide_prior(name, "distance", start_speed), reason=why) for name in names}
+    parameters |= _free_parameters(judge, change, seen, starts, start_speed)
+    return _without_law(parameters, data, version)
+
+
+def _law_parameters(
+    judge: Judge, chosen: Candidate, candidates: Sequence[Candidate], time_step: float, start_speed: float
+) -> dict[str, Parameter]:
+    """Return trigger, its spread, path and delay."""
+    law, e = chosen.law, chosen.evidence
+    measure, why = law.family.measure, judge.why_no_law()
+
+    def wide(name: str) -> Prior:
+        return wide_prior(name, measure, start_speed)
+
+    if law.family.spread == "sharp":
+        trigger = parameter(lambda: sharp_estimate(e, law), why, wide("trigger"), distribution="uniform")
+        spread = parameter(
+            lambda: sharp_spread(e, law), why, wide("trigger_spread"), distribution="uniform", limit=None
+        )
+        if spread.identifiable:
+            spread = replace(spread, prior=Prior("point", 0.0))  # the family says so
+    else:
+        both = [] if why else [*spread_estimates(e, law)]
+        trigger = parameter(lambda: both[0], why, wide("trigger"), distribution="normal")
+        spread = parameter(lambda: both[1], why, wide("trigger_spread"), distribution="normal")
+    found = {"trigger": trigger, "trigger_spread": spread}
+    if law.family.gate != "none":
+        found["path_half_width"] = parameter(
+            lambda: gate_estimate(e, law), why, wide("path_half_width"), distribution="uniform"
+        )
+    found["reaction_delay"] = parameter(
+        lambda: _delay_estimate(law, candidates, time_step),
+        why,
+        wide("reaction_delay"),
+        distribution="uniform",
+        limit=None,
+    )
+    return found
+
+
+def _delay_estimate(law: Law, candidates: Sequence[Candidate], time_step: float) -> Estimate:
+    """Return the delay, in whole ticks: those that together have 95 % of the likelihood."""
+    family = law.family
+    tried = {
+        other.delay: one.law.log_likelihood
+        for one in candidates
+        if (other := one.law.family).spread == "sharp" and (other.measure, other.gate) == (family.measure, family.gate)
+    }
+    delays = np.array(sorted(tried))
+    values = np.array([tried[int(delay)] for delay in delays])
+    share = np.exp(values - values.max())
+    share /= share.sum()
+    order = np.argsort(-share)
+    kept = delays[order[: 1 + int(np.searchsorted(np.cumsum(share[order]), LEVEL))]]
+    mean = float(share @ delays)
+    deviation = math.sqrt(max(0.0, float(share @ np.square(delays - mean))))
+    deviation = 0.0 if kept.size == 1 else deviation
+    low, high = min(int(kept.min()), family.delay), max(int(kept.max()), family.delay)
+    return Estimate(family.delay * time_step, deviation * time_step, low * time_step, high * time_step)
+
+
+def _braking_parameters(
+    judge: Judge, change: SpeedChange, braking: Observations, start_speed: float
+) -> dict[str, Parameter]:
+    """Return the deceleration and its noise."""
+    why = judge.why_not_braking()
+    both = [] if why else [*braking_estimates(change, braking)]
+    names = ("deceleration", "deceleration_noise")
+    return {
+        name: parameter(
+            lambda index=index: both[index],  # type: ignore[misc]
+            why,
+            wide_prior(name, "distance", start_speed),
+            distribution="normal",
+        )
+        for index, name in enumerate(names)
+    }
+
+
+def _free_parameters(
+    judge: Judge, change: SpeedChange, free: Observations, starts: FloatArray, start_speed: float
+) -> dict[str, Parameter]:
+    """Return noise of the speed, cruise speed and the gain that holds it."""
+    why = judge.why_not_free()
+    count = len(free)
+    noise = parameter(
+        lambda: half_width_estimate(change.speed_noise, count),
+        why,
+        wide_prior("speed_noise", "distance", start_speed),
+        distribution="uniform",
+    )
+    if change.gain > 0.0 and not why:
+        pulled = _pull_estimates(change, free)
+        cruise = parameter(
+            lambda: pulled[0], "", wide_prior("cruise_speed", "distance", start_speed), distribution="normal"
+        )
+        gain = parameter(
+            lambda: pulled[1], "", wide_prior("cruise_gain", "distance", start_speed), distribution="normal"
+        )
+        found = {"cruise_speed": cruise, "cruise_gain": gain, "speed_noise": noise}
+        if math.isfinite(change.limit):
+            found["cruise_acceleration"] = parameter(
+                lambda: pulled[2],
+                "",
+                wide_prior("cruise_acceleration", "distance", start_speed),
+                distribution="normal",
+            )
+        return found
+    # A car that does not return to a speed cruises at the one that it is started with.
+    deviation = float(starts.std()) / math.sqrt(max(1, starts.size))
+    half = 1.96 * deviation
+    mean = float(starts.mean())
+    cruise = parameter(
+        lambda: Estimate(mean, deviation, mean - half, mean + half),
+        why,
+        wide_prior("cruise_speed", "distance", start_speed),
+        distribution="normal",
+    )
+    still = parameter(
+        lambda: Estimate(0.0, 0.0, 0.0, 0.0),
+        why,
+        wide_prior("cruise_gain", "distance", start_speed),
+        distribution="uniform",
+    )
+    return {"cruise_speed": cruise, "cruise_gain": still, "speed_noise": noise}
+
+
+def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, Estimate, Estimate]:
+    """Return cruise speed (m/s), gain (1/s) and largest acceleration (m/s²) with intervals by weighted least squares.
+
+    Each from the ticks that tell of it: below the speed at which the limit begins to hold, and above.
+    """
+    limited = free.speed < change.cruise_speed - change.limit / change.gain
+    limit_error = 0.0
+    if limited.any():
+        some = free.of(limited)
+        spread = change.speed_noise * some.speed / (math.sqrt(3.0) * free.time_step)
+        limit_error = float(1.0 / math.sqrt(np.square(1.0 / spread).sum()))
+    free = free.of(~limited)
+    weight = 1.0 / np.maximum(free.speed, 0.5)
+    design = np.stack([free.speed, np.ones(len(free))], axis=1) * weight[:, None]
+    target = (free.speed_after - free.speed) / free.time_step * weight
+    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+    variance = float(np.square(target - design @ solution).sum()) / max(1, len(free) - 2)
+    covariance = variance * np.linalg.inv(design.T @ design)
+    slope, offset = float(solution[0]), float(solution[1])
+    toward = np.array([offset / slope**2, -1.0 / slope])  # of −offset/slope
+    cruise_error = math.sqrt(float(toward @ covariance @ toward))
+    gain_error = math.sqrt(float(covariance[0, 0]))
+    cruise, gain, limit = change.cruise_speed, change.gain, change.limit
+    return (
+        Estimate(cruise, cruise_error, cruise - 1.96 * cruise_error, cruise + 1.96 * cruise_error),
+        Estimate(gain, gain_error, gain - 1.96 * gain_error, gain + 1.96 * gain_error),
+        Estimate(limit, limit_error, limit - 1.96 * limit_error, limit + 1.96 * limit_error),
+    )
+
+
+def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -> Calibration | None:
+    """Return how well a fourth of the logs is predicted from the others by the chosen family."""
+    test = folds_of(data.episode, _HELD_OUT_FOLDS) == _HELD_OUT_FOLDS - 1
+    if not test.any() or int(moving(data.of(test)).sum()) < _KS_TICKS:
+        return None
+    train = data.of(~test)
+    rows = moving(train)
+    if train.of(rows).episodes < 2:
+        return None
+    known = law
+    for _ in range(2):  # changes of speed and law anew, from those of all logs
+        modes = _modes(change, known, train, rows)
+        change = refit(change, train.of(rows), modes.free, modes.braking)
+        known = fit_family(law.family, evidence(change, train, law.family, rows), near=law)
+    values = integral_transform(change, known, data.of(test), np.random.default_rng(seed))
+    statistic, p_value = kolmogorov_smirnov(values)
+    return Calibration(int(values.size), statistic, p_value)

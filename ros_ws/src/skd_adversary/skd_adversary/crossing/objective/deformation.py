@@ -1,0 +1,420 @@
+"""The kamikaze POMDP of the deformation: collide, having strayed as little as possible from where φ is at the time.
+
+Until φ's end it moves on, and who waits strays; from then on waiting would be free, so each further step costs what the
+predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
+
+Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the way like a miss.
+
+The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
+point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
+contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
+in a collision is the collision's reward less its deformation; and there is one more action, *as φ*, for φ has its own
+pace. A road user that cannot move so from its state comes as near to it as it can (interface `possible`).
+
+A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
+beyond it does so in a tick in which it may meet the car before; if it does not, it goes on as φ does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.scenario import Scenario
+
+from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
+from skd_adversary.crossing.interfaces import (
+    AS_PHI,
+    EARLY_ACTIONS,
+    LATE_ACTIONS,
+    REST,
+    ROW,
+    USER_DIM,
+    chosen,
+    contact,
+    foreseen_acceleration,
+    last_changes,
+    left_behind,
+    move,
+    moving,
+    next_possible,
+    next_velocity,
+    on_road,
+    pointing,
+    possible,
+    sensible,
+    steer,
+    velocity,
+)
+from skd_adversary.crossing.parts import SEARCH, ObjectiveModel, template
+from skd_adversary.crossing.road_user.pedestrian import EAST, SOUTH
+from skd_adversary.crossing.safe_path import pace_at, path_velocities
+
+DISCOUNT: Final = 1.0
+_OWN = 3
+"""Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
+default policy follows (0: none), which nothing but that policy reads."""
+
+_STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
+_ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
+_SAME = 1e-9  # m/s
+_ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
+_FORESIGHT = 25  # ticks
+_FORESEEN = 11  # numbers of a tick that is foreseen: see `_foresee_from`
+# How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not as far as is foreseen.
+_MET, _LATE, _EARLY, _ONGOING = range(4)
+
+
+@template("ROW")
+def begin(parameters: Any, state: FloatArray) -> None:
+    """Write the objective's own part of a first state, in which the adversary is where φ begins, or near there."""
+    dx, dy = state[ADVERSARY_X] - parameters.path[0, 0], state[ADVERSARY_Y] - parameters.path[0, 1]
+    state[ROW] = dx * dx + dy * dy
+    state[ROW + 1] = 0.0
+    state[ROW + 2] = 0.0
+
+
+@template("next_velocity", "next_possible", "AS_PHI")
+def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, of somebody who takes an action, or goes as φ, at a tick.
+
+    Args:
+        parameters: parameters of the model.
+        vx: velocity to the East in the tick before, m/s.
+        vy: velocity to the North in the tick before, m/s.
+        action: action whose velocity is asked.
+        tick: number of the tick now.
+    """
+    if action == AS_PHI:
+        phi_x, phi_y = pace_at(parameters.pace, tick)
+        return next_possible(parameters, vx, vy, phi_x, phi_y)
+    return next_velocity(parameters, vx, vy, action)
+
+
+@kernel(inline=True)
+def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> float:
+    """Return the squared distance (m²) from (x, y) to where φ is a share of a tick after a tick."""
+    last = path.shape[0] - 1
+    begin, end = min(tick, last), min(tick + 1, last)
+    dx = x - path[begin, 0] - share * (path[end, 0] - path[begin, 0])
+    dy = y - path[begin, 1] - share * (path[end, 1] - path[begin, 1])
+    return float(dx * dx + dy * dy)
+
+
+@template("velocity", "possible", "AS_PHI", "ROW")
+def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+    """Interface `chosen`."""
+    if action == AS_PHI:
+        phi_x, phi_y = pace_at(parameters.pace, int(state[ROW + 1]))
+        return possible(parameters, state, phi_x, phi_y)
+    return velocity(parameters, state, action)
+
+
+@template("chosen", "move", "on_road", "left_behind", "ROW")
+def step(
+    parameters: Any,
+    state: FloatArray,
+    action: int,
+    next_state: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[float, bool]:
+    """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
+    p = parameters
+    tick = int(state[ROW + 1])
+    vx, vy = chosen(p, state, action)
+    fraction = move(p, state, vx, vy, next_state, rng)
+    hit = fraction <= 1.0
+    x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
+    share = 1.0
+    if hit:  # ψ ends where they touch
+        share = fraction
+        x = state[ADVERSARY_X] + share * (x - state[ADVERSARY_X])
+        y = state[ADVERSARY_Y] + share * (y - state[ADVERSARY_Y])
+    squared = max(state[ROW], _strayed(p.path, x, y, tick, share))
+    next_state[ROW] = squared
+    next_state[ROW + 1] = state[ROW + 1] + 1.0
+    next_state[ROW + 2] = state[ROW + 2]
+    cost = p.waiting_reward if tick + 1 >= p.path.shape[0] else 0.0
+    limit = p.maximum_distance * p.maximum_distance
+    if squared > limit:
+        if state[ROW] > limit:  # lost already
+            return cost, hit
+        return cost + _STRAYING, True
+    if hit:
+        # Who walks into a car that stands, or nearly so, has not been hit by it, and goes nowhere from there.
+        impact = state[CAR_SPEED] + fraction * (next_state[CAR_SPEED] - state[CAR_SPEED])
+        return cost + (p.collision_reward - math.sqrt(squared) if impact >= p.hit_speed else 0.0), True
+    across, along = on_road(p, x, y)
+    if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
+        return cost, True
+    passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
+    return cost, passed
+
+
+@kernel(inline=True)
+def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
+    """Return whether there is nothing to do but as φ: it has strayed too far, or the car is too far away yet.
+
+    That goes by what is known for sure: where the car began at most, and how fast.
+    """
+    p = parameters
+    stride = p.car_start_speed * p.time_step
+    nearest = p.car_start_high + p.front + tick * stride
+    return bool(worst > p.maximum_distance * p.maximum_distance or along - nearest > _ATTENTION * stride)
+
+
+@template("velocity", "sensible", "AS_PHI")
+def legal(parameters: Any, state: FloatArray, action: int) -> bool:
+    """Return whether an action makes sense; as φ always does."""
+    if action == AS_PHI:
+        return True
+    own_x, own_y = velocity(parameters, state, action)
+    return sensible(parameters, state, own_x, own_y)
+
+
+@template("possible", "on_road", "ROW")
+def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) -> bool:
+    """Interface `sensible`.
+
+    None but φ's where there is nothing to do, none beyond the path, from where nothing leads back (that the car will be
+    met before is seldom worth it, and depends on its model to the decimetre), none into an obstacle, and no
+    displacement twice.
+    """
+    p = parameters
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
+    _, along = on_road(p, x, y)
+    if _follows(p, along, state[ROW], state[ROW + 1]):
+        return False
+    x_after, y_after = x + p.time_step * own_x, y + p.time_step * own_y
+    across, along = on_road(p, x_after, y_after)
+    if leads_nowhere(p, across, along, x, y, x_after, y_after):
+        return False
+    phi_x, phi_y = pace_at(p.pace, int(state[ROW + 1]))
+    phi_x, phi_y = possible(p, state, phi_x, phi_y)
+    return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
+
+
+@template("last_changes", "moving")
+def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
+    """Write the first row of `foreseen`: how a plan begins.
+
+    A row is the road user's place (x, y), m; the car's place, m, and speed, m/s; the greatest squared distance from φ
+    so far, m²; how much the car's speed changed in the tick before and in that before it, m/s; how the road user moves,
+    as `next_velocity` takes it; its velocity in the tick before, m/s.
+
+    Args:
+        parameters: parameters of the model.
+        state: state in which the plan begins.
+        car_s: path coordinate at which the car's reference point is believed to be, m.
+        worst: greatest squared distance from φ so far, m².
+    """
+    kept = parameters.foreseen
+    kept[0, 0], kept[0, 1] = state[ADVERSARY_X], state[ADVERSARY_Y]
+    kept[0, 2], kept[0, 3], kept[0, 4] = car_s, state[CAR_SPEED], worst
+    kept[0, 5], kept[0, 6] = last_changes(parameters, state)
+    kept[0, 7], kept[0, 8] = moving(parameters, state)
+    kept[0, 9], kept[0, 10] = 0.0, 0.0
+
+
+@template("_velocity", "foreseen_acceleration", "contact", "pointing", "on_road", "left_behind", "AS_PHI")
+def _foreseen(
+    parameters: Any,
+    state: FloatArray,
+    now: int,
+    switch: int,
+    action: int,
+    bound: float,
+) -> tuple[float, int, int]:
+    """Play a plan against a car without noise: as φ until a tick, and one action from then on.
+
+    What as φ alone leads to is kept in `foreseen`, a row a tick (see `_foresee_from`), so that other plans begin where
+    they leave it: that one has to be played first.
+
+    Args:
+        parameters: parameters of the model.
+        state: state in which the plan begins.
+        now: number of the tick now.
+        switch: tick from which on `action` is taken; `now` if that is as φ.
+        action: action that is taken from then on.
+        bound: squared distance (m²) from φ from which on the plan is of no interest.
+
+    Returns:
+        Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
+    """
+    p, kept, row = parameters, parameters.foreseen, switch - now
+    x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
+    if worst >= bound:
+        return math.inf, _LATE, switch
+    change, change_before = kept[row, 5], kept[row, 6]
+    own_x, own_y = kept[row, 7], kept[row, 8]
+    vx_before, vy_before = kept[row, 9], kept[row, 10]
+    edge = p.half_width + p.radius
+    for tick in range(switch, now + _FORESIGHT):
+        own_x, own_y = _velocity(p, own_x, own_y, action, tick)
+        vx, vy = own_x, own_y
+        x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+        if tick == now:  # what it did before, is not known to every model
+            vx_before, vy_before = vx, vy
+        acceleration = foreseen_acceleration(
+            p, state, x, y, vx_before, vy_before, vx, vy, car_s, speed, change, change_before
+        )
+        vx_before, vy_before = vx, vy
+        speed_after = max(0.0, speed + p.time_step * acceleration)
+        change_before = change
+        change = speed_after - speed
+        car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
+        squared = _strayed(p.path, x_after, y_after, tick, 1.0)
+        share = contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), car_s, car_s_after)
+        if share <= 1.0:
+            if speed + share * (speed_after - speed) < p.hit_speed:
+                return math.inf, _LATE, tick
+            x += share * (x_after - x)
+            y += share * (y_after - y)
+            return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
+        worst = max(worst, squared)
+        across, along = on_road(p, x_after, y_after)
+        if leads_nowhere(p, across, along, x, y, x_after, y_after):
+            return math.inf, _LATE, tick
+        if left_behind(p, x_after, y_after, car_s_after):
+            return math.inf, _EARLY, tick
+        if worst >= bound:
+            return math.inf, _LATE, tick
+        if speed_after == 0.0 and vy >= 0.0 and p.crossing * across >= -edge and tick + 1 >= p.path.shape[0]:
+            return math.inf, _LATE, tick
+        x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
+        if action == AS_PHI:
+            row = tick + 1 - now
+            kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4] = x, y, car_s, speed, worst
+            kept[row, 5], kept[row, 6] = change, change_before
+            kept[row, 7], kept[row, 8] = own_x, own_y
+            kept[row, 9], kept[row, 10] = vx_before, vy_before
+    return math.inf, _ONGOING, now
+
+
+@template("AS_PHI")
+def _coded(switch: int, action: int) -> float:
+    """Return a plan, as φ until a tick and one action from then on, as a number; 0 is none."""
+    return float((AS_PHI + 1) * switch + action + 1)
+
+
+@template("AS_PHI")
+def _planned(plan: float, tick: int) -> int:
+    """Return a plan's action at a tick."""
+    code = int(plan) - 1
+    return AS_PHI if code < 0 or tick < code // (AS_PHI + 1) else code % (AS_PHI + 1)
+
+
+@template(
+    "_foresee_from",
+    "_foreseen",
+    "_coded",
+    "on_road",
+    "steer",
+    "AS_PHI",
+    "LATE_ACTIONS",
+    "EARLY_ACTIONS",
+    "USER_DIM",
+)
+def _plan(
+    parameters: Any,
+    state: FloatArray,
+    worst: float,
+    now: int,
+    rng: np.random.Generator,
+) -> float:
+    """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
+
+    As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
+    it failed are tried backwards, until it gets worse. Arguments as in `_foreseen` and `_foresee_from`.
+
+    Who keeps heading or speed is also asked where φ neither meets the car nor gets past it as far as is foreseen, as
+    ahead of it on its lane, and for no hit beyond η_max, which is worth no more than a miss. The pedestrian, whose
+    figures stand, leaves φ at once there, and for any hit.
+    """
+    p = parameters
+    car_s = state[CAR_S] + _ERROR * rng.standard_normal()
+    _foresee_from(p, state, car_s, worst)
+    _, how, end = _foreseen(p, state, now, now, AS_PHI, math.inf)
+    if how == _MET:
+        return _coded(now + _FORESIGHT, AS_PHI)
+    nothing = math.inf
+    if USER_DIM > 0:
+        nothing = p.collision_reward * p.collision_reward
+        if how == _ONGOING:
+            end = now + _FORESIGHT // 2  # the other half is left for the hit
+    best = nothing
+    across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
+    plan = _coded(now, steer(p, state, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST))
+    for back in range(end - now + 1):
+        switch = end - back
+        found = False
+        for choice in range(len(EARLY_ACTIONS) if how == _EARLY else len(LATE_ACTIONS)):
+            action = EARLY_ACTIONS[choice] if how == _EARLY else LATE_ACTIONS[choice]
+            squared, _, _ = _foreseen(p, state, now, switch, action, best)
+            if squared < best:
+                best = squared
+                plan = _coded(switch, action)
+                found = True
+        if best < nothing and not found:
+            break
+    return plan
+
+
+@template("_velocity", "_plan", "_planned", "moving", "on_road", "AS_PHI", "REST", "ROW")
+def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
+    """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
+    p = parameters
+    tick = int(state[ROW + 1])
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
+    _, along = on_road(p, x, y)
+    if _follows(p, along, state[ROW], state[ROW + 1]):
+        return AS_PHI
+    action = _planned(state[ROW + 2], tick)
+    own_x, own_y = moving(p, state)
+    vx, vy = _velocity(p, own_x, own_y, action, tick)
+    x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
+    across, along = on_road(p, x_after, y_after)
+    leaves = leads_nowhere(p, across, along, x, y, x_after, y_after)
+    waits_in_vain = action == REST and state[CAR_SPEED] == 0.0
+    if leaves or waits_in_vain or state[ROW + 2] == 0.0:
+        state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
+        action = _planned(state[ROW + 2], tick)
+    return action
+
+
+def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
+    """Return φ's velocities, and the rewards: a miss counts as η_max in the mean deformation, which a hit saves."""
+    pace = path_velocities(np.asarray(path, dtype=np.float64), len(path) - 1, scenario.time_step)
+    return {
+        "collision_reward": scenario.eta_max,
+        "hit_speed": scenario.collision.hit_speed,
+        "pace": pace,
+        "foreseen": np.zeros((_FORESIGHT + 1, _FORESEEN)),  # room for `_foresee_from`
+    }
+
+
+def own_dim(points: int) -> int:
+    """Return the length of the own part of a state, for φ of whatever number of points."""
+    return _OWN
+
+
+OBJECTIVE: Final = ObjectiveModel(
+    "deformation",
+    DISCOUNT,
+    replace(SEARCH, exploration=3.0, particles=1000),
+    parameters_of,
+    step=step,
+    rollout_action=rollout_action,
+    legal=legal,
+    begin=begin,
+    own_dim=own_dim,
+    chosen=_chosen,
+    sensible=_sensible,
+    follows_phi=True,
+    plans_deformation=True,
+)

@@ -1,0 +1,340 @@
+"""Compare two assessments: whether one car is safer than the other, and how sure that is.
+
+Margin and risk decide, for they depend on the car alone: a car is safer if the margin and the risk at every scale say
+so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
+other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
+and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
+object: if planned deformations surely say the opposite of the margins, the cars are not told apart.
+
+A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
+a search may have missed is part of the interval of the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+
+from skd_evaluator.assessment.compare.unlike_results import (
+    different_phi,
+    different_roads,
+    refusals,
+    shared,
+    unlike_behaviours,
+    warnings,
+)
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
+from skd_evaluator.assessment.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
+from skd_evaluator.assessment.store.stored_result import StoredResult
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
+from skd_evaluator.metrics.risks import RANKS
+from skd_evaluator.metrics.statistics.difference import Difference, difference
+from skd_evaluator.metrics.statistics.statistics import mean
+
+SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
+MARGIN, DEFORMATION = "margin", "deformation"
+RANKING_RISK = f"risk_{RANKS:g}"
+RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
+_SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEFORMATION, *RISKS)}
+_VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What an assessment says of its car beside another one.
+
+    Attributes:
+        first: the result to compare with.
+        second: the result about which the verdict is.
+        differences: second less first, by figure; none where they cannot be compared.
+        phi: number of φ that the differences are over, of the first and of the second.
+        refusals: why there is no difference at all, a line each.
+        planned_refusal: why figures of planned kamikazes are not compared, in one line; empty where they are.
+        warnings: what a reader should know of the verdict, a line each.
+    """
+
+    first: StoredResult
+    second: StoredResult
+    differences: dict[str, Difference]
+    phi: tuple[int, int]
+    refusals: tuple[str, ...]
+    planned_refusal: str
+    warnings: tuple[str, ...]
+
+    @property
+    def judged_by(self) -> str | None:
+        """Figure by which the verdict is made: the margin, else the planned deformation; None without a verdict."""
+        for name in (MARGIN, DEFORMATION):
+            if name in self.differences:
+                return name if self.differences[name].interval is not None else None
+        return None
+
+    @property
+    def disagree(self) -> bool:
+        """Whether margins and planned deformations say the opposite of each other, both for sure."""
+        both = [self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences]
+        return len(both) == 2 and both[0].direction * both[1].direction < 0
+
+    @property
+    def verdict(self) -> str:
+        """What is said of the second car."""
+        judge = self.judged_by
+        if judge is None:
+            return NOT_COMPARED
+        says = set(self._sure.values())
+        if self.disagree or len(says) != 1 or self.opposed:
+            return NOT_TOLD_APART
+        said = says.pop()
+        return NOT_TOLD_APART if self.is_bound[said > 0] else _VERDICTS[said]
+
+    @property
+    def is_bound(self) -> tuple[bool, bool]:
+        """Whether the margin of the first and of the second car is but an upper bound."""
+        first, second = (one.figures["margin_converged"] is False for one in (self.first, self.second))
+        return first, second
+
+    def verdict_beside(self, figure: str) -> str:
+        """Return the verdict where this figure is shown: that of margin and risk, if the figure is compared at all."""
+        return self.verdict if figure in self.differences else NOT_COMPARED
+
+    @property
+    def votes(self) -> dict[str, int]:
+        """What decides, by figure: 1: the second car is safer; −1: less safe; 0: they are not told apart."""
+        votes = {name: _SIGNS[name] * self.differences[name].direction for name in self._deciding}
+        if votes.get(MARGIN) and self.is_bound[votes[MARGIN] > 0]:
+            votes[MARGIN] = 0  # the greater margin may be less
+        return votes
+
+    @property
+    def opposed(self) -> tuple[str, ...]:
+        """Of margin and R(2) those that do not tell the cars apart, and point away from all figures that do.
+
+        Risks at other scales oppose where they are sure: where φ itself is dangerous for a car, people who deviate
+        three times as much are hit less, and few who deviate once are hit by a good one.
+        """
+        says = set(self._sure.values())
+        asked = [name for name in self._deciding if name not in RISKS or name == RANKING_RISK]
+        return tuple(name for name in asked if says == {-_SIGNS[name] * self.differences[name].leaning})
+
+    @property
+    def behind_by(self) -> str | None:
+        """Figure by which the second car is surely less safe while none says surely that it is safer; None: no such.
+
+        It decides at a gate, which does not wait until all estimates point one way.
+        """
+        return next(iter(self._sure)) if set(self._sure.values()) == {-1} and not self.disagree else None
+
+    @property
+    def _sure(self) -> dict[str, int]:
+        """Of `votes` those that tell the cars apart."""
+        return {name: vote for name, vote in self.votes.items() if vote}
+
+    @property
+    def _deciding(self) -> list[str]:
+        return [name for name in (self.judged_by, *RISKS) if name is not None and name in self.differences]
+
+    @property
+    def decided_by(self) -> str | None:
+        """Figure that decides: a risk, where the margin does not tell the cars apart and the risk does."""
+        told = list(self._sure)
+        undecided = self.verdict in (NOT_TOLD_APART, NOT_COMPARED) or not told
+        return self.judged_by if undecided or self.judged_by in told else told[0]
+
+    @property
+    def design(self) -> str:
+        """How the cars were compared, in a few words."""
+        judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
+        if judge is None:
+            return NOT_COMPARED
+        if not judge.paired:
+            return f"unpaired, {self.phi[0]} and {self.phi[1]} φ"
+        same = self.first.figures["seed"] == self.second.figures["seed"]
+        return f"paired on {self.phi[0]} φ {'and draws' if same else '(other draws)'}"
+
+    def lines(self) -> list[str]:
+        """Return everything that has to be said beside the verdict, a line each."""
+        return [*self.refusals, *([self.planned_refusal] if self.planned_refusal else []), *self.warnings]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of comparison.json."""
+        return {
+            "first": str(self.first.folder),
+            "second": str(self.second.folder),
+            "verdict": self.verdict,
+            "judged_by": self.decided_by,
+            "opposed_by": list(self.opposed),
+            "design": self.design,
+            "refusals": list(self.refusals),
+            "planned_refusal": self.planned_refusal,
+            "differences": {name: one.as_dict() for name, one in self.differences.items()},
+        }
+
+
+def compare(first: StoredResult, second: StoredResult, confidence: float = 0.95) -> Comparison:
+    """Compare one assessment with another, on the φ that both have if there are any."""
+    refused, remarks, unlike = refusals(first, second), warnings(first, second), planned_refusal([first, second])
+    if refused:
+        count = (len(first.safe), len(second.safe))
+        return Comparison(first, second, {}, count, tuple(refused), unlike, tuple(remarks))
+    remarks = [*different_phi(first, second), *different_roads(first, second), *remarks]
+    both = shared(first, second)
+    # By chance a few φ are the same for different seeds too: then the others are not thrown away.
+    paired = len(both) == min(len(first.safe), len(second.safe))
+    ours = [one for one, _ in both] if paired else list(range(len(first.safe)))
+    theirs = [other for _, other in both] if paired else list(range(len(second.safe)))
+    if paired and (len(ours) < len(first.safe) or len(theirs) < len(second.safe)):
+        remarks.append(
+            f"{first.folder} and {second.folder} have {len(ours)} of {len(first.safe)} and {len(second.safe)} φ in "
+            "common: the difference is of these alone"
+        )
+    left_out = _left_out(first, second, planned=not unlike)
+    found = {
+        name: difference(
+            _of(first, name, ours),
+            _of(second, name, theirs),
+            paired=paired,
+            # All scales of the risk together err no more often than the margin.
+            confidence=1.0 - (1.0 - confidence) / len(RISKS) if name in RISKS else confidence,
+        )
+        for name in (one.key for one in shown_in("difference"))
+        if name not in left_out
+    }
+    differences = {name: one for name, one in found.items() if one is not None}
+    if MARGIN in differences:
+        ends = _missed(first, second, ours), _missed(second, first, theirs)
+        differences[MARGIN] = differences[MARGIN].widened(below=ends[1], above=ends[0])
+    held = Comparison(first, second, differences, (len(ours), len(theirs)), (), unlike, ())
+    return Comparison(
+        first, second, differences, held.phi, (), unlike, (*_of_the_judge(held), *_of_the_risks(held), *remarks)
+    )
+
+
+def _missed(one: StoredResult, other: StoredResult, rows: Sequence[int]) -> tuple[float, float]:
+    """Return how much too high the margin of a result may be, and with which standard error, m.
+
+    Of two searches that stopped at different places, the shorter one has missed more: both may have missed as much as
+    one may that has converged.
+    """
+    excess = one.figures.get("margin_excess") or {"mean": 0.0, "error": 0.0}
+    missed = float(excess["mean"])
+    if _unlike_budgets(one, other):
+        missed = max(missed, CONVERGED_WITHIN * mean(np.concatenate(_of(one, MARGIN, rows))))
+    return missed, float(excess["error"])
+
+
+def _unlike_budgets(one: StoredResult, other: StoredResult) -> bool:
+    budgets = {result.figures.get("margin_budget") for result in (one, other)}
+    return None not in budgets and len(budgets) == 2
+
+
+def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> set[str]:
+    """Return the figures that are not compared: those that one result lacks, and planned ones that cannot be compared.
+
+    Only figures that both results have are compared: old results do not tell a hit from any other touch.
+    """
+    figures = first.figures, second.figures
+    left_out = set() if planned else set(PLANNED)
+    if planned and unlike_skd(figures):
+        left_out |= set(OF_SKD)
+    if any(MARGIN not in one.groups for one in (first, second)):
+        left_out.add(MARGIN)
+    if any(one["hit_rate"] is None for one in figures):
+        left_out.add("hit_rate")
+    unlike = unlike_behaviours(first, second)
+    left_out |= {name for name in RISKS if unlike or any(name not in one.groups for one in (first, second))}
+    return left_out
+
+
+def _of_the_risks(held: Comparison) -> list[str]:
+    """Return what a reader should know of the risks beside the verdict, a line each."""
+    between = f"{held.first.folder} and {held.second.folder}"
+    if unlike := unlike_behaviours(held.first, held.second):
+        return [f"risks of {between} are of different behaviour models, {unlike}, and are not compared"]
+    better, worse = ([name for name, vote in held.votes.items() if vote == sign] for sign in (1, -1))
+    if better and worse:
+        said = f"better by {_labels(better)} and worse by {_labels(worse)}"
+        disagree = "margin and risk disagree: " if MARGIN in (*better, *worse) else ""
+        return [f"{between} are not told apart: {disagree}the second is {said}"]
+    if held.opposed:
+        sure, unsure = ("better", "worse") if better else ("worse", "better")
+        said = f"{sure} by {_labels(better or worse)}, and {unsure} by the estimate of {_labels(held.opposed)}"
+        return [f"{between} are not told apart: the second is {said}, by less than would tell them apart"]
+    judge = held.judged_by
+    if (better or worse) and judge is not None and not held.votes[judge]:
+        return [f"{between} are told apart by {_labels(better or worse)}, and not by {AT_THE_TOP[judge].label}"]
+    return []
+
+
+def _labels(figures: Sequence[str]) -> str:
+    return ", ".join(AT_THE_TOP[name].label for name in figures)
+
+
+def _of_the_judge(held: Comparison) -> list[str]:
+    """Return what a reader should know of the figure by which the verdict is made, a line each."""
+    both = held.first, held.second
+    found = []
+    if MARGIN in held.differences:
+        for one, is_bound in zip(both, held.is_bound, strict=True):
+            if is_bound:
+                at_most = mean(np.concatenate(one.groups[MARGIN]))
+                found.append(
+                    f"the margin of {one.folder} is at most {at_most:.3f} m, for its search {stopped_at(one.figures)}: "
+                    "this car is not called the safer one (--margin-limit)"
+                )
+        if _unlike_budgets(*both):
+            budgets = " and ".join(str(one.figures["margin_budget"]) for one in both)
+            found.append(
+                f"the searches for the margins of {held.first.folder} and {held.second.folder} stopped at {budgets} "
+                f"candidates a trial; {100 * CONVERGED_WITHIN:g} % of each margin may be the search's, and the "
+                "interval allows for that"
+            )
+        ways = [one.figures["margin_how"] or "" for one in both]
+        if ways[0] != ways[1]:
+            said = " and ".join(way or "on the car itself, in process" for way in ways)
+            found.append(
+                f"margins of {held.first.folder} and {held.second.folder} were found in different ways: {said}"
+            )
+        if held.disagree:
+            found.append(
+                f"{held.first.folder} and {held.second.folder} are not told apart: margins and planned deformations "
+                "say the opposite of each other"
+            )
+        return found
+    unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
+    without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
+    judged = (
+        "judged by planned deformations, which are of car and adversary, with like knowledge"
+        if held.differences.get(DEFORMATION) is not None
+        else "not judged"
+    )
+    return [f"no margin of {' and of '.join(without)}: {judged}"]
+
+
+def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray]:
+    return [result.groups[name][row] for row in rows]
+
+
+def ranking_figure(results: Sequence[StoredResult]) -> str | None:
+    """Return the figure by which results can be ranked: the margin, else the planned deformation; None: neither.
+
+    Neither, if one of them cannot be compared with the first. The margin, if each result has one; the planned
+    deformation, if not all have a margin and all planned figures can be compared.
+    """
+    if any(refusals(results[0], other) for other in results[1:]):
+        return None
+    if all(MARGIN in one.groups for one in results):
+        return MARGIN
+    figures = [one.figures for one in results]
+    unknown = any(one["deformation"] is None for one in figures)
+    return None if unknown or unlike_plans(figures) else DEFORMATION
+
+
+def planned_refusal(results: Sequence[StoredResult]) -> str:
+    """Return why planned figures of some results cannot be compared, in one line; empty if they can."""
+    unlike = unlike_plans(one.figures for one in results)
+    of = " and ".join(str(one.folder) for one in results)
+    return f"planned figures are not compared: {of} have {unlike}" if unlike else ""

@@ -1,0 +1,292 @@
+"""The assessment of a car by kamikazes of one objective: what they reached, and everything reported with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.judge.struck import closing_speed
+from skd_evaluator.assessment.plan.plan import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    collision_runs,
+    kamikaze_sets,
+    split_episode_id,
+)
+from skd_evaluator.metrics.distances.measures import (
+    DEFORMATION,
+    FRECHET,
+    PREFIX,
+    Measured,
+    Pair,
+    measure_pairs,
+    pair_of,
+)
+from skd_evaluator.metrics.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.metrics.skd import SkdResult, compute_skd
+from skd_evaluator.metrics.statistics.clustered import Clustered
+from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
+from skd_evaluator.metrics.statistics.statistics import (
+    Interval,
+    wilson_interval,
+)
+
+BOUND_ETAS = (0.25, 0.5, 1.0)
+"""Distances η (m) for which Theorem 1's bound is reported."""
+_GAPS, _SPARSE = 1_000_000, 100
+"""So many attempts may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
+CONFIDENCE = 0.95
+STANDING = 0.1
+"""m/s below which a car stands when it is touched: then it was walked into."""
+
+
+def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
+    """Return how many episodes ended with an adversary that walked into a standing car."""
+    return sum(log.outcome == Outcome.COLLISION and log.impact_speed < STANDING for log in logs)
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What the kamikazes of one objective reached, and everything reported with it.
+
+    Attributes:
+        plan: what was assessed.
+        safe: the safe trajectories Φ.
+        kamikaze: Ψ(φ) per φ.
+        replays: runs of the car against an adversary that follows φ.
+        skd: discrete Fréchet distances of all pairs.
+        deformation: deformations of all attempts.
+        seconds: wall-clock time it took.
+        attempt_deformations: for each φ, what each attempt counts as in the mean deformation, in the order of the
+            attempts, m; nan: it was aborted, or not run.
+        measured: the further measures of all pairs, by name.
+        confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
+    """
+
+    plan: Plan
+    safe: tuple[Trajectory, ...]
+    kamikaze: tuple[KamikazeSet, ...]
+    replays: tuple[EpisodeLog, ...]
+    skd: SkdResult
+    deformation: MeanDeformation
+    seconds: float
+    attempt_deformations: tuple[FloatArray, ...] = ()
+    measured: Mapping[str, Measured] = field(default_factory=dict)
+    confidence: float = CONFIDENCE
+
+    @property
+    def attempts(self) -> int:
+        """Kamikaze episodes run, aborted ones not counted."""
+        return sum(kamikaze.attempts - kamikaze.aborted for kamikaze in self.kamikaze)
+
+    @property
+    def successes_by_phi(self) -> list[int]:
+        """Per φ, the kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
+        return [sum(map(self.plan.succeeds, kamikaze.logs)) for kamikaze in self.kamikaze]
+
+    @property
+    def successes(self) -> int:
+        """Kamikaze episodes that reached what they planned for (`Plan.succeeds`)."""
+        return sum(self.successes_by_phi)
+
+    @property
+    def success_rate(self) -> float | None:
+        """Share of the kamikaze episodes that ended in a collision; None where none was run."""
+        return self.successes / self.attempts if self.attempts else None
+
+    @property
+    def clustered_success_rate(self) -> Clustered | None:
+        """The success rate with what its error over φ is."""
+        attempts = [group.attempts - group.aborted for group in self.kamikaze]
+        return clustered_rate(list(zip(self.successes_by_phi, attempts, strict=True)), self.confidence)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why kamikaze episodes were aborted, one each."""
+        return [reason for kamikaze in self.kamikaze for reason in kamikaze.reasons]
+
+    def bounds(self) -> dict[str, float]:
+        """Return η → Theorem 1's bound on P(d ≤ η), for those of BOUND_ETAS below SKD; none below two pairs."""
+        skd = self.skd.skd
+        if skd is None or self.skd.variance is None:
+            return {}
+        return {f"{eta:g}": self.skd.bound(eta) for eta in BOUND_ETAS if eta < skd}
+
+    def bound_intervals(self) -> dict[str, Interval | None]:
+        """Return η → the interval over φ of the bound, for the η of `bounds`."""
+        return {name: self.skd.bound_interval(float(name), self.confidence) for name in self.bounds()}
+
+    def clustering(self) -> dict[str, Any]:
+        """Return what is known of the error over φ of each figure, by its name."""
+        found = {
+            "deformation": self.deformation.clustered,
+            "skd": self.skd.clustered,
+            "skd_prefix": self.skd.prefix_clustered,
+            "success_rate": self.clustered_success_rate,
+        }
+        return {name: one and one.as_dict() for name, one in found.items()}
+
+    def figures(self) -> dict[str, Any]:
+        """Return everything that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
+        skd, deformation = self.skd, self.deformation
+        success = self.clustered_success_rate
+        speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
+        closing = [closing_speed(log) for kamikaze in self.kamikaze for log in kamikaze.logs]
+        return {
+            "deformation": deformation.mean,
+            "deformation_ci95_attempts": deformation.ci95,
+            "deformation_ci95": deformation.ci95_clustered,
+            "deformation_of_successes": deformation.of_successes,
+            "deformation_of_successes_ci95": deformation.of_successes_ci95,
+            "skd": skd.skd,
+            "skd_ci95_pairs": skd.skd_ci95_pairs,
+            "skd_ci95": skd.skd_ci95,
+            "skd_prefix": skd.skd_prefix,
+            "skd_prefix_ci95_pairs": skd.skd_prefix_ci95_pairs,
+            "skd_prefix_ci95": skd.prefix_clustered and skd.prefix_clustered.interval,
+            "variance": skd.variance,
+            "plans_deformation": self.plan.limits_deformation,
+            "pairs": skd.pairs,
+            "discarded_by_distance": skd.discarded_by_distance,
+            "probability_bound": self.bounds(),
+            "probability_bound_ci95": self.bound_intervals(),
+            "clustering": self.clustering(),
+            "measures": self._measures(),
+            "success_rate": self.success_rate,
+            "success_rate_ci95_attempts": wilson_interval(self.successes, self.attempts),
+            "success_rate_ci95": success and success.interval,
+            "attempts": self.attempts,
+            "failed": self.attempts - self.successes,
+            "aborted": len(self.reasons),
+            "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
+            "mean_closing_speed": float(np.mean(closing)) if closing else None,
+            "standing_contacts": standing_contacts(log for kamikaze in self.kamikaze for log in kamikaze.logs),
+            "per_safe_trajectory": self._per_safe_trajectory(),
+        }
+
+    def _measures(self) -> dict[str, Any]:
+        kept = [row.kept for row in self.skd.per_safe_trajectory]
+        return {name: one.figures(kept, self.confidence) for name, one in self.measured.items()}
+
+    def _per_safe_trajectory(self) -> list[dict[str, Any]]:
+        rows = zip(
+            self.kamikaze,
+            self.successes_by_phi,
+            self.skd.per_safe_trajectory,
+            self.deformation.per_safe_trajectory,
+            strict=True,
+        )
+        return [
+            {
+                "name": distances.name,
+                "deformation": deformations.mean,
+                "deformation_of_successes": deformations.mean_of_successes,
+                "skd": distances.mean_distance,
+                "skd_prefix": distances.mean_prefix_distance,
+                "pairs": distances.pairs,
+                "attempts": kamikaze.attempts,
+                "failed": kamikaze.attempts - kamikaze.aborted - successes,
+                "aborted": kamikaze.aborted,
+            }
+            for kamikaze, successes, distances, deformations in rows
+        ]
+
+
+def judge(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    kamikaze: Sequence[KamikazeSet],
+    replays: Sequence[EpisodeLog],
+    seconds: float,
+    confidence: float = CONFIDENCE,
+) -> Assessment:
+    """Compute the assessment from episodes that have been run, now or long ago.
+
+    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deformation` are
+    discarded by their deformation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
+    deformation is over all attempts, each with the deformation that it needed. SKD counts all collisions, the
+    deformation only hits by the moving car.
+    """
+    _check_numbers(kamikaze)
+    pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
+    measured = measure_pairs(pairs)
+    attempts = [
+        _attempts_of(group, phi, mine, distances)
+        for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEFORMATION].values, strict=True)
+    ]
+    deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
+    result = compute_skd(
+        [(phi, [one.psi for one in mine]) for phi, mine in pairs],
+        confidence=confidence,
+        maximum_distance=plan.maximum_distance,
+        limited=measured[DEFORMATION].values if plan.limits_deformation else None,
+        measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
+    )
+    others = {name: one for name, one in measured.items() if not one.measure.headline}
+    return Assessment(
+        plan,
+        tuple(safe),
+        tuple(kamikaze),
+        tuple(replays),
+        result,
+        deformation,
+        seconds,
+        measured=others,
+        confidence=confidence,
+        attempt_deformations=tuple(
+            _by_attempt(group, distances, plan.scenario.eta_max)
+            for group, distances in zip(kamikaze, measured[DEFORMATION].values, strict=True)
+        ),
+    )
+
+
+def _attempts_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], distances: FloatArray) -> Attempts:
+    """Return the attempts on one φ: those in which the moving car hit, and how many others ran to their end."""
+    hit = np.array([log.hit for log in group.logs], dtype=bool)
+    mine = [pair for pair, counts in zip(pairs, hit, strict=True) if counts]
+    failed = group.attempts - group.aborted - len(mine)
+    return Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
+
+
+def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
+    """Refuse attempts of which nearly all are missing: figures are kept by their numbers, and a forged one is huge.
+
+    Raises:
+        UsageError: it is so.
+    """
+    numbers = [[split_episode_id(log.episode.episode_id)[2] for log in group.in_order] for group in kamikaze]
+    there, told = sum(map(len, numbers)), sum(max(mine, default=-1) + 1 for mine in numbers)
+    if told > _GAPS + _SPARSE * there:
+        raise UsageError(
+            f"its attempts have numbers up to {max(map(max, filter(None, numbers)))}, of which {there} are there: no "
+            "campaign leaves such gaps"
+        )
+
+
+def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
+    """Return the deformation that each attempt on a φ counts as, by its number, m; nan: it was aborted, or not run."""
+    numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
+    found = np.full(max(numbers, default=-1) + 1, np.nan)
+    for log in group.misses:
+        found[split_episode_id(log.episode.episode_id)[2]] = eta_max
+    for log, distance in zip(group.logs, distances.tolist(), strict=True):
+        found[split_episode_id(log.episode.episode_id)[2]] = min(distance, eta_max) if log.hit else eta_max
+    return found
+
+
+def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:
+    """Run the kamikaze episodes and the runs along φ of a plan, and judge them."""
+    begin = time.perf_counter()
+    kamikaze = kamikaze_sets(plan, safe, runner, progress)
+    replays = collision_runs(plan, safe, runner, progress)
+    return judge(plan, safe, kamikaze, replays, time.perf_counter() - begin)

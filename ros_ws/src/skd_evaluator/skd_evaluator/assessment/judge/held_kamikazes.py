@@ -1,0 +1,67 @@
+"""Points of the vulnerability curve: kamikazes that may not stray further than a given deformation, their budget."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from skd_sim.world.episode import Episode, Mode, Outcome
+
+from skd_evaluator.assessment.judge.assessment import Assessment
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
+
+BUDGETS = (0.25, 0.5, 1.0, 2.0)
+"""η, m, to which kamikazes are held."""
+_PART = 4
+"""One in so many of an assessment's attempts is made for each budget."""
+
+
+def held_attempts(plan: Plan) -> int:
+    """Return how many kamikazes are held to each η, for each φ."""
+    return max(1, -(-plan.kamikaze_count // _PART))
+
+
+def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> BudgetPoint:
+    """Run kamikazes that plan for a deformation of at most η; return how many were hit within it, and of how many.
+
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
+    """
+    plan = replace(assessment.plan, maximum_distance=eta)
+    each = held_attempts(plan)
+    episodes: list[Episode] = [
+        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+        for index, phi in enumerate(assessment.safe)
+        for attempt in range(each)
+    ]
+    successes = aborted = 0
+    for log in runner.run(episodes):
+        aborted += log.outcome == Outcome.ABORTED
+        if log.hit:
+            phi = log.episode.safe_trajectory
+            assert phi is not None
+            ticks = log.impact_time / plan.scenario.time_step
+            successes += deformation(phi.positions, log.trajectory.positions, ticks) <= eta
+    return BudgetPoint(eta, successes, len(episodes) - aborted, aborted)
+
+
+def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
+    """Run kamikazes that are held to a budget, for several budgets, and return the rating with these points.
+
+    Only kamikazes of objective `deformation` can be held to one.
+    """
+    begin = time.perf_counter()
+    assessment = rating.for_deformation
+    if not assessment.plan.limits_deformation or not assessment.attempts:
+        return rating
+    points: list[BudgetPoint] = []
+    for number, eta in enumerate(BUDGETS, start=1):
+        points.append(held_to(assessment, eta, runner))
+        progress("kamikazes held to η", number, len(BUDGETS))
+    return replace(
+        rating,
+        budgets=tuple(budget_points(points)),
+        seconds=rating.seconds + time.perf_counter() - begin,
+    )

@@ -1,0 +1,391 @@
+"""The rating of a car: what kamikazes of one or more objectives reached on the same φ, and the runs along φ."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from skd_sim.options.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options.options import further_options
+from skd_sim.world.aborts import counted_reasons
+from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.assessment.judge.command_age import command_age
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
+from skd_evaluator.assessment.judge.html import figures_html
+from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
+from skd_evaluator.assessment.judge.surrogate_figures import Surrogates, surrogates_of
+from skd_evaluator.assessment.plan.plan import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    collision_runs,
+    kamikaze_sets,
+    split_episode_id,
+)
+from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.distances.measures import load_measures
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
+from skd_evaluator.metrics.margins import Margins, closeness
+from skd_evaluator.metrics.risks import Risks
+from skd_evaluator.metrics.statistics.clustered import Clustered
+from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
+from skd_evaluator.metrics.statistics.sequential import UntilWidth
+from skd_evaluator.metrics.statistics.statistics import Interval, wilson_interval
+from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, Vulnerability, vulnerability_curve
+from skd_evaluator.version import version
+
+HIT_SHARE = 0.95
+"""Share of the runs along a safe trajectory above which, if they are hit, it is no safe one for this car."""
+_FEWEST_RUNS = 10
+
+
+@dataclass(frozen=True)
+class Rating:
+    """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
+
+    Attributes:
+        assessments: one assessment for each objective, at least one, in the order of `in_order`.
+        seconds: wall-clock time it took.
+        margins: the least way of each attempt; None where the margin is not known.
+        margin_note: why the margin is not known; else empty.
+        risks: the risk; None where it is not known.
+        risk_note: why the risk is not known; else empty.
+        equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
+        equivalent_note: how it was found, or why there is none.
+        budgets: how often kamikazes were hit that were held to a largest deformation, if that was asked for.
+        left_out: what recordings held besides, and why it does not count, a line each.
+        warnings: what a reader should know of the episodes that count, a line each.
+        until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
+        provenance: what ran, when and where (`skd_evaluator.provenance`).
+        static_tests: what came of the protocol's static tests, an entry of assessment.json each.
+        simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
+    """
+
+    assessments: tuple[Assessment, ...]
+    seconds: float
+    margins: Margins | None = None
+    margin_note: str = ""
+    risks: Risks | None = None
+    risk_note: str = ""
+    equivalent: EquivalentMultiplier | None = None
+    equivalent_note: str = ""
+    budgets: tuple[BudgetPoint, ...] = ()
+    left_out: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    until_width: UntilWidth | None = None
+    provenance: Mapping[str, Any] | None = None
+    static_tests: tuple[Mapping[str, Any], ...] = ()
+    simulation: Mapping[str, Any] | None = None
+
+    @property
+    def plan(self) -> Plan:
+        """What was assessed; its objective is that of the first assessment."""
+        return self.assessments[0].plan
+
+    @property
+    def safe(self) -> tuple[Trajectory, ...]:
+        """Φ."""
+        return self.assessments[0].safe
+
+    @property
+    def replays(self) -> tuple[EpisodeLog, ...]:
+        """Runs of the car against an adversary that follows φ."""
+        return self.assessments[0].replays
+
+    @property
+    def for_skd(self) -> Assessment:
+        """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
+        return self._first_of(SKD_OBJECTIVES)
+
+    @property
+    def for_deformation(self) -> Assessment:
+        """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
+        return self._first_of(RANKING_OBJECTIVES)
+
+    def _first_of(self, preferred: Sequence[Objective]) -> Assessment:
+        found = {one.plan.objective: one for one in self.assessments}
+        return found[first_of(preferred, found)]
+
+    @property
+    def attempts(self) -> int:
+        """Kamikaze episodes run, aborted ones not counted."""
+        return sum(one.attempts for one in self.assessments)
+
+    @property
+    def successes(self) -> int:
+        """Kamikaze episodes that ended in a collision."""
+        return sum(one.successes for one in self.assessments)
+
+    @property
+    def episodes(self) -> int:
+        """Episodes run, kamikaze and along φ, aborted ones included."""
+        return sum(group.attempts for one in self.assessments for group in one.kamikaze) + len(self.replays)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
+        return [*(reason for one in self.assessments for reason in one.reasons), *of_replays]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        of_replays = [log.clipped for log in self.replays if log.clipped]
+        of_kamikazes = [count for one in self.assessments for group in one.kamikaze for count in group.clipped]
+        return [*of_kamikazes, *of_replays]
+
+    @property
+    def kamikaze_logs(self) -> list[EpisodeLog]:
+        """Kamikaze episodes that ran to their end."""
+        groups = [group for one in self.assessments for group in one.kamikaze]
+        return [log for group in groups for log in (*group.logs, *group.misses)]
+
+    def _logs(self) -> Iterator[EpisodeLog]:
+        """Yield the episodes that ran to their end, and those along φ that did not."""
+        yield from self.kamikaze_logs
+        yield from self.replays
+
+    def hits(self) -> list[tuple[int, int]]:
+        """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
+
+        Generated φ may be the same to the bit; their runs are told apart by the number of φ in the episode's id.
+        """
+        return self._per_phi(lambda log: log.outcome == Outcome.COLLISION)
+
+    def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
+        """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
+        counts: dict[bytes, dict[int, list[int]]] = {}
+        for log in self.replays:
+            along = log.episode.safe_trajectory
+            if log.outcome != Outcome.ABORTED and along is not None:
+                index = split_episode_id(log.episode.episode_id)[1]
+                count = counts.setdefault(along.positions.tobytes(), {}).setdefault(index, [0, 0])
+                count[0] += counts_as(log)
+                count[1] += 1
+        alike = {place: [tuple(found[index]) for index in sorted(found)] for place, found in counts.items()}
+        hits = []
+        for one in self.safe:
+            left = alike.get(one.positions.tobytes())
+            hits.append(left.pop(0) if left else (0, 0))
+        return [(hit, runs) for hit, runs in hits]
+
+    @property
+    def hit_runs(self) -> int:
+        """Runs along φ that ended in a hit by the moving car."""
+        return sum(log.hit for log in self.replays)
+
+    def closeness(self) -> tuple[float | None, Interval | None]:
+        """Return how many times the margin the kamikazes that rank the car needed, in the same attempts."""
+        if self.margins is None:
+            return None, None
+        assessment = self.for_deformation
+        planned = []
+        for mine, least in zip(assessment.attempt_deformations, self.margins.per_phi, strict=True):
+            same = np.full(least.size, np.nan)
+            count = min(mine.size, least.size)
+            same[:count] = mine[:count]
+            planned.append(same)
+        return closeness(planned, self.margins.per_phi, assessment.confidence)
+
+    @cached_property
+    def surrogates(self) -> Surrogates:
+        """The surrogate safety measures of all episodes, in the order of episodes.npz."""
+        kamikazes = [
+            (log, str(one.plan.objective))
+            for one in self.assessments
+            for group in one.kamikaze
+            for log in group.in_order
+        ]
+        return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.replays)])
+
+    @property
+    def vulnerability(self) -> Vulnerability | None:
+        """The vulnerability curves, of margins and of planned kamikazes; None without an attempt."""
+        deformation = self.for_deformation.deformation
+        planned = vulnerability_curve([row.restricted for row in deformation.per_safe_trajectory], deformation.eta_max)
+        if planned is None:
+            return None
+        return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)
+
+    @property
+    def completed_replays(self) -> int:
+        """Runs along φ that were not aborted."""
+        return sum(log.outcome != Outcome.ABORTED for log in self.replays)
+
+    @property
+    def collisions(self) -> int:
+        """Runs along φ that ended in a collision."""
+        return sum(log.outcome == Outcome.COLLISION for log in self.replays)
+
+    @property
+    def clustered_collision_rate(self) -> Clustered | None:
+        """The collision rate with what its error over φ is."""
+        return clustered_rate(self.hits(), self.assessments[0].confidence)
+
+    @property
+    def collision_rate(self) -> float | None:
+        """Share of the runs along φ that ended in a collision."""
+        return self.collisions / self.completed_replays if self.completed_replays else None
+
+    @property
+    def credible(self) -> bool:
+        """Whether no warning says that the figures are not."""
+        return not not_credible(self.warnings)
+
+    def _repr_html_(self) -> str:
+        return figures_html(self.as_dict(), not_credible(self.warnings))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of assessment.json.
+
+        At the top `skd` and what belongs to it are those of the paper's objective and `deformation` that of objective
+        `deformation`, or both of the only objective that ran; under `objectives` are all figures of each.
+        """
+        plan = self.plan
+        objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
+        of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
+        close, close_interval = self.closeness()
+        hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
+        rate = self.collision_rate
+        clustered = self.clustered_collision_rate
+        clusterings: dict[Of, Mapping[str, Any]] = {
+            Of.RANKING: of_deformation["clustering"],
+            Of.SKD: of_skd["clustering"],
+            Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
+        }
+        found = {
+            **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
+            **(dict.fromkeys(keys_of(Of.RISK)) if self.risks is None else self.risks.figures()),
+            "risk_note": self.risk_note,
+            **taken(Of.RANKING, of_deformation),
+            **taken(Of.SKD, of_skd),
+            "margin_note": self.margin_note,
+            "closeness": close,
+            "closeness_ci95": close_interval,
+            **equivalent_entries(self.equivalent),
+            "equivalent_multiplier_note": self.equivalent_note,
+            "eta_max": plan.scenario.eta_max,
+            "aborted": len(self.reasons),
+            "aborted_reasons": counted_reasons(self.reasons),
+            "commands_clipped": {"commands": sum(self.clipped), "episodes": len(self.clipped)},
+            **simulator_contacts(self._logs()),
+            **({} if self.simulation is None else {"simulation": dict(self.simulation)}),
+            "command_age": command_age(self._logs()),
+            "hit_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
+            "hit_rate_ci95": hit_rate and hit_rate.interval,
+            "collision_rate": rate,
+            "collision_rate_ci95_runs": wilson_interval(self.collisions, self.completed_replays)
+            if rate is not None
+            else None,
+            "collision_rate_ci95": clustered and clustered.interval,
+            "clustering": {
+                one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
+            },
+            "until_width": self.until_width and self.until_width.as_dict(),
+            "collision_runs": self.completed_replays,
+            "collision_standing_contacts": standing_contacts(self.replays),
+            "left_out": list(self.left_out),
+            "warnings": list(self.warnings),
+            **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
+            "distinct_safe_trajectories": len({one.positions.tobytes() for one in self.safe}),
+            "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
+            "objectives": objectives,
+            "surrogate_measures": self.surrogates.as_dict(),
+            "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),
+            "seconds": round(self.seconds, 3),
+            "seed": plan.seed,
+            "controller": plan.controller,
+            "multiplier": plan.car.stated_multiplier,
+            "safe": plan.safe,
+            "simulations": plan.simulations,
+            "maximum_distance": plan.maximum_distance,
+            "knowledge": str(plan.knows),
+            "options": further_options(plan),
+            "car_model": json.loads(plan.car_model) if plan.car_model else None,
+            "scenario": plan.scenario.as_dict(),
+            "version": version(),
+            "provenance": None if self.provenance is None else dict(self.provenance),
+        }
+        return ordered(found)
+
+    def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deformation: dict[str, Any]) -> list[dict[str, Any]]:
+        rows = zip(of_skd["per_safe_trajectory"], of_deformation["per_safe_trajectory"], self.hits(), strict=True)
+        return [
+            {
+                **skd,
+                **{name: deformation[name] for name in ("deformation", "deformation_of_successes")},
+                "collision_rate": hits / runs if runs else None,
+                "collision_runs": runs,
+                "safe": not hit_too_often(hits, runs),
+            }
+            for skd, deformation, (hits, runs) in rows
+        ]
+
+
+def hit_too_often(hits: float, runs: int) -> bool:
+    """Return whether this share of hits in runs along a φ says that φ is not safe with this car."""
+    return runs >= _FEWEST_RUNS and hits > HIT_SHARE * runs
+
+
+def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
+    """Return objectives in the order in which they run and are reported: `deformation` first."""
+    order = [*DEFAULT_OBJECTIVES, *Objective, *sorted(objectives)]
+    return tuple(sorted(set(objectives), key=order.index))
+
+
+def judge_all(
+    plan: Plan,
+    safe: Sequence[Trajectory],
+    kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
+    replays: Sequence[EpisodeLog],
+    seconds: float,
+    confidence: float = CONFIDENCE,
+) -> Rating:
+    """Compute the rating from episodes that have been run, now or long ago.
+
+    Args:
+        plan: what was assessed, whatever its objective.
+        safe: the safe trajectories Φ.
+        kamikaze: Ψ(φ) per φ, by objective; at least of one.
+        replays: the runs along φ.
+        seconds: wall-clock time it took.
+        confidence: confidence of the intervals over φ.
+    """
+    assessments = tuple(
+        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
+        for objective in in_order(tuple(kamikaze))
+    )
+    return Rating(assessments, seconds)
+
+
+def rate(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    safe: Sequence[Trajectory],
+    runner: EpisodeRunner,
+    progress: Progress,
+) -> Rating:
+    """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
+
+    Args:
+        plan: what to assess, whatever its objective.
+        objectives: the objectives of the kamikazes, at least one.
+        safe: the safe trajectories Φ.
+        runner: runs the episodes.
+        progress: called with how far the work is.
+    """
+    begin = time.perf_counter()
+    load_measures()  # one that cannot be loaded is said before anything is run
+    plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
+    replays = collision_runs(plans[0], safe, runner, progress)
+    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)

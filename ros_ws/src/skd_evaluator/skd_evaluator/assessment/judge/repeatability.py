@@ -1,0 +1,247 @@
+"""Whether a user's car repeats itself and drives, without which its figures say nothing.
+
+A sample of the episodes is run again in another order, in a process (or a node graph) that has run nothing before. In
+SKD's own world and in lockstep an episode follows from its specification and the car alone, so it must give the same
+log. It does not if the car keeps something from one episode to the next, or draws from a generator of its own: then
+figures depend on the order of the episodes and on the number of workers.
+
+A car that does not drive hits nobody, and is none the safer for it. So a few drives have nobody near.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from skd_sim.controllers import with_control_period
+from skd_sim.controllers.isolated import CALL_LIMIT
+from skd_sim.errors import UsageError
+from skd_sim.options.simulators import is_own_world
+from skd_sim.scenario.road import beside_road
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Stage, episode_id
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
+
+SAMPLE: Final = 24
+"""Episodes that are run again, at most."""
+FEW_HITS: Final = 0.05
+"""Share of the sample that may hit in one of the two runs alone before the figures are not credible."""
+DRIVES: Final = 5
+"""Undisturbed drives."""
+_ALIKE = 1e-6  # m, m/s, s: what libraries that add up in several threads may differ by
+_KEEPS = 0.5  # share of its speed that a car keeps which nobody is in the way of, whatever its noise
+_NEARLY_ALL = 0.9  # of the runs along φ
+_FAR = 1000.0  # m up the road, and as many beside it
+_SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
+_GENTLY, _ROOM = 2.0, 5.0  # m/s², m
+_LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
+_HITS_NOBODY = "a car that does not drive hits nobody, so its figures do not say how it avoids people"
+
+Fresh = Callable[[], AbstractContextManager[EpisodeRunner]]
+"""Makes a runner that has run nothing before."""
+
+
+@contextmanager
+def fresh_process(answer_limit: float = CALL_LIMIT) -> Iterator[EpisodeRunner]:
+    """Run episodes in a new process, into which no controller has been loaded.
+
+    Args:
+        answer_limit: time that a call of a user's controller may take, s.
+    """
+    with InProcessRunner(1, isolated=True, answer_limit=answer_limit) as runner:
+        runner.start()
+        yield runner
+
+
+# --- the same again
+
+
+def sample_of(logs: Sequence[EpisodeLog], most: int = SAMPLE) -> list[EpisodeLog]:
+    """Return some episodes, evenly spread over all that can be repeated.
+
+    Aborted episodes cannot, nor can those of other simulators, nor those in real time.
+    """
+    able = [
+        log
+        for log in logs
+        if log.outcome != Outcome.ABORTED and is_own_world(log.episode.simulator) and log.timing.delay == 0.0
+    ]
+    return [able[number * len(able) // most] for number in range(most)] if len(able) > most else able
+
+
+def is_same(first: EpisodeLog, second: EpisodeLog) -> bool:
+    """Tell whether two logs of an episode say the same."""
+    if first.outcome != second.outcome or first.car.shape != second.car.shape:
+        return False
+    pairs = (
+        (first.adversary, second.adversary),
+        (first.car, second.car),
+        (first.impact_time, second.impact_time),
+        (first.impact_speed, second.impact_speed),
+    )
+    return all(np.allclose(one, other, rtol=0.0, atol=_ALIKE, equal_nan=True) for one, other in pairs)
+
+
+def repeatability(car: str, logs: Sequence[EpisodeLog], fresh: Fresh) -> tuple[str, ...]:
+    """Run a sample of a user's car's episodes again, and return in a line what did not repeat itself; empty: all did.
+
+    The line begins with `NOT_CREDIBLE` where the headline depends on it: hits come or go with the order of the
+    episodes, or the car fails.
+
+    Args:
+        car: name of the car.
+        logs: its episodes, in the order in which they were run.
+        fresh: makes the runner of the second run.
+    """
+    some = sample_of(logs)
+    if not some:
+        return ()
+    # An order without a rule: reversed, every second episode may again be the second.
+    first = [some[number] for number in np.random.default_rng(len(some)).permutation(len(some))]
+    try:
+        with fresh() as runner:
+            second = list(runner.run([log.episode for log in first]))
+    except OutOfReachError:
+        raise
+    except (AssessmentError, UsageError, OSError) as error:  # OSError: what starts it is gone
+        return (f"{NOT_CREDIBLE}{car} failed when {len(first)} episodes were run again: {error}",)
+    changed = [(one, other) for one, other in zip(first, second, strict=True) if not is_same(one, other)]
+    if not changed:
+        return ()
+    hits = sum(one.hit != other.hit or other.outcome == Outcome.ABORTED for one, other in changed)
+    begin = NOT_CREDIBLE if hits > FEW_HITS * len(first) else ""
+    log, other = changed[0]
+    lost = f", aborted then: {other.reason}" if other.outcome == Outcome.ABORTED else ""
+    return (
+        f"{begin}{len(changed)} of {len(first)} episodes went differently when they were run again in another order, "
+        f"{hits} of them with a hit in one of the two runs alone (the first is episode {log.episode.episode_id}, mode "
+        f"{log.episode.mode.name.lower()}{lost}): {car} keeps something from one episode to the next, or draws from "
+        "another generator than the one that reset gives it; so its figures depend on the order of the episodes",
+    )
+
+
+# --- whether it drives
+
+
+class Drive(NamedTuple):
+    """Speeds of a car that drove with nobody near.
+
+    Attributes:
+        first: speed at the beginning, m/s.
+        last: speed at the end, m/s.
+    """
+
+    first: float
+    last: float
+
+    @property
+    def slows(self) -> bool:
+        """Whether the car slowed down by much."""
+        return self.last < _KEEPS * self.first
+
+
+def undisturbed_drives(plan: Plan, runner: EpisodeRunner) -> list[Drive]:
+    """Return how a car drives that has the road for itself, the slowest first.
+
+    Raises:
+        AssessmentError: the car fails.
+    """
+    found = []
+    for log in runner.run([_undisturbed(plan, number) for number in range(DRIVES)]):
+        if log.outcome == Outcome.ABORTED:
+            raise AssessmentError(log.reason)
+        found.append(Drive(*log.car[[0, -1], 2].tolist()))
+    return sorted(found, key=lambda drive: drive.last)
+
+
+def driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
+    """Return in a line that a car slows down with nobody near; empty if it drives.
+
+    The line begins with `NOT_CREDIBLE` where most of the drives end slower than a hit begins, or the car fails.
+    """
+    try:
+        drives = undisturbed_drives(plan, runner)
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:
+        return (f"{NOT_CREDIBLE}{UNDISTURBED}{plan.controller} failed: {error}",)
+    slow = [drive for drive in drives if drive.slows]
+    if not slow:
+        return ()
+    first, last = slow[len(slow) // 2]
+    line = (
+        f"{UNDISTURBED}{plan.controller} slows from {first:.1f} to {last:.1f} m/s in {len(slow)} of {len(drives)} "
+        f"drives of {_SECONDS:g} s"
+    )
+    least = plan.scenario.collision.hit_speed
+    if statistics.median(drive.last for drive in drives) < least:
+        return (f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {_HITS_NOBODY}",)
+    return (f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too",)
+
+
+def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
+    """Return in a line that a car comes to stand far from everybody in nearly all runs along φ; empty if it does not.
+
+    It follows from what happened, so it is asked of recordings, too.
+
+    Args:
+        car: name of the car.
+        logs: its runs along φ.
+    """
+    runs = [one for one in logs if one.outcome != Outcome.ABORTED]
+    still = sum(map(_stands_far_off, runs))
+    if not runs or still < _NEARLY_ALL * len(runs):
+        return ()
+    return (
+        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while everybody was more than "
+        f"{_far(runs[0].episode.scenario):.0f} m away, and stayed there: {_HITS_NOBODY}",
+    )
+
+
+def _far(scenario: Scenario) -> float:
+    """Return from how far on a car has no need to slow down for anybody yet, m: it can still stop gently."""
+    return scenario.car.start_speed**2 / (2.0 * _GENTLY) + _ROOM
+
+
+def _stands_far_off(log: EpisodeLog) -> bool:
+    """Tell whether a car was slower than a hit begins from some tick to the end, and everybody was far away then."""
+    scenario = log.episode.scenario
+    drives = np.flatnonzero(log.car[:, 2] >= scenario.collision.hit_speed)
+    tick = int(drives[-1]) + 1 if drives.size else 0
+    if log.hit or tick == len(log.car):
+        return False
+    x, y = log.car[tick, :2].tolist()
+    (near_x, near_y), adversary = log.adversary[tick].tolist(), scenario.adversary
+    away = [math.hypot(near_x - x, near_y - y) - adversary.reach]
+    for other, state in zip(scenario.others, scenario.others_at(tick), strict=True):
+        away.append(math.hypot(state.x - x, state.y - y) - other.reach)
+    return min(away) - scenario.car.front > _far(scenario)
+
+
+def _undisturbed(plan: Plan, number: int) -> Episode:
+    """Return an episode in which nobody is on the road, and the adversary stands a kilometre away."""
+    clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
+    scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False), others=())
+    ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
+    away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
+    nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
+    return Episode(
+        scenario,
+        Mode.REPLAY,
+        plan.seed,
+        episode_id(Stage.RISK, 0xFFFF, _LAST - number),
+        nowhere,
+        public=clocked,
+        controller=plan.controller,
+        multiplier=plan.multiplier,
+    )

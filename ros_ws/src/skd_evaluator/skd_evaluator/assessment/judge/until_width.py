@@ -1,0 +1,118 @@
+"""Assessments that go on until they are certain enough: more φ, batch by batch, and a look after each.
+
+Every look has the intervals of `nominal_confidence`, so that they hold with 95 % at whichever one it stops: see
+`measure/sequential.py`. Each batch has new φ, with the same number of kamikazes and runs along each; the result is the
+assessment of all φ so far, the same as if they had been asked for at once, except for the confidence.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from skd_adversary.safe_trajectories import count_safe_trajectories, load_safe_trajectories
+from skd_sim.errors import UsageError
+from skd_sim.options.objective import Objective
+from skd_sim.world.episode import EpisodeLog, Mode
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.plan import (
+    EpisodeRunner,
+    KamikazeSet,
+    Plan,
+    Progress,
+    Stage,
+    kamikaze_sets,
+    safe_trajectories,
+)
+from skd_evaluator.metrics.distances.measures import load_measures
+from skd_evaluator.metrics.statistics.clustered import Clustered
+from skd_evaluator.metrics.statistics.sequential import UntilWidth, narrow_enough, nominal_confidence
+
+LOOKS = 10
+"""Batches of φ at most."""
+
+
+def rate_until_width(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    wanted: float,
+    safe: list[Trajectory],
+    runner: EpisodeRunner,
+    progress: Progress,
+) -> Rating:
+    """Run batches of φ until the interval of the mean deformation is narrow enough, or there are no more looks.
+
+    Args:
+        plan: the campaign; its number of φ, and of runs along them, is that of one batch.
+        objectives: the objectives of the kamikazes, at least one.
+        wanted: width, m, > 0.
+        safe: an empty list, which receives the φ that are run.
+        runner: runs the episodes.
+        progress: called with how far the work is.
+
+    Raises:
+        UsageError: a batch of one φ, or a source that has not even two batches.
+    """
+    begin = time.perf_counter()
+    load_measures()
+    batch = plan.safe_count
+    if batch < 2:
+        raise UsageError("--until-width needs two φ in each batch, to see how they differ: give --safe-count 2 or more")
+    known, looks = _recorded(plan)
+    confidence = nominal_confidence(looks)
+    each = -(-plan.collision_runs // batch)
+    plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    sets: dict[Objective, list[KamikazeSet]] = {one.objective: [] for one in plans}
+    along: list[list[EpisodeLog]] = []
+    seen: list[tuple[int, Clustered | None]] = []
+    while True:
+        done, count = len(safe), len(safe) + batch
+        now = known[:count] if known else safe_trajectories(replace(plan, safe_count=count), runner, progress)
+        safe.extend(now[done:])
+        for one in plans:
+            sets[one.objective].extend(kamikaze_sets(one, safe[done:], runner, progress, first=done))
+        along.extend(_runs_along(plans[0], safe, done, each, runner))
+        progress("looks", len(seen) + 1, looks)
+        asked = replace(plan, safe_count=count, collision_runs=each * count)
+        replays = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
+        seconds = time.perf_counter() - begin
+        rating = judge_all(asked, safe, sets, replays, seconds, confidence)
+        found = rating.for_deformation.deformation.clustered
+        seen.append((count, found))
+        if len(seen) == looks or narrow_enough(found, wanted):
+            return replace(rating, until_width=UntilWidth(wanted, looks, confidence, tuple(seen)))
+
+
+def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
+    """Return the φ of a recorded source, in random order, and for how many looks they suffice; None: φ are generated.
+
+    In the order of their files neighbours are alike, so that a batch would have few people.
+    """
+    if plan.safe in (SYNTHETIC, OWN):
+        return [], LOOKS
+    count = count_safe_trajectories(plan.safe, plan.scenario)
+    if count < 2 * plan.safe_count:
+        raise UsageError(
+            f"--until-width adds φ in batches of --safe-count {plan.safe_count}; {plan.safe} has {count}: give fewer"
+        )
+    every = load_safe_trajectories(plan.safe, plan.scenario, count)
+    order = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(int(Stage.SAFE),))).permutation(count)
+    return [every[index] for index in order.tolist()], min(LOOKS, count // plan.safe_count)
+
+
+def _runs_along(
+    plan: Plan, safe: Sequence[Trajectory], first: int, each: int, runner: EpisodeRunner
+) -> list[list[EpisodeLog]]:
+    """Run the car against an adversary that follows φ, for those from number `first` on; return the runs of each."""
+    episodes = [
+        plan.episode(Mode.REPLAY, index, attempt, safe[index])
+        for index in range(first, len(safe))
+        for attempt in range(each)
+    ]
+    logs = list(runner.run(episodes))
+    return [logs[start : start + each] for start in range(0, len(logs), each)]

@@ -1,0 +1,330 @@
+"""Campaigns: which episodes an assessment is made of, and in which order their results count.
+
+What counts never depends on who runs the episodes: attempts are numbered, and sets are filled in that order.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Protocol
+
+from skd_adversary.crossing.objective.safe import REFERENCE_MULTIPLIER
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.road_users import check_kind
+from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_sim.controllers import with_control_period
+from skd_sim.errors import UsageError
+from skd_sim.options.knowledge import check_knowledge
+from skd_sim.options.options import shared_options
+from skd_sim.options.simulators import is_own_world
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.errors import AssessmentError
+
+ATTEMPTS_PER_WANTED = 2
+"""Cap on kamikaze episodes per wanted kamikaze trajectory."""
+SAFE_ATTEMPTS_PER_WANTED = 20
+SAFE_SIMULATIONS = 2000
+
+
+class Stage(IntEnum):
+    """Part of a campaign. Values enter the episode id and so every draw: never renumber."""
+
+    SAFE = 0
+    KAMIKAZE = 1
+    COLLISION_RATE = 2
+    PROBE = 3
+    LEARNING = 4
+    RISK = 5
+
+
+STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
+
+
+def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
+    """Return the id, unique within a campaign and the same for every car, of an episode."""
+    if not (0 <= safe_index < 1 << 16 and 0 <= attempt < 1 << 32):
+        raise ValueError(f"out of range: safe_index {safe_index}, attempt {attempt}")
+    return int(stage) << 48 | safe_index << 32 | attempt
+
+
+def split_episode_id(number: int) -> tuple[Stage, int, int]:
+    """Return (stage, safe_index, attempt) of an id made by `episode_id`.
+
+    Raises:
+        UsageError: it was not made by it.
+    """
+    stage = number >> 48
+    if stage not in tuple(Stage):
+        raise UsageError(f"episode id {number} is not of an SKD campaign")
+    return Stage(stage), number >> 32 & 0xFFFF, number & 0xFFFF_FFFF
+
+
+def model_digest(number: int, car_model: str) -> str:
+    """Return what tells apart kamikazes of one id by which a car is learned: which model they tried; empty of others.
+
+    Args:
+        number: id of a kamikaze, of whatever campaign.
+        car_model: the model of the car that its episode carries.
+    """
+    return hashlib.sha256(car_model.encode()).hexdigest()[:8] if number >> 48 == Stage.LEARNING else ""
+
+
+def walks_a_way(episode: Episode) -> bool:
+    """Tell whether somebody follows a way that is no φ: one of the margin under an attempt's draws, or of the risk."""
+    stage = split_episode_id(episode.episode_id)[0]
+    return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)
+
+
+@dataclass(frozen=True)
+class Plan(CampaignOptions):
+    """What to assess and how much of it: its options are described in `CampaignOptions` and `EpisodeOptions`.
+
+    Attributes:
+        scenario: fixed description of the test; with the control period that the controller declares, if it does.
+    """
+
+    scenario: Scenario
+
+    def __post_init__(self) -> None:
+        # The car's own clock belongs to the description: who reads a file or a bag knows it, and so does the simulator.
+        check_knowledge(self.knows, self.car, model=bool(self.car_model))
+        check_kind(self.scenario)
+        clocked = with_control_period(self.scenario, self.car.control_period, self.controller)
+        object.__setattr__(self, "scenario", clocked)
+
+    @property
+    def runs_others_code(self) -> bool:
+        """Whether its episodes run a controller or a simulator that is not SKD's own, which may end its process."""
+        return not (self.car.is_own and is_own_world(self.simulator))
+
+    @property
+    def limits_deformation(self) -> bool:
+        """Whether the maximum distance applies to deformations: it applies to what the objective plans for."""
+        return objective_named(self.objective).plans_deformation
+
+    def succeeds(self, log: EpisodeLog) -> bool:
+        """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
+
+        A kamikaze that plans for the deformation has to be hit; for the paper's kamikazes a collision is enough, as
+        published.
+        """
+        return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
+
+    def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
+        """Return the specification of one episode against the car under test.
+
+        Args:
+            mode: what the adversary does.
+            safe_index: number of φ, from 0.
+            attempt: number within the stage and φ.
+            safe: φ; none in safe mode.
+        """
+        return Episode(
+            self.scenario,
+            mode,
+            self.seed,
+            episode_id(STAGES[mode], safe_index, attempt),
+            safe_trajectory=safe,
+            **shared_options(self),
+        )
+
+
+class EpisodeRunner(Protocol):
+    """Runs episodes and yields their logs in the order of the episodes."""
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`."""
+
+
+@dataclass(frozen=True)
+class KamikazeSet:
+    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
+
+    Attributes:
+        safe_trajectory: the safe trajectory φ.
+        logs: the episodes that collided.
+        attempts: number of episodes.
+        misses: the episodes that ran to their end and did not collide.
+        lost: the episodes that were aborted.
+    """
+
+    safe_trajectory: Trajectory
+    logs: tuple[EpisodeLog, ...]
+    attempts: int
+    misses: tuple[EpisodeLog, ...] = ()
+    lost: tuple[EpisodeLog, ...] = ()
+
+    @property
+    def in_order(self) -> list[EpisodeLog]:
+        """Logs of all episodes, in the order of their attempts."""
+        return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        return [log.reason for log in self.lost]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        return [log.clipped for log in self.in_order if log.clipped]
+
+    @property
+    def aborted(self) -> int:
+        """Number of episodes that were aborted."""
+        return len(self.lost)
+
+
+def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
+    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their attempts."""
+    tried = tuple(logs)
+    return KamikazeSet(
+        safe_trajectory,
+        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
+        len(tried),
+        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
+        tuple(log for log in tried if log.outcome == Outcome.ABORTED),
+    )
+
+
+class Recorder:
+    """A runner that remembers the logs of another one, for the case that the work is interrupted.
+
+    Attributes:
+        logs: what happened in every episode so far.
+    """
+
+    def __init__(self, runner: EpisodeRunner) -> None:
+        """Let `runner` do the work."""
+        self._runner = runner
+        self.logs: list[EpisodeLog] = []
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`; see `EpisodeRunner`."""
+        for log in self._runner.run(episodes):
+            self.logs.append(log)
+            yield log
+
+
+Progress = Callable[[str, int, int], None]
+"""Called with (what is being done, done, of how many)."""
+
+
+def _silent(_label: str, _done: int, _total: int) -> None:
+    pass
+
+
+def _collect(
+    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, done: int, total: int, progress: Progress
+) -> Iterable[EpisodeLog]:
+    for count, log in enumerate(runner.run(episodes), start=1):
+        progress(label, done + count, total)
+        yield log
+
+
+def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _silent) -> list[Trajectory]:
+    """Return Φ: recorded, or generated by the safe POMDP against the reference car or the one under test.
+
+    Raises:
+        UsageError: the source has too few, or too few generated episodes arrived.
+        AssessmentError: most generated episodes were aborted.
+    """
+    if plan.safe not in (SYNTHETIC, OWN):
+        return load_safe_trajectories(plan.safe, plan.scenario, plan.safe_count)
+    found: list[Trajectory] = []
+    attempt = 0
+    reasons: list[str] = []
+    while len(found) < plan.safe_count:
+        if attempt >= SAFE_ATTEMPTS_PER_WANTED * plan.safe_count:
+            if 2 * len(reasons) > attempt:
+                raise AssessmentError(
+                    f"{len(reasons)} of {attempt} safe episodes were aborted, the last one so: {reasons[-1]}"
+                )
+            raise UsageError(
+                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {attempt} "
+                f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
+            )
+        missing = plan.safe_count - len(found)
+        # The reference car decides once a tick, whatever the car under test does: φ are the same for all cars.
+        reference = Episode(
+            replace(plan.scenario, control_period=None),
+            Mode.SAFE,
+            plan.seed,
+            0,
+            multiplier=REFERENCE_MULTIPLIER,
+            simulations=SAFE_SIMULATIONS,
+        )
+        if plan.safe == OWN:
+            reference = replace(
+                reference,
+                scenario=plan.scenario,
+                controller=plan.controller,
+                multiplier=plan.multiplier,
+                car_model=plan.car_model,
+                knowledge=plan.knowledge,
+                simulator=plan.simulator,
+            )
+        episodes = [replace(reference, episode_id=episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
+        for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):
+            if log.outcome == Outcome.ARRIVED:
+                found.append(replace(log.trajectory, name=f"{plan.safe}/{attempt}"))
+            elif log.outcome == Outcome.ABORTED:
+                reasons.append(log.reason)
+            attempt += 1
+    return found
+
+
+def kamikaze_sets(
+    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent, *, first: int = 0
+) -> list[KamikazeSet]:
+    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
+
+    Args:
+        plan: the campaign.
+        safe: Φ, or the part of it that follows on `first` others.
+        runner: runs the episodes.
+        progress: called with how far the work is.
+        first: number of the first φ.
+    """
+    tried: list[list[EpisodeLog]] = [[] for _ in safe]
+    found = [0] * len(safe)
+    cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
+    total = plan.kamikaze_count * len(safe)
+    label = f"kamikazes ({plan.objective})"
+    while True:
+        batch: list[tuple[int, Episode]] = []
+        for index, trajectory in enumerate(safe):
+            attempts = len(tried[index])
+            missing = min(plan.kamikaze_count - found[index], cap - attempts)
+            for attempt in range(attempts, attempts + missing):
+                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, attempt, trajectory)))
+        if not batch:
+            break
+        logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
+        for (index, _), log in zip(batch, logs, strict=True):
+            tried[index].append(log)
+            found[index] += plan.succeeds(log)
+    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
+
+
+def collision_runs(
+    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
+) -> list[EpisodeLog]:
+    """Run the car under test against an adversary that follows φ, the runs dealt out evenly over Φ."""
+    episodes = runs_along(plan, safe)
+    return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
+
+
+def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[Episode]:
+    """Return the runs along φ, dealt out evenly over Φ."""
+    return [
+        plan.episode(Mode.REPLAY, run % len(safe), run // len(safe), safe[run % len(safe)])
+        for run in range(plan.collision_runs)
+    ]

@@ -1,0 +1,125 @@
+"""From stamped samples to episode logs: the same code for a live graph and for bags."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from skd_sim.errors import UsageError
+from skd_sim.world.command_ages import UNTIMED, Timing
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.stamps import tick_stamp
+
+_State = TypeVar("_State", bound=tuple[float, ...])
+
+
+class EpisodeKey(NamedTuple):
+    """Identity of an episode on the wire: campaign, id, and stamp of its tick 0 (ns)."""
+
+    campaign: str
+    episode_id: int
+    start: int
+
+
+@dataclass(frozen=True)
+class Result:
+    """How an episode ended, as the simulator says: see skd_msgs/EpisodeResult."""
+
+    outcome: Outcome
+    ticks: int
+    impact_time: float
+    impact_speed: float
+    reason: str
+    clipped: int = 0
+    timing: Timing = UNTIMED
+
+
+def _add(kept: dict[int, _State], stamp: int, state: _State, whose: str) -> None:
+    known = kept.setdefault(stamp, state)
+    if known != state:
+        raise UsageError(
+            f"two different states of the {whose} at simulation time {stamp / 1e9:.3f} s: several recordings are "
+            "mixed; give each its own bag"
+        )
+
+
+class Samples:
+    """States by stamp (ns), in whatever order they come."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self.car: dict[int, tuple[float, float, float]] = {}
+        self.adversary: dict[int, tuple[float, float]] = {}
+
+    def add_car(self, stamp: int, x: float, y: float, speed: float) -> None:
+        """Add a state of the car (m, m/s).
+
+        Raises:
+            UsageError: another state has the same stamp.
+        """
+        _add(self.car, stamp, (x, y, speed), "car")
+
+    def add_adversary(self, stamp: int, x: float, y: float) -> None:
+        """Add a position of the adversary (m).
+
+        Raises:
+            UsageError: another position has the same stamp.
+        """
+        _add(self.adversary, stamp, (x, y), "adversary")
+
+    def __len__(self) -> int:
+        """Return how many states have come."""
+        return len(self.car) + len(self.adversary)
+
+    def missing(self, episode: Episode, start: int, result: Result) -> int:
+        """Return how many states of an episode have not come yet."""
+        needed = stamps(episode, start, result)
+        return sum((stamp not in self.car) + (stamp not in self.adversary) for stamp in needed)
+
+    def log(self, episode: Episode, start: int, result: Result) -> EpisodeLog:
+        """Return the log of an episode that started at `start` (ns); its states must all have come."""
+        needed = stamps(episode, start, result)
+        return EpisodeLog(
+            episode,
+            result.outcome,
+            np.array([self.adversary[stamp] for stamp in needed]),
+            np.array([self.car[stamp] for stamp in needed]),
+            result.impact_time,
+            result.impact_speed,
+            reason=result.reason,
+            clipped=result.clipped,
+            timing=result.timing,
+        )
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.car.clear()
+        self.adversary.clear()
+
+
+def result_from_message(message: Any) -> Result:
+    """Return the result that an EpisodeResult message holds."""
+    ages = tuple(float(age) for age in message.command_ages)
+    timing = Timing(ages, int(message.commands_held), float(message.greatest_delay))
+    return Result(
+        Outcome(int(message.outcome)),
+        int(message.ticks),
+        float(message.impact_time),
+        float(message.impact_speed),
+        str(message.reason),
+        int(message.commands_clipped),
+        timing,
+    )
+
+
+def aborted(episode: Episode, reason: str) -> EpisodeLog:
+    """Return the log of an episode that could not be finished."""
+    nothing = np.array([(*episode.start, math.nan)])
+    return EpisodeLog(episode, Outcome.ABORTED, nothing[:, :2], nothing * math.nan, reason=reason)
+
+
+def stamps(episode: Episode, start: int, result: Result) -> list[int]:
+    """Return the stamps (ns) of an episode's ticks."""
+    return [tick_stamp(start, tick, episode.scenario.time_step) for tick in range(result.ticks + 1)]

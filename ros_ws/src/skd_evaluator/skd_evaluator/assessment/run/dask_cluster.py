@@ -1,0 +1,240 @@
+"""Episodes on a Dask cluster."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import pickle
+import re
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
+from typing import Any
+
+from skd_sim.controllers.isolated import CALL_LIMIT
+from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.episode import Episode
+
+from skd_evaluator.assessment.run.cluster_worker import (
+    SentController,
+    Setting,
+    compile_for,
+    description,
+    difference,
+    sent,
+    work_on,
+)
+from skd_evaluator.assessment.run.workers import Done, ExecutorRunner, InProcessRunner, Pace
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+
+CONNECT_LIMIT = 10.0
+"""s in which the scheduler has to answer, at first and ever after."""
+WORKER_LIMIT = 60.0
+"""s for which there may be no worker."""
+COMPILE_LIMIT = 900.0
+"""s in which workers have to have compiled."""
+_LOOK = 3.0  # s between two looks at who is there
+_ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d+")
+
+
+class DaskRunner(ExecutorRunner):
+    """Runs episodes on the workers of a Dask cluster; see `ExecutorRunner`.
+
+    Every worker is checked to be like this process: version and sources of SKD, Python, libraries, and what its
+    arithmetic gives. A process runs one chunk at a time; users' controllers run in a child of it.
+    """
+
+    pace = Pace(target=1.0, least=0.2)
+
+    def __init__(self, address: str, *, answer_limit: float = CALL_LIMIT) -> None:
+        """Prepare to run.
+
+        Args:
+            address: address of the scheduler, for example tcp://host:8786.
+            answer_limit: time that a call of a user's controller may take, s.
+
+        Raises:
+            UsageError: the address is none.
+        """
+        super().__init__()
+        if not _ADDRESS.fullmatch(address):
+            raise UsageError(f"--scheduler {address}: give the address of a Dask scheduler, as tcp://host:8786")
+        self._address = address
+        self._answer_limit = answer_limit
+        self._description = description()
+        self._controllers: dict[str, SentController] = {}
+        self._client: Any = None
+        self._executor: Any = None
+        self._lock = threading.RLock()  # of all of these, and of what follows
+        self._addresses: list[str] = []
+        self._looked = self._seen = 0.0
+
+    def start(self, warm_up: Sequence[Episode] = (), *, inherited: Callable[[], None] = lambda: None) -> None:
+        """Connect, compare the workers with this process, and have them compile what `warm_up` needs.
+
+        Raises:
+            UsageError: Dask is not installed, or workers are unlike this process.
+            AssessmentError: scheduler or workers cannot be reached.
+        """
+        with self._lock:
+            if self._client is None:
+                self._connect()
+                self._compare()
+            if warm_up:
+                for address, found in self._everywhere(compile_for, pickle.dumps(list(warm_up))).items():
+                    if isinstance(found, Exception):
+                        raise AssessmentError(f"worker {address} cannot compile: {_told(found)}")
+        inherited()
+
+    def _connect(self) -> None:
+        try:
+            distributed = importlib.import_module("distributed")  # slow to import, and an extra
+        except ModuleNotFoundError as error:
+            raise UsageError(
+                f"--scheduler needs Dask, and there is no {error.name}: use scripts/skd, which installs it, or "
+                "python -m pip install 'distributed>=2024.8'"
+            ) from None
+        for name in list(logging.root.manager.loggerDict):
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what fails is said by us, once
+        warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)  # as what differs
+        try:
+            self._client = distributed.Client(self._address, timeout=CONNECT_LIMIT, set_as_default=False)
+        except Exception as error:
+            raise OutOfReachError(f"no Dask scheduler answers at {self._address}: {_told(error)}") from None
+        self._executor = self._client.get_executor()
+        self._seen = time.monotonic()
+        self._look()
+        while not self._addresses:
+            time.sleep(0.25)
+            self._check()
+
+    def _compare(self) -> None:
+        for address, theirs in self._everywhere(description).items():
+            if isinstance(theirs, Exception):
+                raise UsageError(
+                    f"worker {address} cannot run SKD ({_told(theirs)}): scheduler and workers need the same "
+                    "environment as this process"
+                )
+            if different := difference(theirs, self._description):
+                raise UsageError(f"worker {address} has {different}: all need the same")
+
+    def _everywhere(self, work: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Return what a call gives on each worker, by its address: its result or an exception; without those that went.
+
+        Raises:
+            AssessmentError: the cluster went, or does not come to an end.
+        """
+        deadline = time.monotonic() + COMPILE_LIMIT
+        calls: dict[str, Future[Any]] = {
+            address: self._client.get_executor(workers=[address]).submit(work, *arguments)
+            for address in self._addresses
+        }
+        while wait(calls.values(), 0.25).not_done:
+            self._check()
+            calls = {address: call for address, call in calls.items() if call.done() or address in self._addresses}
+            if time.monotonic() > deadline:
+                raise AssessmentError(f"workers of {self._address} gave no answer within {COMPILE_LIMIT:g} s")
+        self._check()
+        return {address: call.exception() or call.result() for address, call in calls.items() if not call.cancelled()}
+
+    def _expect(self, episodes: Sequence[Episode]) -> None:
+        names = {episode.controller for episode in episodes if not episode.car.is_own}
+        with self._lock:
+            for name in names - self._controllers.keys():
+                self._controllers[name] = sent(CarUnderTest(name))
+
+    def _submit(self, work: Callable[[Any], Any], items: Sequence[Any]) -> Future[Any]:
+        task = pickle.dumps((work, items), protocol=pickle.HIGHEST_PROTOCOL)
+        setting = Setting(self._description, tuple(self._controllers.values()), self._answer_limit)
+        try:
+            call: Future[bytes] = self._executor.submit(work_on, setting, task)
+        except Exception as error:
+            self._check()
+            raise OutOfReachError(f"the Dask scheduler {self._address} takes no work: {_told(error)}") from error
+        return call
+
+    def _unpacked(self, found: bytes) -> Done:
+        return Done(*pickle.loads(found))
+
+    def _workers(self) -> int:
+        self._look_now_and_then()
+        return max(1, len(self._addresses))
+
+    def _check(self) -> None:
+        client = self._client
+        if client is None or client.status != "running":
+            raise OutOfReachError(f"the Dask scheduler {self._address} is gone")
+        self._look_now_and_then()
+        if time.monotonic() - self._seen > WORKER_LIMIT:
+            raise OutOfReachError(f"the Dask scheduler {self._address} has had no worker for {WORKER_LIMIT:g} s")
+
+    def _look_now_and_then(self) -> None:
+        if time.monotonic() - self._looked > _LOOK:
+            self._look()
+
+    def _look(self) -> None:
+        """Look which workers there are.
+
+        Raises:
+            AssessmentError: the scheduler does not answer.
+        """
+        with self._lock:
+            self._looked = time.monotonic()
+            try:
+                self._addresses = list(self._client.nthreads(callback_timeout=CONNECT_LIMIT))
+            except Exception as error:
+                raise OutOfReachError(f"the Dask scheduler {self._address} is gone: {_told(error)}") from None
+            if self._addresses:
+                self._seen = time.monotonic()
+
+    def _is_loss(self, error: Exception) -> bool:
+        return isinstance(error, importlib.import_module("distributed").KilledWorker)
+
+    def _again(
+        self, work: Callable[[Any], Any], items: Sequence[Any], lost: Callable[[Any, str], Any], error: Any
+    ) -> Iterator[Any]:
+        if len(items) > 1:
+            for item in items:
+                yield from self._results(work, [item], self._submit(work, [item]), lost)
+            return
+        often = error.allowed_failures + 1
+        what = f"{often} workers of the cluster died at it, the last one {error.last_worker.address}"
+        yield lost(items[0], abort_reason(AbortKind.ENDED, what))
+
+    def close(self, *, wait: bool = True) -> None:
+        """Leave the cluster; what has not begun is dropped."""
+        with self._lock:
+            client, self._client = self._client, None
+        if client is not None:
+            client.close(timeout=_LOOK)
+
+
+def _told(error: BaseException) -> str:
+    """Return what an exception says, in one line that is not too long."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
+def make_runner(
+    scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
+) -> ExecutorRunner:
+    """Return what runs episodes, a context manager; the results are the same wherever they run.
+
+    It may be used by several threads at once. Call its `start` before other threads start.
+
+    Args:
+        scheduler: address of a Dask scheduler, for example tcp://host:8786; None: processes of this machine.
+        workers: number of processes on this machine; of no meaning with a scheduler.
+        isolated: whether episodes with a user's own controller are to come.
+        answer_limit: time that a call of a user's controller may take, s.
+
+    Raises:
+        UsageError: the address is none.
+    """
+    if scheduler is None:
+        return InProcessRunner(workers, isolated=isolated, answer_limit=answer_limit)
+    return DaskRunner(scheduler, answer_limit=answer_limit)

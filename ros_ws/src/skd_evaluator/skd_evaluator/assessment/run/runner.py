@@ -1,0 +1,112 @@
+"""The closed loop in process: car, adversary and simulator in one plain loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
+from skd_sim.arrays import FloatArray
+from skd_sim.controllers import (
+    Controller,
+    is_sensing,
+    make_controller,
+    require_control_period,
+    require_sensor,
+    sight_of,
+)
+from skd_sim.options.simulators import is_own_world
+from skd_sim.simulators.named_simulator import NamedSimulator
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.randomness import controller_generator, controller_seed
+from skd_sim.world.sensors import make_laser
+from skd_sim.world.simulator import Simulator, SimulatorError, require_others
+
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.validation.episode_check import examine
+
+
+def run_episode(
+    episode: Episode,
+    controller: Controller | None = None,
+    adversary: Adversary | None = None,
+    simulator: Simulator | None = None,
+) -> EpisodeLog:
+    """Run one episode to its end.
+
+    Args:
+        episode: specification of the episode.
+        controller: controller of the car under test; by default made from the specification.
+        adversary: decides how the adversary moves; by default made from the specification.
+        simulator: moves both; by default the one that the specification names. If it fails, the episode is aborted; so
+            it is if another one than SKD's own world is named, and says what cannot have happened.
+
+    Raises:
+        AssessmentError: the controller, or the simulator that is named, raises or answers what is no answer.
+    """
+    try:
+        log = _run(episode, controller, adversary, NamedSimulator() if simulator is None else simulator)
+    except SimulatorError as error:
+        return aborted(episode, str(error))
+    return log if simulator is not None or is_own_world(episode.simulator) else _examined(log)
+
+
+def _examined(log: EpisodeLog) -> EpisodeLog:
+    """Return the log of another simulator, or, where it cannot have happened, that of an episode that was aborted."""
+    fault = examine(log, asked=True).fault
+    if not fault:
+        return log
+    said = f"simulator {log.episode.simulator} gave what cannot have happened: {fault}"
+    return aborted(log.episode, abort_reason(AbortKind.REFUTED, said))
+
+
+def _run(
+    episode: Episode, controller: Controller | None, adversary: Adversary | None, simulator: Simulator
+) -> EpisodeLog:
+    require_others(simulator, type(simulator).__name__, episode)
+    frame = simulator.reset(episode)
+    car = controller or make_controller(episode.controller, episode.multiplier)
+    require_sensor(car, episode.controller, episode.scenario)
+    require_control_period(car, episode.controller, episode.scenario)
+    sensing = car if is_sensing(car) else None
+    laser, sight = make_laser(episode) if sensing else None, sight_of(car, episode.scenario)
+    car.reset(episode.public_scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
+    adversary = adversary or make_adversary(episode)
+    frames, velocity = [frame], (0.0, 0.0)
+    believer = adversary if episode.mode == Mode.KAMIKAZE and isinstance(adversary, PlanningAdversary) else None
+    believed: list[BelievedCar] = []
+    while frame.outcome == Outcome.RUNNING:
+        if frame.period == 0:  # before the car, whose controller an adversary may look at
+            velocity = adversary.act(frame.car)
+            if believer:
+                believed.append(believer.believed_car)
+        if sensing and laser:
+            sensing.sense(laser.scan(frame.car, frame.adversary, frame.tick, frame.period))
+        acceleration = car.command(frame.car, sight(frame.car, frame.adversary, frame.tick, frame.period))
+        frame = simulator.step(acceleration, velocity)
+        if frame.period == 0:
+            frames.append(frame)
+    impact_time, impact_speed = frame.impact(episode.scenario.time_step)
+    return EpisodeLog(
+        episode,
+        frame.outcome,
+        np.array([one.adversary[:2] for one in frames]),
+        np.array([(one.car.x, one.car.y, one.car.speed) for one in frames]),
+        impact_time,
+        impact_speed,
+        adversary.depletions,
+        clipped=simulator.clipped,
+        belief=_belief(believed, len(frames)),
+        own_contact=getattr(simulator, "own_contact", None),
+        strayed=getattr(simulator, "strayed", 0.0),
+    )
+
+
+def _belief(believed: Sequence[BelievedCar], states: int) -> FloatArray | None:
+    """Return what was believed at each state, nan where nobody decided; None where nothing was believed."""
+    if not believed:
+        return None
+    unknown = (math.nan,) * len(believed[0])
+    return np.array([*believed, *[unknown] * (states - len(believed))])

@@ -1,0 +1,126 @@
+"""What options ask for: scenario, car and plan. Options that do not go together are refused before any work."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skd_adversary.car_models.car_model_file import car_model_for_scenario, file_of
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
+from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.knowledge import Knowledge, check_knowledge, default_knowledge
+from skd_sim.options.objective import objectives_named
+from skd_sim.options.options import options_of, values_of
+from skd_sim.scenario.checks import check_control_period
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.run.workers import check_controller
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.store.manifest import check_unchanged
+
+
+def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:
+    """Return the scenario asked for, or the one that goes with the safe trajectories, with some keys changed.
+
+    Args:
+        name: or path of the scenario asked for, if one is.
+        safe: source of the safe trajectories.
+        changes: values of keys by their place in its file, as car.start_speed.
+
+    Raises:
+        UsageError: there is no such scenario, or with these values it is none.
+    """
+    source = name or ("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+    return changed_scenario(source, changes) if changes else load_scenario(source)
+
+
+def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
+    """Return the scenario with the control period (s) that is asked for, if one is.
+
+    Raises:
+        UsageError: the period does not divide the scenario's time step.
+    """
+    if period is None:
+        return scenario
+    changed = replace(scenario, control_period=period)
+    check_control_period(changed, f"--control-period in scenario {scenario.name}")
+    return changed
+
+
+def check_car(values: Mapping[str, Any], scenario: Scenario, *, graph: bool) -> Scenario:
+    """Refuse, before any work, an unknown controller, or options or a scenario that do not go with it.
+
+    Args:
+        values: values of the options of an episode and of the graph, as the command line has them.
+        scenario: the scenario of the test.
+        graph: whether episodes run through the node graph.
+
+    Returns:
+        The scenario with the control period that the controller declares, or that is asked for, if so.
+    """
+    if not graph:
+        for one in options_of(GraphOptions):
+            if one.graph_only and values[one.name] != one.unsaid:
+                raise UsageError(f"{one.flag} is for the node graph: add --graph")
+    car = CarUnderTest(values["controller"], values["multiplier"])
+    if not car.has_multiplier and car.multiplier != CarUnderTest.multiplier:
+        raise UsageError(f"--multiplier is C of the basic controller; {car.controller} has none: leave it out")
+    simulator = values.get("simulator")
+    if car.only_simulator and (graph or simulator != car.only_simulator):
+        instead = "leave out --graph" if simulator == car.only_simulator else f"add --simulator {car.only_simulator}"
+        if simulator is None:  # the command has no such option
+            instead = f"skd assess --simulator {car.only_simulator} runs it"
+        raise UsageError(
+            f"--controller {car.controller} decides within simulator {car.only_simulator}, in the same process: "
+            f"{instead}"
+        )
+    if not car.is_external:
+        scenario = check_controller(car, scenario)
+        for one in options_of(GraphOptions):
+            if one.external_only and values[one.name] != one.unsaid:
+                raise UsageError(f"{one.flag} goes with --controller external")
+    elif not graph:
+        raise UsageError("--controller external needs the node graph: add --graph")
+    else:
+        scenario = with_asked_period(scenario, values["control_period"])
+    if graph:
+        GraphOptions(**values_of(GraphOptions, values)).check(car)
+    return scenario
+
+
+def plan_of(values: Mapping[str, Any], scenario: Scenario, **fixed: Any) -> Plan:
+    """Return the plan that options of the command line or parameters of the node ask for, of their last objective.
+
+    Args:
+        values: values by name of the option; values of other options are passed over.
+        scenario: the scenario of the test.
+        fixed: options that the command decides for itself.
+    """
+    plain = {**values, **fixed}
+    plain["objective"] = objectives_named(plain["objective"])[-1]
+    if plain.get("safe") == REGULATORY and plain["safe_count"] == CampaignOptions.safe_count:
+        # Unless a number is asked for: all that the protocol has.
+        plain["safe_count"] = min(plain["safe_count"], count_safe_trajectories(REGULATORY, scenario))
+    controller = plain.get("controller", CampaignOptions.controller)  # a sweep has basic cars only
+    car, model = CarUnderTest(controller, plain["multiplier"]), bool(plain["car_model"])
+    asked = plain.get("knowledge")
+    known = Knowledge(asked) if asked else Knowledge.LEARNED if model else default_knowledge(car)
+    check_knowledge(known, car, model=model)
+    plain["knowledge"] = str(known)
+    if model:
+        source = Path(plain["car_model"]).expanduser()
+        plain["car_model"] = car_model_for_scenario(source, scenario)
+        check_unchanged(file_of(source).parent, [file_of(source).name])
+    return Plan(scenario, **values_of(CampaignOptions, plain))
+
+
+def default_folder(task: str) -> Path:
+    """Return a new folder named for the task and the time."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    return Path("skd_results") / f"{task}-{stamp}"

@@ -1,0 +1,171 @@
+"""What is said of an assessment or an episode: warnings, failures, a line that sums it up."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from skd_sim.world.aborts import counted_reasons
+from skd_sim.world.dynamics.limits import clipped_line, command_limits
+from skd_sim.world.episode import EpisodeLog, Outcome
+
+from skd_evaluator.assessment.judge.rating import Rating, hit_too_often
+from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
+from skd_evaluator.assessment.judge.struck import struck
+from skd_evaluator.metrics import aborted
+from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
+from skd_evaluator.metrics.risks import Touch
+from skd_evaluator.report.warnings import contact_warnings, margin_warnings
+
+
+def undefined(rating: Rating) -> str | None:
+    """Return why SKD is not defined, in one line; None if it is."""
+    assessment = rating.for_skd
+    if assessment.skd.skd is not None:
+        return None
+    discarded = assessment.skd.discarded_by_distance
+    why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
+    if assessment.reasons and not assessment.attempts:
+        why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
+    elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
+        lost = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
+        why = f"{why}, and {lost} of {assessment.attempts + lost} kamikaze episodes were aborted"
+    return f"{why}; SKD is not defined"
+
+
+def most_frequent(reasons: Iterable[str]) -> str:
+    """Return the first reason of the most frequent kind."""
+    kind, most = next(iter(counted_reasons(reasons).items()))
+    return str(most["first"] or kind)
+
+
+def figure_warnings(rating: Rating, *, planned: bool = True) -> list[str]:
+    """Return what a reader should know before believing the figures, in one line each.
+
+    Args:
+        rating: the rating with its figures.
+        planned: whether closeness is among the warnings; a table that has it as a column needs none.
+    """
+    found = []
+    for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
+        if hit_too_often(hits, runs):
+            found.append(
+                f"safe trajectory {trajectory.name!r} was hit in {100 * hits / runs:.0f} % of {runs} runs along it: "
+                "with this car it is not safe, and a kamikaze need not leave it"
+            )
+    found += _hits_of_others(rating)
+    found += _warnings_of_margin(rating) if planned else []
+    if rating.until_width is not None and not rating.until_width.reached:
+        found.append(rating.until_width.text)
+    if rating.clipped:
+        low, high = _limits(rating)
+        found.append(clipped_line(rating.clipped, low, high))
+    return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
+
+
+def _limits(rating: Rating) -> tuple[float, float]:
+    """Return the least and the greatest acceleration of the car, as its simulator says, or as in SKD's world; m/s²."""
+    said = (rating.simulation or {}).get("limits")
+    low, high = command_limits(rating.plan.scenario) if said is None else said
+    return float(low), float(high)
+
+
+def _hits_of_others(rating: Rating) -> list[str]:
+    """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
+    others = rating.plan.scenario.others
+    logs = [*rating.kamikaze_logs, *rating.replays] if others else []
+    who = [struck(log) for log in logs]
+    return [
+        f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
+        "the adversary; that counts as any collision"
+        for index, other in enumerate(others)
+        if index in who
+    ]
+
+
+def _warnings_of_margin(rating: Rating) -> list[str]:
+    """Return what a reader should know of the margin and of the planned figures, in one line each."""
+    margins = rating.margins
+    if margins is None:
+        return []
+    touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
+    hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
+    close, _ = rating.closeness()
+    scenario = rating.plan.scenario.as_dict()
+    return margin_warnings({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
+
+
+def any_aborted(rating: Rating) -> bool:
+    """Whether any episode was aborted of which a figure is."""
+    scales = () if rating.risks is None else rating.risks.scales
+    return (
+        bool(rating.reasons)
+        or any(one.lost or one.number_of(Touch.ABORTED) for one in scales)
+        or any(point.aborted for point in rating.budgets)
+    )
+
+
+def aborted_lines(rating: Rating) -> list[str]:
+    """Return, a line each, how many episodes of each figure were aborted, and what it would be at worst."""
+    return aborted.aborted_lines(rating.as_dict()) if any_aborted(rating) else []
+
+
+def too_many_aborted(rating: Rating, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
+    """Return, in one line, of which figure more episodes were aborted than may be; None if that is not so.
+
+    Args:
+        rating: the rating of all episodes, aborted ones counted.
+        maximum: share of the episodes that may be aborted.
+        figures: content of its assessment.json, of one that was made anew from its episodes, which are not all.
+    """
+    if figures is None and not any_aborted(rating):
+        return None
+    return aborted.too_many_aborted(figures or rating.as_dict(), maximum)
+
+
+def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
+    """Return why an assessment counts as failed, a line each; empty if it does not.
+
+    Args:
+        rating: the rating of all episodes, aborted ones counted.
+        maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
+        figures: see `too_many_aborted`.
+    """
+    too_many = too_many_aborted(rating, maximum_aborted, figures)
+    return [why for why in (undefined(rating), too_many, *not_credible(rating.warnings)) if why]
+
+
+def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
+    """Return the rating with why it counts as failed among its warnings, for who sees no exit code.
+
+    That SKD is not defined makes no margin less credible.
+
+    Args:
+        rating: the rating of all episodes, aborted ones counted.
+        maximum_aborted: share of the episodes that may be aborted, of all and of those of each figure.
+    """
+    too_many = too_many_aborted(rating, maximum_aborted)
+    found = [undefined(rating), f"{NOT_CREDIBLE}{too_many}" if too_many else None]
+    return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
+
+
+def warnings_of(rating: Rating, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
+    """Return what a reader should know that is no failure, a line each.
+
+    Args:
+        rating: the rating with its figures.
+        planned: see `figure_warnings`.
+        said: lines that the reader was told already.
+    """
+    failures = not_credible(rating.warnings)
+    of_episodes = [line for line in rating.warnings if line not in failures and line not in said]
+    return [*of_episodes, *figure_warnings(rating, planned=planned)]
+
+
+def episode_line(log: EpisodeLog) -> str:
+    """Return how an episode ended, in a few words."""
+    impact = ""
+    if log.outcome == Outcome.COLLISION:
+        impact = f" after {log.impact_time:.2f} s at {log.impact_speed:.2f} m/s"
+    return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"

@@ -1,0 +1,1 @@
+"""Extensions: each registers its commands; nothing outside imports them."""

@@ -1,0 +1,368 @@
+"""Running the cells of a campaign: several at a time over one runner, those of the node graph one by one."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.options.options import further_options
+
+from skd_evaluator.assessment.judge.planned_figures import unlike_rows
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.judge.repeatability import fresh_process
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan
+from skd_evaluator.assessment.stages.written import fill
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.extensions.campaign.cell import Cell
+from skd_evaluator.extensions.campaign.folder import CampaignFolder
+from skd_evaluator.extensions.campaign.rows import (
+    DONE,
+    FAILED,
+    FIGURES,
+    FIRST,
+    OF_PLANS,
+    Row,
+    done_row,
+    open_row,
+    row_of,
+)
+from skd_evaluator.extensions.campaign.store import FILE_NAME, CellStore, EpisodeStore, StoreError, remove_files
+from skd_evaluator.extensions.campaign.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
+from skd_evaluator.ros.rated import rated_through_graph
+
+_SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
+_FAREWELL = 10.0  # s for cells to notice that they are to stop
+
+
+def _command_of(cell: Cell) -> str:
+    """Return the command that starts the car's own node; empty if it has none."""
+    return (cell.graph.controller_command if cell.graph else None) or ""
+
+
+def _say(cell: Cell, line: str) -> None:
+    print(f"skd campaign: {cell.name}: {line}", file=sys.stderr, flush=True)
+
+
+class Campaign:
+    """Cells, of which some may be done, and the store of the others' episodes.
+
+    Attributes:
+        rows: what is known of each cell, in the order of the file.
+        told: called with the row of each cell that ends from now on.
+    """
+
+    def __init__(
+        self, cells: Sequence[Cell], folder: CampaignFolder, command: Sequence[str], *, maximum_aborted: float
+    ) -> None:
+        """Look at what there is, and open the store.
+
+        Args:
+            cells: all of them.
+            folder: theirs, which this object does not close.
+            command: words of the command line, for results.
+            maximum_aborted: share of a cell's episodes that may be aborted.
+
+        Raises:
+            UsageError: the store or a result is damaged.
+            StoreError: likewise.
+        """
+        self._folder, self._command, self._maximum_aborted = folder, command, maximum_aborted
+        self._begin = time.perf_counter()
+        # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
+        # which has the pipe by which the program says that it has begun.
+        self._surroundings = surroundings_of(command)
+        own = self._surroundings["git"]
+        self._revisions = {one.name: controller_revision(one.plan.car, _command_of(one), own) for one in cells}
+        self._lock = threading.Lock()  # of rows and of pictures
+        self._stop = threading.Event()
+        rows = {cell.name: row_of(cell, folder.path / cell.name, maximum_aborted) for cell in cells}
+        done = {name: row for name, row in rows.items() if row is not None}
+        self._cells = cells
+        self.rows: list[Row] = [done.get(cell.name) or open_row(cell) for cell in cells]
+        self.told: Callable[[Row], None] = lambda _row: None
+        self._todo = [cell for cell in cells if cell.name not in done]
+        self._runs: dict[str, StoringRunner] = {}
+        self._unsaved: list[Cell] = []  # cells that are done, of which campaign.json does not know yet
+        self._saved = self._cost = 0.0
+        self._store: EpisodeStore | None = None
+        if self._todo:
+            self._store = EpisodeStore(folder.path / FILE_NAME)
+            self._store.keep_only([cell.key for cell in self._todo])
+        else:  # who was killed after the last cell has left it
+            remove_files(folder.path / FILE_NAME)
+        self._save()
+
+    @property
+    def in_process(self) -> list[Cell]:
+        """Cells that are to be run in process."""
+        return [cell for cell in self._todo if cell.graph is None]
+
+    @property
+    def through_graph(self) -> list[Cell]:
+        """Cells that are to be run through the node graph."""
+        return [cell for cell in self._todo if cell.graph is not None]
+
+    @property
+    def kept_episodes(self) -> int:
+        """How many episodes of cells that are not done are stored."""
+        return 0 if self._store is None else self._store.count()
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Content of campaign.json."""
+        return {
+            "cells": self.rows,
+            "done": sum(row["state"] == DONE for row in self.rows),
+            "failed": sum(row["state"] == FAILED for row in self.rows),
+            "planned_refusal": _planned_refusal(self.rows, self._cells),
+            "episodes_run": sum(one.given - one.read for one in self._runs.values()),
+            "episodes_read": sum(one.read for one in self._runs.values()),
+            "seconds": round(time.perf_counter() - self._begin, 3),
+        }
+
+    def close(self) -> None:
+        """Close the store; delete it where all cells are done."""
+        if self._store is None:
+            return
+        with self._lock, suppress(OSError, StoreError):  # after an error, which then is what is to be said
+            self._save()
+        if all(row["state"] == DONE for row in self.rows) and not self._unsaved:
+            self._store.remove()
+        else:
+            self._store.close()
+
+    def run(self, runner: ExecutorRunner, progress: Progress, at_once: int) -> None:
+        """Run the cells that run in process.
+
+        A cell that fails is a row that says why; the others go on.
+
+        Args:
+            runner: started; with `at_once` above one it must serve several threads.
+            progress: told how far all of it is.
+            at_once: how many cells.
+
+        Raises:
+            StoreError: no episode can be stored any more.
+            OutOfReachError: none can be run any more.
+        """
+        waiting: queue.SimpleQueue[Cell | None] = queue.SimpleQueue()
+        ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
+        whole = _Whole(self.in_process, progress)
+        count = min(at_once, len(self.in_process))
+        for one in (*self.in_process, *[None] * count):
+            waiting.put(one)
+
+        def serve() -> None:
+            problem: BaseException | None = None
+            try:
+                while not self._stop.is_set() and (cell := waiting.get()) is not None:
+                    self._attempt(cell, partial(self._rate, cell, runner, whole.of(cell)))
+            except StoppedError:
+                pass
+            except BaseException as error:
+                problem = error
+            finally:
+                ended.put(problem)
+
+        threads = [threading.Thread(target=serve, daemon=True) for _ in range(count)]
+        with self._stopping(runner, threads):
+            for thread in threads:
+                thread.start()
+            for _ in threads:
+                problem = ended.get()
+                if problem is not None:
+                    raise problem
+            with self._lock:
+                self._save()
+
+    @contextmanager
+    def _stopping(self, runner: ExecutorRunner, threads: Sequence[threading.Thread]) -> Iterator[None]:
+        """See that no thread uses the store or the runner after an error or an interrupt."""
+        try:
+            yield
+        except BaseException:
+            self._stop.set()
+            runner.close(wait=False)
+            latest = time.monotonic() + _FAREWELL
+            for thread in threads:
+                if thread.ident is not None:
+                    thread.join(max(0.0, latest - time.monotonic()))
+            raise
+
+    def run_graphs(self, progress: Progress, graphs: int) -> None:
+        """Run the cells of the node graph, one after the other, each in `graphs` graphs side by side."""
+        whole = _Whole(self.through_graph, progress)
+        for cell in self.through_graph:
+            self._attempt(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
+        with self._lock:
+            self._save()
+
+    def _attempt(self, cell: Cell, work: Callable[[Callable[[Rating, Path | None], None]], None]) -> None:
+        """Do the work of a cell, and take note of what came of it."""
+        try:
+            work(partial(self._finish, cell))
+        except (StoreError, OutOfReachError):
+            raise
+        except (AssessmentError, UsageError) as error:
+            if self._stop.is_set():
+                raise StoppedError from error
+            with self._lock:
+                self._row_of(cell).update(state=FAILED, problems=[str(error)])
+                self._save(at_once=False)
+                self.told(self._row_of(cell))
+
+    def _rate(
+        self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
+    ) -> None:
+        begin = time.perf_counter()
+        plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph)
+        cell = replace(cell, plan=plan)  # its identity stays the same
+        origin = self._provenance(cell)
+        storing = self._storing(cell, runner)
+        runners = Runners.in_process(runner, storing, storing, partial(fresh_process, cell.answer_limit))
+        rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
+        finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
+
+    def _rate_graph(
+        self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Rating, Path | None], None]
+    ) -> None:
+        assert cell.graph is not None
+        begin = time.perf_counter()
+        with self._folder.logs(cell.name) as logs:
+            try:
+                rating = rated_through_graph(
+                    cell.plan,
+                    cell.objectives,
+                    replace(cell.graph, graphs=graphs),
+                    _further(cell),
+                    log_folder=logs,
+                    record_to=None,
+                    progress=progress,
+                    say=partial(_say, cell),
+                    kept_by=partial(self._storing, cell),
+                )
+            except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
+                raise AssessmentError(f"its graph cannot run: {error}") from error
+            origin = self._provenance(replace(cell, plan=rating.plan))
+            finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
+
+    def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
+        assert self._store is not None
+        self._runs[cell.name] = StoringRunner(runner, CellStore(self._store, cell.key), self._stop)
+        return self._runs[cell.name]
+
+    def _provenance(self, cell: Cell) -> dict[str, Any]:
+        return provenance(
+            self._command,
+            cell.plan.car,
+            controller_command=_command_of(cell),
+            car_model=cell.plan.car_model,
+            surroundings={**self._surroundings, "controller_git": self._revisions[cell.name]},
+        )
+
+    def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:
+        """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
+
+        def write(folder: Path) -> None:
+            fill(folder, rating)
+            if logs is not None and logs.is_dir() and any(logs.iterdir()):
+                logs.rename(folder / "logs")
+
+        with self._lock:
+            if self._stop.is_set():
+                raise StoppedError
+            digests = self._folder.write_cell(cell.name, write)
+            self._row_of(cell).update(
+                done_row(
+                    cell,
+                    rating.as_dict(),
+                    rating,
+                    maximum_aborted=self._maximum_aborted,
+                    digests=digests,
+                )
+            )
+            self._unsaved.append(cell)
+            self._save(at_once=False)
+            self.told(self._row_of(cell))
+
+    def _row_of(self, cell: Cell) -> Row:
+        return next(row for row in self.rows if row["name"] == cell.name)
+
+    def _save(self, *, at_once: bool = True) -> None:
+        """Write what is known of the cells, then forget the episodes of those that are done.
+
+        Unless it is to be at once, only a small share of the time is spent on it, for there may be thousands of rows.
+        After a kill in between, the latest cells are made again, from the store.
+        """
+        now = time.monotonic()
+        if not at_once and now - self._saved < _SELDOM * self._cost:
+            return
+        self._write_rows()
+        self._saved = time.monotonic()
+        self._cost = self._saved - now
+        while self._unsaved and self._store is not None:
+            self._store.drop(self._unsaved[-1].key)
+            self._unsaved.pop()
+
+    def _write_rows(self) -> None:
+        swept = dict.fromkeys(key for cell in self._cells for key in cell.swept if key not in FIRST)
+        self._folder.write_rows(
+            self.content, (*FIRST, *(f"sweep.{key}" for key in swept), "episodes", *OF_PLANS, *FIGURES)
+        )
+
+
+def _further(cell: Cell) -> Further:
+    return Further(cell.margin_limit, cell.curve, risk=cell.risk)
+
+
+class _Whole:
+    """The progress of all cells together: episodes that count, of as many as are wanted."""
+
+    def __init__(self, cells: Sequence[Cell], progress: Progress) -> None:
+        self._progress = progress
+        self._total = sum(cell.wanted for cell in cells)
+        self._done: dict[tuple[str, str], int] = {}
+        self._wanted: dict[str, int] = {cell.name: cell.wanted for cell in cells}
+        self._lock = threading.Lock()
+
+    def of(self, cell: Cell) -> Progress:
+        """Return a function by which a cell reports its progress."""
+
+        def tell(stage: str, done: int, _total: int) -> None:
+            with self._lock:
+                self._done[cell.name, stage] = done
+                self._progress("episodes", min(self._total, sum(self._done.values())), self._total)
+
+        return tell
+
+
+def _planned_refusal(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
+    """Return why planned figures of the cells cannot be compared, in one line; empty if they can."""
+    unlike = unlike_rows({**row, "options": further_options(cell.plan)} for row, cell in zip(rows, cells, strict=True))
+    return f"planned figures are not compared: the cells have {unlike}; go by the margin" if unlike else ""
+
+
+def planned_rows(cells: Sequence[Cell]) -> list[Row]:
+    """Return what is asked for, cell by cell, and how many episodes that takes."""
+    names = (*FIRST, *(key for cell in cells for key in open_row(cell) if key.startswith("sweep.")))
+    return [
+        {
+            **{name: value for name, value in open_row(cell).items() if name in names and name != "state"},
+            "graph": cell.graph is not None,
+            "episodes": cell.wanted,
+            "most": cell.most,
+        }
+        for cell in cells
+    ]

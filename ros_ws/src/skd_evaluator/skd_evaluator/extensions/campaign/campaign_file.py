@@ -1,0 +1,278 @@
+"""The file of a campaign: which cars, encounters and values are crossed, each key checked where it stands.
+
+    defaults: {kamikaze_count: 50}
+    cars:
+      - {controller: basic, sweep: {multiplier: [0.75, 1.0]}}
+      - controller: cal
+    encounters:
+      - scenario: crossing
+    sweep:
+      seed: [0, 1]
+
+Every entry holds options by their names in `CampaignOptions` and, for the node graph, `GraphOptions`; what is to be
+computed beside; and `scenario.…`, keys of the scenario's own file. docs/campaigns.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+from skd_adversary.safe_trajectories import REGULATORY
+from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Frozen, read_model
+from skd_sim.inputs.outside import is_there
+from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.options import option, options_of, read_options
+from skd_sim.scenario.known_scenarios import SCENARIOS, is_named
+
+from skd_evaluator.assessment.plan.options import (
+    NO_BEHAVIOUR,
+    OWN,
+    SYNTHETIC,
+    WALKERS,
+    AssessmentOptions,
+    CampaignOptions,
+)
+from skd_evaluator.assessment.stages.graph_options import GraphOptions
+
+MOST_CELLS = 10_000
+_SCENARIO, _OF_WHOLE = "scenario", "graphs"
+
+
+@dataclass(frozen=True)
+class _CellOptions:
+    """The table of what a cell has beside the options of an assessment."""
+
+    graph: bool = option(False, "whether episodes run through the node graph")
+    scenario: str | None = option(None, "name or file of the scenario", str)
+
+
+_TABLES = (CampaignOptions, GraphOptions, AssessmentOptions, _CellOptions)
+_OPTIONS = {one.name: one for table in _TABLES for one in options_of(table)}
+_OF_FILES = ("safe", "car_model", "message_folder", "behaviour")
+_NAMED = ("", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
+"""Values of those that are no file."""
+_OF_CAR = ("controller", "multiplier")
+_Lists = dict[str, Annotated[list[Any], Field(min_length=1)]]
+_Entries = Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class _File(Frozen):
+    """The sections of a campaign's file."""
+
+    defaults: dict[str, Any] = field(default_factory=dict)
+    cars: _Entries = ({},)
+    encounters: _Entries | None = None
+    sweep: _Lists = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Entry(Frozen):
+    """What an entry has beside options."""
+
+    name: str = ""
+    sweep: _Lists = field(default_factory=dict)
+
+
+_UNSAFE = re.compile(r"[^\w.+=-]+", re.ASCII)
+_LONGEST_NAME = 150
+
+
+@dataclass(frozen=True)
+class Combination:
+    """One cell as the file has it.
+
+    Attributes:
+        name: readable, unique, and fit for a folder.
+        values: value of every option, as the command line has them.
+        scenario: name or path; none: that which goes with the safe trajectories.
+        changes: values of keys of the scenario, by their place in it.
+        swept: the swept values, by key.
+        where: the cell's place in the file, for error lines.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    scenario: str | None
+    changes: Mapping[str, Any]
+    swept: Mapping[str, Any]
+    where: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One way to go through an entry: its values, those of them that are swept, and what it is called."""
+
+    values: Mapping[str, Any]
+    swept: tuple[str, ...] = ()
+    name: str = ""
+    where: str = ""
+
+
+def read_campaign(path: Path) -> list[Combination]:
+    """Return the cells of a campaign's file, in its order: car by car, encounter by encounter, value by value.
+
+    Raises:
+        UsageError: it cannot be read, or something in it is wrong; says where.
+    """
+    try:
+        text = read_text(path)
+    except OSError as error:
+        raise UsageError(f"campaign {path}: cannot be read ({error.strerror or error})") from error
+    reader = _Reader(path)
+    file = read_model(_File, parse_yaml(text, str(path)), str(path))
+    defaults = reader.values(file.defaults, "defaults")
+    cars = reader.entries(file.cars, "cars")
+    encounters = [_Part({})] if file.encounters is None else reader.entries(file.encounters, "encounters")
+    sweeps = reader.sweeps(file.sweep, "sweep")
+    reader.refuse_repeated({"cars": cars, "encounters": encounters, "sweep": sweeps})
+    if (count := len(cars) * len(encounters) * len(sweeps)) > MOST_CELLS:
+        raise UsageError(f"{path}: {count} cells; at most {MOST_CELLS} go into a campaign")
+    cells = [_cell(defaults, parts) for parts in itertools.product(cars, encounters, sweeps)]
+    return list(_with_unique_names(cells, path))
+
+
+class _Reader:
+    """Checks what a file says."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def entries(self, entries: Sequence[Mapping[str, Any]], section: str) -> list[_Part]:
+        """Return the ways to go through all entries of a section."""
+        found = []
+        for index, item in enumerate(entries):
+            where = f"{section}[{index}]"
+            own = {key: value for key, value in item.items() if key not in ("name", "sweep")}
+            entry = read_model(_Entry, {key: item[key] for key in item if key not in own}, str(self._path), where)
+            if entry.name and not _UNSAFE.sub("", entry.name):
+                raise UsageError(
+                    f"{self._path}: {where}.name has nothing that a folder can be called: {short(entry.name)}"
+                )
+            values, sweeps = self.values(own, where), self.sweeps(entry.sweep, f"{where}.sweep")
+            self.refuse_repeated({where: [_Part(values)], f"{where}.sweep": sweeps})
+            found += [
+                _Part({**values, **one.values}, one.swept, entry.name, f"{self._path}: {where}") for one in sweeps
+            ]
+        return found
+
+    def sweeps(self, data: Mapping[str, list[Any]], where: str) -> list[_Part]:
+        """Return every combination of the values of some keys."""
+        lists = self.values(data, where, listed=True)
+        for key, values in lists.items():
+            texts = [repr(value) for value in values]
+            if len(set(texts)) < len(texts):
+                raise UsageError(f"{self._path}: {where}.{key}: a value is given twice")
+        if math.prod(map(len, lists.values())) > MOST_CELLS:
+            raise UsageError(f"{self._path}: {where}: more than {MOST_CELLS} combinations")
+        return [_Part(dict(zip(lists, row, strict=True)), tuple(lists)) for row in itertools.product(*lists.values())]
+
+    def values(self, data: Mapping[str, Any], where: str, *, listed: bool = False) -> dict[str, Any]:
+        """Return options, with paths as seen from the current folder; with `listed` there is a list of values of each.
+
+        Keys of the scenario are left to its own reader.
+        """
+        changes = {key for key in data if key.startswith(f"{_SCENARIO}.")}
+        options = {key: value for key, value in data.items() if key not in changes}
+        read = read_options(options, str(self._path), *_TABLES, path=where, listed=listed)
+        if _OF_WHOLE in read:
+            raise UsageError(f"{self._path}: {where}.{_OF_WHOLE} is of the whole campaign: skd campaign --{_OF_WHOLE}")
+        found = {key: data[key] if key in changes else read[key] for key in data}
+        for key in read:
+            what = f"{self._path}: {where}.{key}"
+            found[key] = (
+                [self._value(key, one, what) for one in read[key]] if listed else self._value(key, read[key], what)
+            )
+        return found
+
+    def _value(self, key: str, value: Any, what: str) -> Any:
+        if value is None:
+            return _OPTIONS[key].unsaid
+        if key == _SCENARIO:
+            return self._scenario(value, what)
+        if isinstance(value, tuple):
+            return tuple(map(self._path_of, value))
+        return self._path_of(value) if key in _OF_FILES and value not in _NAMED else value
+
+    def _scenario(self, value: str, what: str) -> str:
+        """Return the name of a scenario, or the path of its file, which may be beside the campaign's."""
+        if is_there(self._beside(value)) and self._beside(value).is_file():
+            return self._path_of(value)
+        if not is_named(value):
+            raise UsageError(
+                f"{what}: {short(value)} is no file beside this one, nor one of: {', '.join(SCENARIOS.names())}"
+                f"{did_you_mean(value, SCENARIOS.names())}"
+            )
+        return value
+
+    def _beside(self, name: str) -> Path:
+        try:
+            return self._path.parent / Path(name).expanduser()
+        except RuntimeError as error:
+            raise UsageError(f"{self._path}: {name[:60]!r}: nobody knows that home; write the path out") from error
+
+    def _path_of(self, name: str) -> str:
+        """Return a path that the file has, which is relative to the folder of the file."""
+        return str(self._beside(name))
+
+    def refuse_repeated(self, sections: Mapping[str, Sequence[_Part]]) -> None:
+        """Refuse a key that two sections set, for one of them would be of no effect."""
+        owner: dict[str, str] = {}
+        for section, parts in sections.items():
+            for key in dict.fromkeys(key for part in parts for key in part.values):
+                if owner.setdefault(key, section) != section:
+                    raise UsageError(f"{self._path}: {key} is set in {owner[key]} and in {section}; leave one out")
+
+
+def _cell(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part]) -> Combination:
+    car, encounter, sweep = parts
+    given = {**defaults, **car.values, **encounter.values, **sweep.values}
+    values = {name: one.unsaid for name, one in _OPTIONS.items() if name != _SCENARIO}
+    values |= {key: value for key, value in given.items() if key in values}
+    changes = {key.partition(".")[2]: value for key, value in given.items() if key.startswith(f"{_SCENARIO}.")}
+    scenario = given.get(_SCENARIO)
+    swept = {key: given[key] for part in parts for key in part.swept}
+    words = [car.name or CarUnderTest(values["controller"], values["multiplier"]).file_name]
+    shown = () if car.name else _OF_CAR  # they are in the name of the car
+    words += [_word(key, given[key]) for key in car.swept if key not in shown]
+    if encounter.where:
+        words.append(encounter.name or (_stem(scenario) if scenario else _stem(str(values["safe"]))))
+    words += [_word(key, given[key]) for part in (encounter, sweep) for key in part.swept if key not in shown]
+    name = _UNSAFE.sub("-", "_".join(words)).strip(".-_")
+    return Combination(name, values, scenario, changes, swept, car.where or encounter.where)
+
+
+def _word(key: str, value: Any) -> str:
+    """Return what a swept value is called in the name of its cell."""
+    if isinstance(value, float):
+        text = f"{value:.12g}"
+    elif key in (*_OF_FILES, _SCENARIO):
+        text = _stem(str(value))
+    else:
+        text = str(value)
+    return f"{key.rpartition('.')[2]}={text}"
+
+
+def _stem(path: str) -> str:
+    return Path(path).stem
+
+
+def _with_unique_names(cells: Sequence[Combination], path: Path) -> Iterator[Combination]:
+    taken: dict[str, Combination] = {}
+    for cell in cells:
+        other = taken.setdefault(cell.name.lower(), cell)  # some file systems know no case
+        if other is not cell:
+            raise UsageError(f"{path}: two cells are called {cell.name}; give their entries a name: of their own")
+        if len(cell.name) > _LONGEST_NAME or not cell.name:
+            raise UsageError(f"{path}: {cell.name:.60}… is too long for a folder; give its entries a shorter name:")
+        yield cell

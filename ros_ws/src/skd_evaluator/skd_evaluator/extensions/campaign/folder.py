@@ -1,0 +1,294 @@
+"""The folder of a campaign: an ordinary result folder for each cell, there as soon as it is complete, and a summary.
+
+It is safe at any moment: a file is written under another name, brought to the disk and renamed. `cells.json` says what
+was asked for and is written first; `campaign.json` names the cells that are done and is written after each. What is not
+in it is made again from the stored episodes, which are forgotten only then.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import itertools
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json, sha256_of
+from skd_sim.inputs.yaml_file import short
+
+from skd_evaluator.assessment.stages.inputs import lies_in
+from skd_evaluator.assessment.store.manifest import write_manifests
+from skd_evaluator.extensions.campaign.cell import Cell
+from skd_evaluator.extensions.campaign.episode_record import flat
+from skd_evaluator.extensions.campaign.rows import CHECKED
+from skd_evaluator.extensions.campaign.store import FILE_NAME as STORE
+from skd_evaluator.files import MARKERS, PREFIX, make_temporary
+
+CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
+_HEX = 16  # digits of a digest that are shown
+
+
+class CampaignFolder:
+    """A campaign's output, locked as long as this object is not closed, at the latest until its process ends.
+
+    Attributes:
+        path: path of the folder.
+        resumed: whether there was something to go on with.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        cells: Sequence[Cell],
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        reads: Sequence[Path] = (),
+    ) -> None:
+        """Take the folder, and begin a campaign in it or go on with the one that is there.
+
+        Args:
+            path: path of the folder.
+            cells: what is asked for.
+            resume: whether to go on with what is there.
+            overwrite: whether to replace what is there.
+            reads: files and folders that the campaign reads: none may be in the folder of a cell, which is replaced.
+
+        Raises:
+            UsageError: it holds something else, or what is read, another process works in it, or what was asked for
+                then is not what is asked for now.
+            OSError: it cannot be written.
+        """
+        self.path = path
+        self._option = f"--out {path}"
+        self._descriptor: int | None = None
+        if path.exists() and not path.is_dir():
+            raise UsageError(f"{self._option}: is a file; give a folder")
+        self._refuse_foreign()
+        path.mkdir(parents=True, exist_ok=True)
+        self._lock()
+        try:
+            self.resumed = self._begin(cells, reads, resume=resume, overwrite=overwrite)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Let others have the folder."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def _begin(self, cells: Sequence[Cell], reads: Sequence[Path], *, resume: bool, overwrite: bool) -> bool:
+        for left in self.path.glob(f"{PREFIX}*"):  # by one that was killed: the lock is ours
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left, ignore_errors=True)
+            else:
+                left.unlink(missing_ok=True)
+        known = self.path / CELLS
+        asked = {"cells": [{"name": cell.name, **cell.identity} for cell in cells]}
+        before = _read_json(known) if known.exists() else {"cells": []}
+        self._refuse_read([str(cell["name"]) for cell in (*asked["cells"], *before["cells"])], reads)
+        if not known.exists():
+            write_safely(known, _json(asked))
+            return False
+        if resume:
+            self._refuse_changed(asked, before)
+            return True
+        if not overwrite:
+            raise UsageError(f"{self._option}: holds a campaign; add --resume to go on with it, --overwrite to replace")
+        self._clear()
+        write_safely(known, _json(asked))
+        return False
+
+    def _refuse_foreign(self) -> None:
+        """Refuse a folder that holds something and is no campaign's."""
+        if not self.path.is_dir() or (self.path / CELLS).exists():
+            return
+        others = [one.name for one in self.path.iterdir() if one.name != _LOCK and not one.name.startswith(PREFIX)]
+        if others:
+            raise UsageError(f"{self._option}: is not empty and holds no campaign ({others[0]:.60}); give a new folder")
+
+    def _refuse_read(self, cells: Sequence[str], reads: Sequence[Path]) -> None:
+        """Refuse cells in whose folders something is that is read: they are replaced."""
+        for path in (one for one in reads if lies_in(one, self.path)):
+            for name in cells:
+                if lies_in(path, self.path / name) or lies_in(path, self.path / f"{name}.logs"):
+                    raise UsageError(
+                        f"{self._option}: the folder of cell {name} holds {path}, which this campaign reads; give "
+                        "another folder"
+                    )
+
+    def _lock(self) -> None:
+        # Of POSIX: a worker that has been forked does not share it, so it ends with this process however that ends.
+        self._descriptor = os.open(self.path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            fcntl.lockf(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self.close()
+            if isinstance(error, (BlockingIOError, PermissionError)):
+                raise UsageError(f"{self._option}: another campaign is running there; give another folder") from error
+            raise
+
+    def _refuse_changed(self, asked: Mapping[str, Any], before: Mapping[str, Any]) -> None:
+        """Refuse to go on with a campaign of which something has changed, and say what."""
+        then = {str(cell["name"]): cell for cell in before["cells"]}
+        now = {str(cell["name"]): cell for cell in json.loads(json.dumps(asked))["cells"]}
+        advice = "put it back, or give another --out"
+        for name in itertools.chain(then.keys() - now.keys(), now.keys() - then.keys()):
+            then_or_now = "was asked for when this campaign began, and is not now"
+            if name in now:
+                then_or_now = "was not asked for when this campaign began, and is now"
+            raise UsageError(f"{self._option}: cell {name} {then_or_now}; {advice}")
+        for name, cell in now.items():
+            first, second = flat(then[name]), flat(cell)
+            for key in [*second, *first]:
+                if first.get(key) != second.get(key):
+                    raise UsageError(
+                        f"{self._option}: {_difference(name, key, first.get(key), second.get(key))} since this "
+                        f"campaign began; {advice}"
+                    )
+
+    def _clear(self) -> None:
+        """Remove the campaign that is there; the file that says that there is one goes last."""
+        cells = [str(cell["name"]) for cell in _read_json(self.path / CELLS)["cells"]]
+        for cell in cells:
+            self._remove_cell(self.path / cell)
+            shutil.rmtree(self.path / f"{cell}.logs", ignore_errors=True)
+        for name in (CAMPAIGN, TABLE, *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")), CELLS):
+            (self.path / name).unlink(missing_ok=True)
+
+    def _remove_cell(self, folder: Path) -> None:
+        """Remove a result of ours."""
+        if not folder.exists():
+            return
+        if not any((folder / marker).exists() for marker in MARKERS):
+            raise UsageError(f"{folder}: is in the place of a cell and holds no results of SKD; move it away")
+        shutil.rmtree(folder)
+
+    # --- what is done
+
+    @contextmanager
+    def logs(self, cell: str) -> Iterator[Path]:
+        """Yield a folder for what the processes of a cell print: beside the cell's, and it stays if the work fails."""
+        folder = self.path / f"{cell}.logs"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        try:
+            yield folder
+        except Exception:
+            with suppress(OSError):  # something is in it, or a car has removed it
+                folder.rmdir()
+            raise
+        shutil.rmtree(folder, ignore_errors=True)
+
+    def write_cell(self, name: str, fill: Callable[[Path], None]) -> dict[str, str]:
+        """Let `fill` write into a temporary folder, and put it in its place when it is whole and on the disk.
+
+        Returns:
+            The SHA-256 of the files that say what the cell came to.
+
+        Raises:
+            OSError: it cannot be written; nothing has changed.
+        """
+        target = self.path / name
+        temporary = make_temporary(self.path)
+        try:
+            temporary.chmod(0o777 & ~_umask())
+            fill(temporary)
+            write_manifests(temporary)
+            digests = {one: sha256_of(temporary / one) for one in CHECKED}
+            _to_disk(temporary)
+            self._remove_cell(target)
+            temporary.rename(target)
+        except BaseException:
+            shutil.rmtree(temporary, ignore_errors=True)
+            raise
+        _to_disk(self.path, only=True)
+        return digests
+
+    def write_rows(self, content: Mapping[str, Any], columns: Sequence[str]) -> None:
+        """Write campaign.json and, of its rows, campaign.csv."""
+        write_safely(self.path / CAMPAIGN, _json(content))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for row in content["cells"]:
+            writer.writerow({key: _plain(value) for key, value in row.items()})
+        write_safely(self.path / TABLE, text.getvalue())
+
+
+def write_safely(path: Path, text: str) -> None:
+    """Write a file so that after whatever happens it is the old one or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    temporary = path.with_name(f"{PREFIX}{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    _to_disk(path.parent, only=True)
+
+
+def _to_disk(folder: Path, *, only: bool = False) -> None:
+    """Make sure that a folder is on the disk, with all that is in it unless `only`."""
+    for path in [folder] if only else [*folder.rglob("*"), folder]:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # of a folder, some file systems cannot
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _json(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        data = read_json(path)
+    except UsageError as error:
+        raise UsageError(f"{error}; give another --out") from error
+    cells = data.get("cells") if isinstance(data, dict) else None
+    if not isinstance(cells, list) or not all(isinstance(one, dict) and "name" in one for one in cells):
+        raise UsageError(f"{path}: is not of a campaign; give another --out")
+    if strange := next((one["name"] for one in cells if Path(str(one["name"])).name != one["name"]), None):
+        raise UsageError(f"{path}: {short(strange)} is no name of a cell's folder; give another --out")
+    return dict(data)
+
+
+def _difference(cell: str, key: str, before: Any, now: Any) -> str:
+    """Return what has changed in a cell, in words."""
+    kind, _, name = key.partition(".")
+    if kind == "file":
+        what = "was not there: it has come" if before is None else "is gone" if now is None else "has changed"
+        return f"the code of the car of cell {cell}, {name}, {what}"
+    if kind == "environment":
+        return f"{name} has changed from {before} to {now}"
+    if kind == "safe_trajectories":
+        return f"the safe trajectories of cell {cell} have changed"
+    return f"{key} of cell {cell} has changed from {short(before)} to {short(now)}"
+
+
+def _plain(value: Any) -> Any:
+    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,310 @@
+"""What the physical car does, from physical trials and a simulator: every figure with its interval, test and gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from skd_sim.errors import UsageError
+
+from skd_evaluator.extensions.fusion.estimate.control_variate import (
+    LEAST_PAIRS,
+    Line,
+    Mean,
+    alone,
+    checked_pairs,
+    fitted_line,
+    fused,
+    least_variance,
+    skewness,
+    stand_for_all,
+    trials_saved,
+)
+from skd_evaluator.extensions.fusion.estimate.gap import Gap, gap_of
+from skd_evaluator.extensions.fusion.estimate.rate import LEAST_OF_EACH, alone_rate, enough_of_each, fused_rate
+from skd_evaluator.extensions.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
+from skd_evaluator.extensions.fusion.figures import FIGURES, Figure
+from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE, Pairs, paired
+from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.metrics.statistics.sequential import nominal_confidence
+
+_MANY = 5
+"""Simulated φ for each physical one, below which their own error is felt."""
+_RARE, _FEW = 12.0, 20
+"""Kurtosis of what is simulated from which a few φ decide a mean, and the φ with trials that it then takes to say
+something. The normal distribution has 3."""
+_MOST_REACH, _FELT = 4.0, 1.25
+"""How many times as far as Student's an interval may reach before nothing is said; and before that is said."""
+
+
+class NotSaidError(UsageError):
+    """A figure of which nothing can be said by these trials; the message says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class FusedFigure:
+    """One figure of the physical car.
+
+    Attributes:
+        figure: which.
+        pairs: that it rests on.
+        confidence: of each interval.
+        alone: by the physical trials alone.
+        with_simulator: by both; None where it cannot be said.
+        line: through the pairs.
+        gap: physical less simulated.
+        saved: further physical φ that an interval as narrow would have taken without the simulator.
+        why_alone: why the physical trials stand alone; empty where they do not.
+        notes: what a reader should know, a sentence each.
+    """
+
+    figure: Figure
+    pairs: Pairs
+    confidence: float
+    alone: Mean
+    with_simulator: Mean | None
+    line: Line
+    gap: Gap
+    saved: int
+    why_alone: str
+    notes: tuple[str, ...]
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the simulator predicts this figure, so that both together stand."""
+        return not self.why_alone
+
+    @property
+    def stands(self) -> Mean:
+        """What is said: with the simulator where it predicts, else by the physical trials alone."""
+        return self.alone if self.with_simulator is None or self.why_alone else self.with_simulator
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of fusion.json."""
+        names, pairs = self.pairs.names, self.pairs
+        return {
+            "unit": self.figure.unit,
+            "value": self.stands.value,
+            "interval": self.stands.interval,
+            "confidence": self.confidence,
+            "predicts": self.predicts,
+            "why_alone": self.why_alone or None,
+            "p_value": self.line.p_value,
+            "correlation": self.line.correlation,
+            "slope": self.line.slope,
+            "residual_deviation": self.line.residual**0.5,
+            "deviation": self.alone.error * len(names) ** 0.5,
+            "physical_alone": asdict(self.alone),
+            "with_simulator": self.with_simulator and asdict(self.with_simulator),
+            "phi": len(names),
+            "trials": pairs.trials.size,
+            "simulated_phi": pairs.population.size,
+            "simulated_mean": float(pairs.population.mean()),
+            "trials_saved": self.saved,
+            "gap": {
+                **self.gap.as_dict(),
+                "by_phi": [
+                    {"phi": name, "trials": group.size, "physical": real, "simulated": said, "gap": real - said}
+                    for name, group, real, said in zip(
+                        names, pairs.groups, pairs.physical.tolist(), pairs.simulated.tolist(), strict=True
+                    )
+                ],
+            },
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Fusion:
+    """All figures of the physical car.
+
+    Attributes:
+        figures: those that can be said.
+        left_out: why others are not, a line each.
+    """
+
+    figures: tuple[FusedFigure, ...]
+    left_out: tuple[str, ...]
+
+
+def fuse(
+    physical: Sequence[Trial],
+    simulated: Mapping[str, Sequence[Trial]],
+    *,
+    looks: int = 1,
+    confidence: float = 0.95,
+    tolerance: float = GAP_TOLERANCE,
+) -> Fusion:
+    """Return every figure that both kinds of trials have.
+
+    Args:
+        physical: trials, in the order in which they were made.
+        simulated: trials by φ.
+        looks: how often one looks, at most, before one stops: after equal numbers of trials. Intervals then hold at all
+            looks together, and so whenever one stops (`measure.statistics.sequential`).
+        confidence: of all looks together.
+        tolerance: of the timing of pairs, m.
+
+    Raises:
+        UsageError: no figure in common, too few trials, pairs that do not match, or figures that cannot be of trials.
+    """
+    share = nominal_confidence(looks, confidence) if looks > 1 else confidence
+    found, left_out = [], []
+    for figure in FIGURES.values():
+        pairs = paired(figure, physical, simulated, tolerance)
+        if pairs is None:
+            continue
+        if not figure.is_rate and len(set(pairs.physical.tolist())) == 1:
+            left_out.append(
+                f"{figure.text}: {pairs.physical[0]:.6g} {figure.unit} on every φ with trials, so nothing is known of "
+                "how it varies, and nothing is said of other φ"
+            )
+            continue
+        try:
+            found.append(fused_figure(figure, pairs, share))
+        except NotSaidError as error:
+            left_out.append(str(error))
+    if not found:
+        raise UsageError(
+            left_out[0]
+            if left_out
+            else f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}"
+        )
+    return Fusion(tuple(found), tuple(left_out))
+
+
+def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure:
+    """Return a figure of the physical car by its pairs.
+
+    Raises:
+        NotSaidError: the φ with trials do not stand for all of them.
+        UsageError: too few φ with trials, or figures that cannot be of trials.
+    """
+    if len(pairs.names) < LEAST_PAIRS:
+        raise UsageError(
+            f"{len(pairs.trials)} physical trials on {len(pairs.names)} φ: at least {LEAST_PAIRS} φ with trials are "
+            "needed, for the interval speaks of all φ"
+        )
+    try:
+        y, x, _ = checked_pairs(pairs.physical, pairs.simulated, pairs.population)
+        line = fitted_line(y, x)
+        if line.predicts and not figure.is_rate and not stand_for_all(x, pairs.population):
+            raise NotSaidError(
+                f"{figure.text}: nothing is said, for the φ with trials are too alike: in the simulation, which "
+                f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
+                f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
+            )
+        _check_shape(figure, pairs)
+        by_itself = _by_itself(figure, pairs, line, confidence)
+        both, why = _with_simulator(figure, pairs, line, confidence)
+    except NotSaidError:
+        raise
+    except ValueError as error:
+        raise UsageError(f"{figure.text}: {error}") from error
+    if not why and not line.predicts:
+        why = "the simulator does not predict this figure"
+    saved = 0
+    if both is not None and not why:
+        if figure.is_rate:
+            saved = max(0, int(y.size * (by_itself.width / both.width) ** 2) - y.size)
+        else:
+            saved = trials_saved(y.size, both.width / by_itself.width, confidence)
+    gap = gap_of(y, x, pairs.trials, pairs.predicted, confidence)
+    return FusedFigure(
+        figure,
+        pairs,
+        confidence,
+        by_itself,
+        both,
+        line,
+        gap,
+        saved,
+        why,
+        tuple(_notes(pairs, line, why, confidence, is_rate=figure.is_rate)),
+    )
+
+
+def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> tuple[Mean | None, str]:
+    """Return the figure by both, or why there is none."""
+    y, x, population = pairs.physical, pairs.simulated, pairs.population
+    if line.slope is None:
+        return None, "the simulator says the same of all these φ"
+    if figure.is_rate:
+        if not enough_of_each(pairs.groups):
+            return None, f"there are fewer than {LEAST_OF_EACH} φ with a hit, or without one"
+        return fused_rate(y, x, population, line, confidence), ""
+    reach = _reach(pairs, line, confidence, by_line=True)
+    if line.predicts:
+        _check_reach(figure, pairs, reach)
+    return fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach), ""
+
+
+def _by_itself(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> Mean:
+    if figure.is_rate:
+        return alone_rate(pairs.groups, confidence)
+    reach = _reach(pairs, line, confidence, by_line=False)
+    if not line.predicts:
+        _check_reach(figure, pairs, reach)
+    return alone(pairs.physical, confidence, reach)
+
+
+def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Reach:
+    """Return how far an interval reaches for figures of the shape of the simulated ones."""
+    off = pairs.physical - pairs.physical.mean()
+    if by_line:
+        off = off - (line.slope or 0.0) * (pairs.simulated - pairs.simulated.mean())
+    leans = skewness(pairs.shape - pairs.shape.mean()) >= 0.0
+    return rehearsed(
+        pairs.shape,
+        off.size,
+        confidence,
+        by_line=by_line,
+        mirrored=(skewness(off) >= 0.0) != leans,
+        least=least_variance(off.size) if line.predicts else 0.0,
+    )
+
+
+def _check_shape(figure: Figure, pairs: Pairs) -> None:
+    """Refuse few trials of a figure that a few φ decide: none of them need be among these."""
+    if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.shape) > _RARE:
+        raise NotSaidError(
+            f"{figure.text}: nothing is said, for a few φ decide the mean, by the simulation (kurtosis "
+            f"{kurtosis(pairs.shape):.0f}; normal figures have 3), and {len(pairs.names)} φ with trials need not "
+            f"have any of them: make trials on at least {_FEW} φ"
+        )
+
+
+def _check_reach(figure: Figure, pairs: Pairs, reach: Reach) -> None:
+    if reach.further > _MOST_REACH:
+        raise NotSaidError(
+            f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {len(pairs.names)} "
+            f"trials do not tell the mean of such: an interval that holds would reach more than {_MOST_REACH:g} times "
+            "as far as that of normal figures: make more trials"
+        )
+
+
+def _notes(pairs: Pairs, line: Line, why_alone: str, confidence: float, *, is_rate: bool) -> list[str]:
+    found = []
+    if not pairs.timed:
+        found.append("the timing of physical trials is not known: pairs are of the same φ alone")
+    if why_alone:
+        found.append(f"{why_alone}: the physical trials stand alone")
+    elif pairs.population.size < _MANY * len(pairs.names):
+        found.append(
+            f"only {pairs.population.size} simulated φ for {len(pairs.names)} physical ones: more would narrow the "
+            "interval"
+        )
+    if not is_rate:
+        reach = _reach(pairs, line, confidence, by_line=not why_alone).further
+        if reach > _FELT:
+            found.append(
+                f"the simulated figures are skewed over φ: the interval reaches up to {reach:.1f} times as far as that "
+                "of normal figures"
+            )
+        if kurtosis(pairs.shape) > _RARE:
+            found.append("a few φ decide the mean, by the simulation: more trials may move it much")
+    if (np.array([len(group) for group in pairs.groups]) > 1).any():
+        found.append("several trials of a φ count as one: the interval is by φ")
+    return found

@@ -1,0 +1,197 @@
+"""From encounters and a car to the regulator's view: each cell's static test, its colour, and the margin around it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from skd_adversary.safe_trajectories import REGULATORY
+from skd_sim.controllers import with_control_period
+from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import load_scenario
+from skd_sim.world.dynamics.limits import clipped_line, command_limits
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.judge.assessment import judge
+from skd_evaluator.assessment.judge.repeatability import undisturbed_drives
+from skd_evaluator.assessment.judge.static_tests import Tested
+from skd_evaluator.assessment.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.run.static_test import static_episodes
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.extensions.ncap.matrices import Matrix, MatrixPoint
+from skd_evaluator.extensions.ncap.result import Cell, Grid
+from skd_evaluator.extensions.ncap.tested import in_matrix, with_test
+from skd_evaluator.extensions.ncap.wanted import KMH, Wanted, scenario_of, wanted_cells
+from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
+from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
+from skd_evaluator.margin.reference import Asked as ReferenceAsked
+from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
+from skd_evaluator.metrics.margins import Margins
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of every encounter.
+
+    Attributes:
+        plan: the car, and how its kamikazes are planned, in whatever scenario.
+        control_period: time between two decisions that the controller declares, s; None: it declares none.
+        speeds: test speeds, km/h; None: those of the matrix.
+        margin_limit: candidates that the search for the margin may drive in each trial; 0: no margin.
+        planned: whether kamikazes are planned, too.
+        equivalent: whether basic cars are compared in the same attempts, too.
+    """
+
+    plan: Plan
+    control_period: float | None
+    speeds: Sequence[float] | None
+    margin_limit: int
+    planned: bool
+    equivalent: bool = False
+
+
+@dataclass
+class Seen:
+    """What a car has done in all encounters.
+
+    Attributes:
+        tests: its static tests.
+        kamikazes: episodes in which somebody planned to be hit.
+    """
+
+    tests: list[EpisodeLog] = field(default_factory=list)
+    kamikazes: list[EpisodeLog] = field(default_factory=list)
+
+    @property
+    def warnings(self) -> list[str]:
+        """How many episodes were aborted, and how often the car asked for more than it can do, a line each."""
+        found = []
+        for what, logs, follows in (
+            ("static tests", self.tests, "their cells have no colour"),
+            ("kamikazes", self.kamikazes, "they count for nothing"),
+        ):
+            if lost := sum(log.outcome == Outcome.ABORTED for log in logs):
+                found.append(f"{lost} of {len(logs)} {what} were aborted, and {follows}")
+        clipped = [log for log in (*self.tests, *self.kamikazes) if log.clipped]
+        if clipped:
+            lows, highs = zip(*(command_limits(log.episode.scenario) for log in clipped), strict=True)
+            found.append(clipped_line([log.clipped for log in clipped], min(lows), max(highs)))
+        return found
+
+
+def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, seen: Seen) -> Grid:
+    """Return the cells of an encounter.
+
+    Args:
+        source: its name, or the path of its file.
+        asked: what is asked of each cell.
+        runner: runs episodes and computes margins; it has been started.
+        progress: called with how far the work is.
+        seen: what happens is added to it.
+
+    Raises:
+        UsageError: there is no such encounter.
+        AssessmentError: the car fails in a static test.
+    """
+    matrix, wanted = wanted_cells(source, asked.speeds)
+    begun = [_begun(source, one, matrix, asked) for one in wanted]
+    refused, done_tests = "", list[EpisodeLog]()
+    try:
+        done_tests = list(runner.run([episode for _, _, episode in begun if episode is not None]))
+    except UsageError as error:  # what a car cannot drive it says when its first episode begins
+        refused = str(error)
+    seen.tests += done_tests
+    logs = iter(done_tests)
+    cells: list[Cell] = []
+    for done, ((cell, plan, _), one) in enumerate(zip(begun, wanted, strict=True), start=1):
+        if plan is not None and refused:
+            cell = replace(cell, why=refused, margin_why=refused)
+        elif plan is not None:
+            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, asked, runner, seen)
+        cells.append(cell)
+        progress(source, done, len(wanted))
+    scenario = load_scenario(source)
+    assert scenario.protocol is not None
+    test = "" if matrix is None else matrix.test
+    return Grid(source, " ".join(scenario.description.split()), tuple(cells), test, scenario.protocol.source)
+
+
+def _begun(
+    source: str, wanted: Wanted, matrix: Matrix | None, asked: Asked
+) -> tuple[Cell, Plan | None, Episode | None]:
+    """Return an empty cell, its plan and its static test, if there are any."""
+    cell = in_matrix(Cell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point)
+    try:
+        scenario = scenario_of(source, wanted, matrix)
+        clocked = with_control_period(scenario, asked.control_period, asked.plan.controller)
+        plan = replace(asked.plan, scenario=clocked, safe=REGULATORY, safe_count=1)
+        (episode,) = static_episodes(plan.scenario, plan.car)
+    except UsageError as error:
+        return replace(cell, why=str(error), margin_why=str(error)), None, None
+    return cell, plan, episode
+
+
+def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: ExecutorRunner) -> Cell:
+    protocol = plan.scenario.protocol
+    assert protocol is not None
+    why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
+    return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
+
+
+def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
+    """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
+    try:
+        slowest, *_ = undisturbed_drives(plan, runner)
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # it has a static test all the same
+        return f"whether the car keeps its speed with nobody near cannot be told: {error}"
+    if not slowest.slows:
+        return ""
+    return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
+
+
+def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, seen: Seen) -> Cell:
+    """Return a cell with the margin around its test and, if that was asked for, what planned kamikazes needed."""
+    (phi,) = safe_trajectories(plan, runner)
+    logs: list[EpisodeLog] = []
+    try:
+        if asked.planned:
+            sets = kamikaze_sets(plan, [phi], runner)
+            logs = sets[0].in_order
+            seen.kamikazes += logs
+            cell = replace(cell, deformation=judge(plan, [phi], sets, (), 0.0).deformation.mean)
+        if why := why_no_margin(plan, asked.margin_limit):
+            return replace(cell, margin_why=why)
+        episodes = [plan.episode(Mode.KAMIKAZE, 0, attempt, phi) for attempt in range(plan.kamikaze_count)]
+        by_id = {log.episode.episode_id: [log] for log in logs}
+        found = least_ways(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
+        ways, _ = with_planned_hits(episodes, found.ways, by_id)
+    except OutOfReachError:
+        raise
+    except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
+        return replace(cell, margin_why=f"its search ended: {error}")
+    margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged, found.excess)
+    if asked.equivalent:
+        cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
+    searched = replace(
+        cell,
+        margin=margins.mean,
+        margins=tuple(margins.values.tolist()),
+        beyond=margins.beyond,
+        converged=margins.converged,
+    )
+    return replace(searched, margin_is=searched.bound)
+
+
+def _with_equivalent(
+    cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: ExecutorRunner
+) -> Cell:
+    """Return a cell with the C of the basic car that has its margin, in the same attempts and by the same search."""
+    where = ReferenceAsked("", plan, [phi])
+    swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)
+    found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
+    return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)

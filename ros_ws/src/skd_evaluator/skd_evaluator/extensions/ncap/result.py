@@ -1,0 +1,296 @@
+"""What `skd ncap` finds, and its file `ncap.json`: written and read back by the same description."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Annotated, Any, Final
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
+from skd_sim.inputs.outside import read_json
+
+from skd_evaluator.assessment.store.manifest import hold, read_manifest
+from skd_evaluator.extensions.ncap.colours import COLOURS, GREEN, colour_of
+from skd_evaluator.extensions.ncap.matrices import CRITERIA, Criterion
+
+RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
+VERSION: Final = 1
+STANDARD, EXTENDED = RANGES = ("standard", "extended")
+AT_LEAST, AT_MOST = "at least", "at most"
+_SAME: Final = 1e-5  # km/h or m by which figures differ that were rounded
+_ROUNDED: Final = 6  # digits of a speed in km/h that are kept: 30 / 3.6 · 3.6 is more than 30
+
+KmH = Annotated[float, limits(-400.0, 400.0, "km/h")]
+Metres = Annotated[float, limits(0.0, 1e6, "m")]
+Count = Annotated[int, limits(0, 2**53, "a number of things")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Frozen):
+    """One test, and what kamikazes around it can do. What is not known is None, or an empty text.
+
+    Attributes:
+        speed: test speed of the car, km/h.
+        target: speed of the target, km/h; None: that of the encounter.
+        place: impact place, % of the car's width; None: that of the encounter.
+        range: of the matrix in which it is, `standard` or `extended`.
+        criterion: what its colour goes by.
+        touched: whether the car touched the target.
+        impact_speed: speed of the car when it did, km/h; 0 where it did not.
+        value: of the criterion, km/h.
+        colour: of 2026.
+        why: why it has no colour.
+        margin: mean over the attempts of the least deformation with which anybody could have been hit, m.
+        margins: that of each attempt, m; η_max where nobody could have been.
+        beyond: attempts in which nobody could have been hit within η_max, as far as was found.
+        converged: whether the search for the margin has converged.
+        margin_is: `at least` where attempts without a hit count as η_max in the margin, `at most` where the search has
+            not converged; empty: neither.
+        margin_why: why there is no margin.
+        deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
+        equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.
+        equivalent_text: the same as people read it, `below 0.5` or `above 1.5` where it is beyond.
+    """
+
+    speed: KmH
+    target: KmH | None = None
+    place: Annotated[float, limits(-100.0, 200.0, "% of the car's width")] | None = None
+    range: Annotated[str, OneOf(("", *RANGES))] = ""
+    criterion: Annotated[str, OneOf(("", *CRITERIA))] = ""
+    touched: YesNo | None = None
+    impact_speed: KmH | None = None
+    value: KmH | None = None
+    colour: Annotated[str, OneOf(("", *COLOURS))] = ""
+    why: str = ""
+    margin: Metres | None = None
+    margins: tuple[Metres, ...] = ()
+    beyond: Count = 0
+    converged: YesNo = True
+    margin_is: Annotated[str, OneOf(("", AT_LEAST, AT_MOST))] = ""
+    margin_why: str = ""
+    deformation: Metres | None = None
+    equivalent: Annotated[float, limits(0.0, 100.0, "times the braking distance")] | None = None
+    equivalent_text: str = ""
+
+    @property
+    def bound(self) -> str:
+        """What the margin is a bound of, as `margin_is` has it, whatever a file says."""
+        if self.margin is None:
+            return ""
+        return AT_MOST if not self.converged else AT_LEAST if self.beyond else ""
+
+    def is_narrow(self, room: float) -> bool:
+        """Return whether it is passed with less room (m) than wanted; not of one that is green though it hits."""
+        return self.colour == GREEN and not self.impact_speed and self.margin is not None and self.margin < room
+
+
+@dataclass(frozen=True)
+class Grid(Frozen):
+    """The tests of one encounter.
+
+    Attributes:
+        encounter: its name, or the path of its file.
+        description: what happens in it.
+        cells: row by row.
+        test: the matrix of 2026 that it belongs to; empty: none.
+        source: where the numbers of its target come from.
+    """
+
+    encounter: str
+    description: str
+    cells: tuple[Cell, ...]
+    test: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Points(Frozen):
+    """Points of a matrix.
+
+    Attributes:
+        test: the matrix.
+        standard: points of its standard range.
+        standard_most: most that there are.
+        extended: points of its extended range.
+        extended_most: most that there are.
+        why: why it has none; then the others are 0.
+    """
+
+    test: str
+    standard: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    standard_most: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    extended: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    extended_most: Annotated[float, limits(0.0, 100.0, "points")] = 0.0
+    why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ncap(Frozen):
+    """The regulator's view of one car.
+
+    Attributes:
+        ncap: version of the file.
+        skd: version of SKD.
+        car: the car, as people read it.
+        seed: of all draws.
+        attempts: for each margin.
+        margin_limit: candidates that the search may drive in each trial.
+        room: margin below which a green test stands out, m.
+        grids: one for each encounter.
+        points: one for each matrix; empty where nobody computed any.
+        points_why: why nobody did.
+        warnings: why the car is not one that a rating is of, a line each.
+    """
+
+    ncap: Annotated[int, limits(VERSION, VERSION, "version of the file")] = VERSION
+    skd: str
+    car: str
+    seed: Count
+    attempts: Count
+    margin_limit: Count
+    room: Metres
+    grids: tuple[Grid, ...]
+    points: tuple[Points, ...] = ()
+    points_why: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def rounded_kmh(speed: float) -> float:
+    """Return a speed in km/h, rounded so that what was asked for in km/h comes back as it was."""
+    return round(speed, _ROUNDED) + 0.0  # no −0
+
+
+def as_data(found: Ncap) -> dict[str, Any]:
+    """Return the result as plain data, without what is not known."""
+    known: dict[str, Any] = _known(dataclasses.asdict(found))
+    return known
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _known(one) for key, one in value.items() if one is not None and one != "" and one != ()}
+    return [_known(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def read_ncap(folder: Path) -> Ncap:
+    """Read a result back from its folder.
+
+    Raises:
+        UsageError: there is none, it is of another version, was changed since it was written, its colours do not follow
+            from its speeds, or it contradicts itself otherwise.
+    """
+    path = folder / RESULT
+    manifest = read_manifest(folder)
+    if manifest is not None and RESULT in (held := hold(folder, manifest)).changed:
+        raise UsageError(f"{path}: was changed since it was written; {len(held.same)} other files were not")
+    return checked(ncap_of(read_json(path), str(path)), path)
+
+
+def checked(found: Ncap, path: Path) -> Ncap:
+    """Return a result of which no entry contradicts another.
+
+    Raises:
+        UsageError: one does.
+    """
+    names = [grid.encounter for grid in found.grids]
+    if len(set(names)) < len(names):
+        raise UsageError(f"{path}: has an encounter twice")
+    for grid in found.grids:
+        known = set()
+        for cell in grid.cells:
+            where = f"{path}: {grid.encounter} at {cell.speed:g} km/h"
+            if (which := (cell.speed, cell.target, cell.place)) in known:
+                raise UsageError(f"{where}: is there twice")
+            known.add(which)
+            _check(cell, found.attempts, where)
+    tests = [grid.test for grid in found.grids if grid.test]
+    for one in found.points:
+        if one.test not in tests:
+            raise UsageError(f"{path}: has points of {one.test!r}, of which it has no grid")
+        if one.standard > one.standard_most or one.extended > one.extended_most:
+            raise UsageError(f"{path}: has more points of {one.test} than there are")
+    return found
+
+
+def ncap_of(data: Any, where: str) -> Ncap:
+    """Return the result that plain data hold; `provenance` is not part of it."""
+    if isinstance(data, Mapping):
+        data = {key: value for key, value in data.items() if key != "provenance"}
+    return read_model(Ncap, data, where)
+
+
+def _check(cell: Cell, attempts: int, where: str) -> None:
+    """Refuse a cell of which one entry contradicts another."""
+    if (cell.touched is None) != (cell.impact_speed is None) or (cell.impact_speed and not cell.touched):
+        raise UsageError(f"{where}: its impact speed does not go with whether the car touched the target")
+    if cell.value is not None and cell.impact_speed is not None:
+        fixed = {Criterion.IMPACT: cell.impact_speed, Criterion.REDUCTION: cell.speed - cell.impact_speed}
+        by_speed = fixed.get(Criterion(cell.criterion)) if cell.criterion else None
+        by_speed = 0.0 if by_speed is None and not cell.touched else by_speed
+        if by_speed is not None and abs(cell.value - by_speed) > _SAME:
+            raise UsageError(
+                f"{where}: its {cell.criterion or 'value'} is {cell.value:g} km/h, and by its impact speed {by_speed:g}"
+            )
+    if cell.colour:
+        _check_colour(cell, where)
+    if cell.margin is not None or cell.margins:
+        _check_margin(cell, attempts, where)
+    if cell.equivalent is not None and cell.equivalent_text != f"{cell.equivalent:.3f}":
+        raise UsageError(f"{where}: its equivalent multiplier is {cell.equivalent:.3f}, and not {cell.equivalent_text}")
+
+
+def _check_colour(cell: Cell, where: str) -> None:
+    if cell.value is None or cell.impact_speed is None or not cell.criterion:
+        raise UsageError(f"{where}: is {cell.colour}, and does not say of what")
+    if cell.why:
+        raise UsageError(f"{where}: is {cell.colour}, and says why it has no colour")
+    try:
+        colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
+    except ValueError as error:
+        raise UsageError(f"{where}: {error}") from error
+    if colour != cell.colour:
+        raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
+
+
+def _check_margin(cell: Cell, attempts: int, where: str) -> None:
+    if cell.margin is None or not cell.margins or abs(cell.margin - fmean(cell.margins)) > _SAME:
+        said = "no margin" if cell.margin is None else f"a margin of {cell.margin:g} m"
+        raise UsageError(f"{where}: has {said}, which is no mean of those of its attempts")
+    if len(cell.margins) != attempts:
+        raise UsageError(f"{where}: has margins of {len(cell.margins)} attempts, and there were {attempts}")
+    # Attempts without a hit count as η_max, and none counts more.
+    if cell.beyond > attempts or sorted(cell.margins)[attempts - cell.beyond :] != [max(cell.margins)] * cell.beyond:
+        raise UsageError(f"{where}: says that {cell.beyond} attempts have no hit, which its margins do not")
+    if cell.margin_is not in ("", cell.bound):
+        raise UsageError(f"{where}: its margin is {cell.margin_is} what it says, which does not follow from its search")
+
+
+def write_table(path: Path, found: Ncap) -> None:
+    """Write ncap.csv: a row for each cell."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        file.write(table_of(found))
+
+
+def table_of(found: Ncap) -> str:
+    """Return ncap.csv: a row for each cell."""
+    names = [one.name for one in dataclasses.fields(Cell)]
+    file = io.StringIO(newline="")
+    writer = csv.writer(file)
+    writer.writerow(["encounter", "test", *names])
+    for grid in found.grids:
+        for cell in grid.cells:
+            values = (getattr(cell, name) for name in names)
+            writer.writerow([grid.encounter, grid.test, *(_text(value) for value in values)])
+    return file.getvalue()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return " ".join(map(repr, value))
+    return "" if value is None else repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,74 @@
+"""Whether what `skd ncap` wrote agrees with itself, for `skd verify`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import read_json, read_text
+from skd_sim.scenario.known_scenarios import is_named
+from skd_sim.scenario.scenario import load_scenario
+
+from skd_evaluator.assessment.store.verification import Verified
+from skd_evaluator.extensions.ncap.points import points_of, with_calculator
+from skd_evaluator.extensions.ncap.result import AT_LEAST, AT_MOST, RESULT, TABLE, Ncap, checked, ncap_of, table_of
+from skd_evaluator.metrics.credibility import not_credible
+
+
+def with_regulator(found: Verified) -> Verified:
+    """Return what was found, and whether what `skd ncap` wrote agrees with itself: colours, margins, points, table."""
+    path = found.folder / RESULT
+    if found.problems or not path.exists():
+        return found
+    try:
+        said = checked(ncap_of(read_json(path), str(path)), path)
+        table = read_text(found.folder / TABLE).replace("\r\n", "\n")
+    except UsageError as error:
+        return replace(found, problems=(str(error),))
+    problems, remarks = [], list(found.remarks)
+    again = table_of(said).replace("\r\n", "\n")
+    if table.partition("\n")[0] != again.partition("\n")[0]:
+        remarks.append(f"{TABLE} has the columns of another version")
+    elif table != again:
+        problems.append(f"{found.folder / TABLE}: has other cells than {RESULT}")
+    if with_calculator() and said.points:
+        if said.points != tuple(points_of(said.grids)):
+            problems.append(f"{path}: its points are not those of its colours, by Euro NCAP's calculator")
+    elif said.points:
+        remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
+    problems += _beyond(said, path)
+    remarks += not_credible(said.warnings)
+    remarks += _bounds(said)
+    remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
+    return replace(found, problems=tuple(problems), remarks=tuple(remarks))
+
+
+def _beyond(said: Ncap, path: Path) -> list[str]:
+    """Return, a line each, in which of SKD's own encounters other attempts than those without a hit count as η_max."""
+    lines = []
+    for grid in said.grids:
+        if not is_named(grid.encounter):
+            continue
+        most = load_scenario(grid.encounter).eta_max
+        for cell in grid.cells:
+            count = sum(margin >= most for margin in cell.margins)
+            if count != cell.beyond or any(margin > most for margin in cell.margins):
+                lines.append(
+                    f"{path}: a cell of {grid.encounter} at {cell.speed:g} km/h says that {cell.beyond} attempts have "
+                    f"no hit, and {count} of its margins are η_max, {most:g} m"
+                )
+    return lines
+
+
+def _bounds(said: Ncap) -> list[str]:
+    """Return how many margins are bounds of what they say, a line for each kind."""
+    cells = [cell for grid in said.grids for cell in grid.cells if cell.margin is not None]
+    lines = []
+    for bound, why in (
+        (AT_LEAST, "lower bounds: no hit was found in some of their attempts, which count as η_max"),
+        (AT_MOST, "upper bounds: the search has not converged"),
+    ):
+        if count := sum(cell.bound == bound for cell in cells):
+            lines.append(f"{count} of {len(cells)} margins are {why}")
+    return lines

@@ -1,0 +1,164 @@
+"""Measures of a pair (φ, ψ), by name: what a measure is, and its mean over the pairs of an assessment.
+
+SKD's own stand in `MEASURES`; an installed package adds one by an entry point of group `skd.measures` that leads to a
+`Measure`. Each is computed in every assessment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.options.registry import Registry, reason_of
+from skd_sim.world.episode import EpisodeLog
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.metrics.statistics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics.prior import Prior
+from skd_evaluator.metrics.statistics.statistics import mean, normal_interval
+
+FRECHET, PREFIX, DEFORMATION = "frechet", "prefix", "deformation"
+MEASURES = Registry(
+    "measure",
+    "skd.measures",
+    {
+        FRECHET: "skd_evaluator.metrics.skd:FRECHET",
+        PREFIX: "skd_evaluator.metrics.skd:PREFIX",
+        DEFORMATION: "skd_evaluator.metrics.mean_deformation:DEFORMATION",
+        "warped": "skd_evaluator.metrics.distances.time_warping:WARPED",
+        "required_deceleration_at_entry": "skd_evaluator.metrics.entry_deceleration:DECELERATION_AT_ENTRY",
+    },
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A safe trajectory and a kamikaze episode that collided.
+
+    Attributes:
+        log: what happened in the episode: states are at ticks, those of the car are x, y (m) and speed (m/s); its
+            specification has the scenario.
+        psi: ψ, up to the place of the contact.
+        duration: time of the contact, in ticks since the start.
+    """
+
+    log: EpisodeLog
+    psi: Trajectory
+    duration: float
+
+
+def pair_of(log: EpisodeLog) -> Pair:
+    """Return the pair of an episode that collided."""
+    return Pair(log, log.trajectory, log.impact_time / log.episode.scenario.time_step)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A measure of pairs.
+
+    Attributes:
+        label: what it is called in tables.
+        unit: unit of its values; empty: none.
+        of: (φ, the pairs of this φ) → one number a pair, nan where it is not defined.
+        shown: whether the terminal's table has it.
+        headline: whether its figures have keys of their own in assessment.json, instead of an entry under `measures`.
+        prior: what its interval over φ takes as known beforehand; nothing: Student's t.
+    """
+
+    label: str
+    unit: str
+    of: Callable[[Trajectory, Sequence[Pair]], npt.ArrayLike]
+    shown: bool = True
+    headline: bool = False
+    prior: Prior | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A measure's values.
+
+    Attributes:
+        measure: what was measured.
+        values: the value of each pair, φ by φ.
+        error: why there are none, in one line; empty: there are.
+    """
+
+    measure: Measure
+    values: tuple[FloatArray, ...]
+    error: str = ""
+
+    def figures(self, kept: Sequence[npt.NDArray[np.int64]], confidence: float) -> dict[str, Any]:
+        """Return an entry under `measures` of assessment.json.
+
+        Args:
+            kept: the pairs that count, for each φ.
+            confidence: confidence of the interval over φ.
+        """
+        groups = [values[rows] for values, rows in zip(self.values, kept, strict=True)] if not self.error else []
+        known = [values[np.isfinite(values)] for values in groups]
+        numbers = np.concatenate([np.empty(0), *known])
+        clustered = clustered_mean(known, confidence, prior=self.measure.prior)
+        return {
+            "label": self.measure.label,
+            "unit": self.measure.unit,
+            "shown": self.measure.shown,
+            "mean": mean(numbers) if numbers.size else None,
+            "ci95_pairs": normal_interval(numbers),
+            "ci95": clustered and clustered.interval,
+            "pairs": int(numbers.size),
+            "undefined": sum(len(values) for values in groups) - int(numbers.size),
+            "error": self.error or None,
+        }
+
+
+def load_measures() -> dict[str, Measure]:
+    """Return all measures by name.
+
+    Raises:
+        UsageError: one cannot be loaded, or is none.
+    """
+    found = {name: MEASURES.find(name) for name in MEASURES.names()}
+    for name, measure in found.items():
+        if not isinstance(measure, Measure):
+            raise UsageError(f"measure {name!r} ({MEASURES.target(name)}) must be a Measure, got {measure!r:.60}")
+    return found
+
+
+def measure_pairs(groups: Sequence[tuple[Trajectory, Sequence[Pair]]]) -> Mapping[str, Measured]:
+    """Return every measure of all pairs, by name.
+
+    A measure that is not SKD's own and fails is said to have failed: what was run before must not be lost by it.
+
+    Args:
+        groups: each φ with its pairs.
+
+    Raises:
+        UsageError: the trajectories of a pair do not go together.
+    """
+    return {name: _measured(name, measure, groups) for name, measure in load_measures().items()}
+
+
+def _measured(name: str, measure: Measure, groups: Sequence[tuple[Trajectory, Sequence[Pair]]]) -> Measured:
+    try:
+        return Measured(measure, tuple(_values(measure, phi, pairs) for phi, pairs in groups))
+    except Exception as error:
+        if name in MEASURES.own:
+            raise
+        return Measured(measure, (), reason_of(error))
+
+
+def _values(measure: Measure, phi: Trajectory, pairs: Sequence[Pair]) -> FloatArray:
+    """Return the values of the pairs of one φ.
+
+    Raises:
+        ValueError: they are not one number a pair.
+    """
+    values = np.asarray(measure.of(phi, pairs), dtype=np.float64)
+    if values.shape != (len(pairs),):
+        raise ValueError(f"it gave an array of shape {values.shape} for {len(pairs)} pairs, not one number each")
+    return values

@@ -1,0 +1,182 @@
+"""The mean deformation of a car: what a kamikaze needed, over all attempts, those that failed included.
+
+A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
+the lucky attempts would count. So an attempt that fails counts as η_max, and so does one that needed more. That is the
+restricted mean of survival analysis (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013), with the
+deformation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of attempts that hit the car
+within a deformation of η.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.metrics.distances.deformation import deformation_pairs
+from skd_evaluator.metrics.distances.measures import Measure
+from skd_evaluator.metrics.statistics.clustered import Clustered, clustered_mean
+from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.statistics.statistics import Interval, mean, normal_interval
+
+
+@dataclass(frozen=True, eq=False)
+class Attempts:
+    """The attempts on one φ.
+
+    Attributes:
+        phi: the safe trajectory φ.
+        psis: the trajectories ψ of the attempts that collided, each up to its contact.
+        durations: times of the contacts, in ticks since the start, one for each ψ.
+        failed: number of attempts that ran to their end and did not collide.
+        measured: deformation of each ψ, m, where it is known already.
+    """
+
+    phi: Trajectory
+    psis: Sequence[Trajectory]
+    durations: Sequence[float]
+    failed: int
+    measured: FloatArray | None = None
+
+    def distances(self) -> FloatArray:
+        """Return the deformation of each ψ, m."""
+        if self.measured is not None:
+            return self.measured
+        return _distances(self.phi, self.psis, self.durations)
+
+
+@dataclass(frozen=True, eq=False)
+class SafeTrajectoryDeformation:
+    """What the attempts on one φ needed.
+
+    Attributes:
+        name: name of φ.
+        distances: deformation of each attempt that collided, in the order of the ψ given, m.
+        failed: number of attempts that did not collide.
+        eta_max: η_max, m: what an attempt counts as that failed.
+    """
+
+    name: str
+    distances: FloatArray
+    failed: int
+    eta_max: float
+
+    @property
+    def attempts(self) -> int:
+        """Number of attempts."""
+        return int(self.distances.size) + self.failed
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What each attempt counts as, those that collided first, m."""
+        return np.concatenate([np.minimum(self.distances, self.eta_max), np.full(self.failed, self.eta_max)])
+
+    @property
+    def mean(self) -> float | None:
+        """Restricted mean, m; None without an attempt."""
+        return mean(self.restricted) if self.attempts else None
+
+    @property
+    def mean_of_successes(self) -> float | None:
+        """Mean over the attempts that collided, m; None where none did."""
+        return mean(self.distances) if self.distances.size else None
+
+
+@dataclass(frozen=True, eq=False)
+class MeanDeformation:
+    """The mean deformation and what is reported with it. What cannot be computed is None.
+
+    Attributes:
+        mean: restricted mean over all attempts, m; None without an attempt.
+        ci95: normal 95 % interval over attempts, m; None with fewer than two.
+        clustered: the same mean with what its error over φ is, m; None without an attempt.
+        of_successes: mean over the attempts that collided, m.
+        of_successes_ci95: normal 95 % interval of the mean over successes, m.
+        eta_max: η_max, m: what an attempt counts as that failed.
+        per_safe_trajectory: one entry for each φ, in the order given.
+    """
+
+    mean: float | None
+    ci95: Interval | None
+    clustered: Clustered | None
+    of_successes: float | None
+    of_successes_ci95: Interval | None
+    eta_max: float
+    per_safe_trajectory: tuple[SafeTrajectoryDeformation, ...]
+
+    @property
+    def ci95_clustered(self) -> Interval | None:
+        """Interval of the mean over φ, m; None where fewer than two φ have attempts."""
+        return self.clustered.interval if self.clustered else None
+
+    @property
+    def distances(self) -> FloatArray:
+        """Deformation of every attempt that collided, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What every attempt counts as, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.restricted for entry in self.per_safe_trajectory)])
+
+    @property
+    def attempts(self) -> int:
+        """Number of attempts."""
+        return sum(entry.attempts for entry in self.per_safe_trajectory)
+
+
+def mean_deformation(
+    attempts_by_phi: Iterable[Attempts],
+    *,
+    eta_max: float,
+    confidence: float = 0.95,
+) -> MeanDeformation:
+    """Compute the mean deformation of attempts on safe trajectories.
+
+    Args:
+        attempts_by_phi: the attempts on each φ.
+        eta_max: η_max, m, > 0.
+        confidence: confidence of the interval over φ; intervals over attempts have 95 %.
+
+    Raises:
+        ValueError: η_max is not positive; or as `deformation_pairs`.
+    """
+    if not eta_max > 0.0:
+        raise ValueError(f"eta_max must be positive, got {eta_max}")
+    entries = tuple(
+        SafeTrajectoryDeformation(
+            one.phi.name,
+            one.distances(),
+            one.failed,
+            eta_max,
+        )
+        for one in attempts_by_phi
+    )
+    groups = [entry.restricted for entry in entries]
+    counting = np.concatenate([np.empty(0), *groups])
+    collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
+    return MeanDeformation(
+        mean=mean(counting) if counting.size else None,
+        ci95=normal_interval(counting),
+        clustered=clustered_mean(groups, confidence, prior=DISTANCES, limits=(0.0, eta_max)),
+        of_successes=mean(collided) if collided.size else None,
+        of_successes_ci95=normal_interval(collided),
+        eta_max=eta_max,
+        per_safe_trajectory=entries,
+    )
+
+
+def _distances(phi: Trajectory, psis: Sequence[Trajectory], durations: Sequence[float]) -> FloatArray:
+    return deformation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
+
+
+DEFORMATION = Measure(
+    "deformation",
+    "m",
+    lambda phi, pairs: _distances(phi, [pair.psi for pair in pairs], [pair.duration for pair in pairs]),
+    shown=False,
+    headline=True,
+)

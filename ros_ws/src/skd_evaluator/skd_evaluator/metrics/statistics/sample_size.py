@@ -1,0 +1,155 @@
+"""How many safe trajectories, and how many kamikazes for each, a wanted certainty takes.
+
+From the variances between and within φ of an earlier assessment follows how wide the interval of another will be,
+and how likely it finds a difference: with m φ and n attempts on each the squared error of a mean is
+(between + within / n) / m. More attempts on the same φ only help until `between` is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from skd_evaluator.metrics.statistics.clustered import student_quantile
+from skd_evaluator.metrics.statistics.prior import Prior
+
+MOST = 10_000
+"""φ beyond which nobody is advised."""
+_MANY = 60
+"""φ beyond which an interval with what was known beforehand is Student's, but for a percent."""
+_FEW_NODES, _FEW_WEIGHTS = np.polynomial.legendre.leggauss(16)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
+_PRECISION = 1e-4
+"""Relative error of a width that is planned with: a hundredth of what is shown of it."""
+COUNTS = (10, 20, 25, 50, 100, 200, 400)
+"""Attempts on each φ that are offered."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """A campaign's size and what it gives.
+
+    Attributes:
+        safe: number of φ.
+        attempts: number of attempts on each φ.
+        width: expected width of the interval, in the unit of the values.
+        power: chance that a difference is found; None where none was asked about.
+    """
+
+    safe: int
+    attempts: int
+    width: float
+    power: float | None = None
+
+    @property
+    def episodes(self) -> int:
+        """Kamikaze episodes of one objective."""
+        return self.safe * self.attempts
+
+
+def expected_width(
+    between: float, within: float, safe: int, attempts: int, *, prior: Prior | None = None, confidence: float = 0.95
+) -> float:
+    """Return how wide an interval over φ is expected to be.
+
+    Args:
+        between: variance of the φ's own means.
+        within: variance of the values of one φ.
+        safe: number of φ, ≥ 2.
+        attempts: number of attempts on each φ, ≥ 1.
+        prior: what the interval takes as known beforehand. With many φ it makes no difference, and is left out.
+        confidence: two-sided, in (0, 1).
+    """
+    error, inside = math.sqrt((between + within / attempts) / safe), within * safe * (attempts - 1.0)
+    if prior is None or not prior.can_tell(inside) or safe > _MANY:
+        return 2.0 * student_quantile(safe - 1.0, confidence) * error * _mean_of_root(safe - 1.0)
+    counts = np.full(safe, float(attempts))
+    # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
+    means = np.linspace(-1.0, 1.0, safe)
+    means /= means.std(ddof=1)
+    freedom = safe - 1.0
+    scales = np.sqrt(safe * scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _FEW_NODES) * 2.0 / freedom) * error
+    reaches = [prior.interval(scale * means, counts, inside, confidence, _PRECISION) for scale in scales]
+    widths = np.array([sum(reach) for reach in reaches if reach is not None])
+    return float(0.5 * _FEW_WEIGHTS @ widths)
+
+
+def _mean_of_root(freedom: float) -> float:
+    """Return the mean of an estimated standard error over the true one: √(χ²/ν) has it below 1."""
+    return math.sqrt(2.0 / freedom) * math.exp(math.lgamma((freedom + 1.0) / 2.0) - math.lgamma(freedom / 2.0))
+
+
+def power(
+    difference: float, between: float, within: float, safe: int, attempts: int, *, paired: bool, level: float = 0.05
+) -> float:
+    """Return the chance that two cars are told apart, by noncentral t.
+
+    Args:
+        difference: difference of the means, in the unit of the values.
+        between: variance between φ: with `paired`, of the differences on each φ; else of each car's means.
+        within: variance of one attempt on a φ: with `paired`, of the difference of two attempts with one number.
+        safe: number of φ of each car, ≥ 2.
+        attempts: number of attempts on each φ.
+        paired: whether both cars face the same φ.
+        level: how often a difference may be found where there is none.
+    """
+    samples = 1 if paired else 2
+    error = math.sqrt(samples * (between + within / attempts) / safe)
+    if error == 0.0:
+        return 1.0 if difference else level
+    freedom = samples * (safe - 1.0)
+    bound, shift = student_quantile(freedom, 1.0 - level), abs(difference) / error
+    # Over the quantiles of the estimated error, for scipy's noncentral t is undefined where the shift is large.
+    spread = bound * np.sqrt(scipy.special.gammaincinv(freedom / 2.0, 0.5 + 0.5 * _NODES) * 2.0 / freedom)
+    return float(0.5 * _WEIGHTS @ (scipy.special.ndtr(shift - spread) + scipy.special.ndtr(-shift - spread)))
+
+
+def sizes_for_width(
+    width: float, between: float, within: float, *, prior: Prior | None = None, counts: Sequence[int] = COUNTS
+) -> list[Size]:
+    """Return for each number of attempts the least number of φ whose interval is expected to be so narrow.
+
+    Those that no number of φ up to `MOST` suffices for are left out.
+    """
+
+    def found(safe: int, attempts: int) -> Size:
+        return Size(safe, attempts, expected_width(between, within, safe, attempts, prior=prior))
+
+    return _least(counts, found, lambda size: size.width <= width)
+
+
+def sizes_for_power(
+    difference: float,
+    wanted: float,
+    between: float,
+    within: float,
+    *,
+    paired: bool,
+    counts: Sequence[int] = COUNTS,
+) -> list[Size]:
+    """Return for each number of attempts the least number of φ that tells a difference with the power wanted."""
+
+    def found(safe: int, attempts: int) -> Size:
+        samples = 1 if paired else 2
+        wide = expected_width(samples * between, samples * within, safe, attempts)
+        return Size(safe, attempts, wide, power(difference, between, within, safe, attempts, paired=paired))
+
+    return _least(counts, found, lambda size: size.power is not None and size.power >= wanted)
+
+
+def _least(counts: Sequence[int], found: Callable[[int, int], Size], enough: Callable[[Size], bool]) -> list[Size]:
+    """Return for each number of attempts the size with the least number of φ that is enough: more φ always are."""
+    sizes = []
+    for attempts in counts:
+        if not enough(found(MOST, attempts)):
+            continue
+        low, high = 1, MOST
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if enough(found(middle, attempts)) else (middle, high)
+        sizes.append(found(high, attempts))
+    return sizes

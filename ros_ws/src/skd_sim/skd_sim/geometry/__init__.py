@@ -1,1 +1,0 @@
-"""Places, headings, motion and contact."""

@@ -1,1 +1,0 @@
-"""Who waits for whom in the node graph, and what a command can mean."""

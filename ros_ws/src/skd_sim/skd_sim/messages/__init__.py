@@ -1,1 +1,0 @@
-"""Conversion between ROS messages and the objects of SKD."""

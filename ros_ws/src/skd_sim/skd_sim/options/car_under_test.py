@@ -1,0 +1,120 @@
+"""The car under test, by the name of its controller, and what is known of it. Light: every command begins with it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from skd_sim.options.registry import Registry
+
+DEFAULT = "basic"
+EXTERNAL = "external"
+
+
+@dataclass(frozen=True)
+class ControllerKind:
+    """What is known of a controller before it is made.
+
+    Attributes:
+        target: `package.module:Class` that makes it; empty: it is a node that is not SKD's.
+        multiplier: whether it is made with a multiplier C.
+        known: whether its answer to any action of the adversary follows from C and the episode's draws.
+        own: whether it is SKD's own, and need not be kept in a process of its own.
+        control_period: time between two decisions (s) that it declares; none: the scenario's.
+        simulator: the simulator within which alone it decides, in the simulator's own process; empty: any.
+    """
+
+    target: str
+    multiplier: bool = False
+    known: bool = False
+    own: bool = False
+    control_period: float | None = None
+    simulator: str = ""
+
+
+_OWN = {
+    DEFAULT: ControllerKind("skd_sim.controllers.basic:BasicController", multiplier=True, known=True, own=True),
+    "cal": ControllerKind("skd_sim.controllers.cal:CalController", own=True, control_period=0.05),
+    "carla": ControllerKind("skd_sim.controllers.carla_agent:CarlaAgent", own=True),
+    "metadrive_expert": ControllerKind(
+        "skd_sim.simulators.metadrive.expert:MetaDriveExpert", own=True, control_period=0.1, simulator="metadrive"
+    ),
+}
+CONTROLLERS = Registry("controller", "skd.controllers", {name: kind.target for name, kind in _OWN.items()})
+_EXTERNAL = ControllerKind("")
+_CLASS = re.compile(r"[\w.]+:[\w.]+")
+
+
+@dataclass(frozen=True)
+class CarUnderTest:
+    """A car under test: who drives it.
+
+    Attributes:
+        controller: a name of `CONTROLLERS`, `package.module:Class` of a user's, or `external` (a node of a user's).
+        multiplier: C, where it has one.
+    """
+
+    controller: str = DEFAULT
+    multiplier: float = 1.0
+
+    @property
+    def kind(self) -> ControllerKind:
+        """What is known of its controller; whatever is not SKD's own is taken for a user's class."""
+        if self.is_external:
+            return _EXTERNAL
+        return _OWN.get(self.controller) or ControllerKind(self.controller)
+
+    @property
+    def exists(self) -> bool:
+        """Whether the name of its controller is well formed; it may still fail to load."""
+        return self.is_external or self.controller in CONTROLLERS or bool(_CLASS.fullmatch(self.controller))
+
+    @property
+    def is_external(self) -> bool:
+        """Whether it is driven by a process that is not SKD's."""
+        return self.controller == EXTERNAL
+
+    @property
+    def is_own(self) -> bool:
+        """Whether its controller comes with SKD; the code of any other may do what it likes."""
+        return self.kind.own
+
+    @property
+    def user_code(self) -> str:
+        """The user's code that drives it, as messages name it, which is run in a child process; empty: it is SKD's."""
+        return "" if self.is_own or self.is_external else f"controller {self.controller}"
+
+    @property
+    def has_multiplier(self) -> bool:
+        """Whether the car has a multiplier C."""
+        return self.kind.multiplier
+
+    @property
+    def stated_multiplier(self) -> float | None:
+        """C, as results state it; None for a car that has none."""
+        return self.multiplier if self.has_multiplier else None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is known how the car decides, and so how it would have answered other actions."""
+        return self.kind.known
+
+    @property
+    def control_period(self) -> float | None:
+        """Time between two decisions (s) that its controller declares, as far as that is known before it is made."""
+        return self.kind.control_period
+
+    @property
+    def only_simulator(self) -> str:
+        """The simulator within which alone its controller decides, in the simulator's own process; empty: any."""
+        return self.kind.simulator
+
+    @property
+    def label(self) -> str:
+        """Its name in headings; different cars have different names."""
+        return f"{self.controller}, C = {self.multiplier:g}" if self.has_multiplier else self.controller
+
+    @property
+    def file_name(self) -> str:
+        """Its name in names of files and campaigns."""
+        return f"{self.controller}-C{self.multiplier:g}" if self.has_multiplier else self.controller

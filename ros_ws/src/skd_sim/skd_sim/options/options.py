@@ -1,0 +1,350 @@
+"""The options of an episode, each in one place, and what a table of options is.
+
+A field of `EpisodeOptions` that `option` makes is an option: by its entry here it is on the command line, a parameter
+of the evaluator's node with a description, a launch argument, in messages and bags, and in results. Light: every
+command begins with it.
+"""
+
+# ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, cast
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import parse_json
+from skd_sim.options.car_under_test import DEFAULT, CarUnderTest
+from skd_sim.options.knowledge import Knowledge, implied_knowledge
+from skd_sim.options.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
+from skd_sim.options.registry import Registry
+from skd_sim.options.simulators import SIMULATORS, WORLD
+
+COMMANDS: Final = ("assess", "sweep", "episode")
+"""Those that run kamikazes."""
+FIELDS: Final = {"controller", "multiplier", "car_model", "simulations", "objective", "maximum_distance"}
+"""Options for which the message `Episode`, and results, have a field; the others are in their field `options`."""
+GRAPH_COMMANDS: Final = ("assess", "episode", "probe", "drive")
+"""Those that can run their episodes through the node graph."""
+LAUNCHES: Final = ("assessment", "episode")
+
+
+class Names:
+    """Names that may be chosen: some fixed ones and those of a registry, which is asked only for a name it may know."""
+
+    def __init__(self, fixed: tuple[str, ...], registry: Registry | None = None) -> None:
+        """Allow some names, and those of a registry if there is one."""
+        self._fixed, self._registry = fixed, registry
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """Those that are known without looking at installed packages."""
+        return (*self._fixed, *(() if self._registry is None else self._registry.own))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._fixed or (self._registry is not None and name in self._registry)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._fixed, *(() if self._registry is None else self._registry.names())))
+
+
+class Lists(Names):
+    """Lists of names, with commas in between and each at most once."""
+
+    def __contains__(self, text: object) -> bool:
+        parts = str(text).split(",")
+        return len(set(parts)) == len(parts) and all(super(Lists, self).__contains__(part) for part in parts)
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option: what it means, what it may be, and where it can be given.
+
+    Attributes:
+        text: what it means, with its unit; it stands in every --help and description.
+        kind: type of its value: bool, int, float, str, tuple (of texts: it can be given several times), or a class made
+            of a text.
+        default: its value where no other is given.
+        low: least number allowed.
+        high: greatest number allowed.
+        choices: the texts that are allowed; any by default.
+        metavar: name of its value on the command line.
+        group: title of the group of options to which it belongs on the command line.
+        commands: names of the commands that take it.
+        launches: names of the launch files that take it.
+        asked: its default for an assessment, where that differs from the default of a single episode.
+        unset: what None, or an empty text, means.
+        planning: whether it matters only where somebody plans.
+        graph_only: whether it has no effect on episodes that run in process.
+        external_only: whether it is about a controller that is a node of somebody else.
+        name: filled in from the field.
+    """
+
+    text: str
+    kind: type[Any] = str
+    default: Any = None
+    low: float | None = None
+    high: float | None = None
+    choices: Names | None = None
+    metavar: str | None = None
+    group: str = "campaign"
+    commands: tuple[str, ...] = COMMANDS
+    launches: tuple[str, ...] = LAUNCHES
+    asked: Any = None
+    unset: str = ""
+    planning: bool = False
+    graph_only: bool = False
+    external_only: bool = False
+    name: str = ""
+
+    @property
+    def flag(self) -> str:
+        """Its name on the command line."""
+        return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def plain_kind(self) -> type[Any]:
+        """Type of its value as plain data: bool, int, float, str or tuple."""
+        return next(kind for kind in (bool, int, float, tuple, str) if issubclass(self.kind, kind))
+
+    @property
+    def unsaid(self) -> Any:
+        """Its value on the command line where it is not given."""
+        return self.default if self.asked is None else self.asked
+
+    @property
+    def absent(self) -> Any:
+        """What messages and parameters, which have no None, say for it: 0 or an empty text; None: nothing."""
+        return self.plain_kind() if self.default is None and self.kind is not tuple else None
+
+    @property
+    def plain_default(self) -> Any:
+        """What a parameter or a launch argument is by default, as plain data."""
+        return self.plain(self.default) if self.asked is None else self.asked
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The texts that a parameter or a launch argument may have, if there are only a few; else empty."""
+        if self.choices is None:
+            return ()
+        return (*self.choices, *(() if self.absent is None else (self.absent,)))
+
+    def plain(self, value: Any) -> Any:
+        """Return a value as plain data, for messages, parameters and results."""
+        return self.absent if value is None else self.plain_kind(value)
+
+    def value(self, plain: Any) -> Any:
+        """Return the value that plain data stand for, the inverse of `plain`; None: the default."""
+        if plain is None or (self.absent is not None and plain == self.absent):
+            return self.default
+        return self.kind(plain)
+
+
+def option(default: Any, text: str, kind: type[Any] | None = None, **more: Any) -> Any:
+    """Return a field of a dataclass that is an option.
+
+    Args:
+        default: its value where no other is given.
+        text: what it means, with its unit.
+        kind: type of its value; by default that of the default.
+        more: further attributes of `Option`.
+    """
+    return field(default=default, metadata={"option": Option(text, kind or type(default), default, **more)})
+
+
+@functools.cache
+def options_of(table: Callable[..., Any]) -> tuple[Option, ...]:
+    """Return the options of a dataclass, in the order of its fields."""
+    return tuple(
+        dataclasses.replace(one.metadata["option"], name=one.name)
+        for one in dataclasses.fields(cast(type[Any], table))
+        if "option" in one.metadata
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EpisodeOptions:
+    """The table of an episode's options, which are also those of a campaign; each is described where it stands."""
+
+    controller: str = option(
+        DEFAULT,
+        "the car under test: basic (the paper's simple car), cal (the paper's machine-learning controller), carla (the "
+        "driving rules of CARLA 0.8), metadrive_expert (MetaDrive's own trained driver; in simulator metadrive only), "
+        "a name that an installed package has registered, package.module:Class (a Python class of your own), or "
+        "external (a ROS node of your own, which needs the node graph)",
+        metavar="NAME",
+        group="car and test",
+        commands=("assess", "episode", "probe", "ncap", "drive"),
+    )
+    multiplier: float = option(
+        1.0,
+        "C of the basic controller: it brakes when the adversary is ahead of it by at most C times the distance in "
+        "which it can stop",
+        low=0.0,
+        high=100.0,
+        metavar="C",
+        group="car and test",
+        commands=("assess", "episode", "probe", "ncap", "drive"),
+    )
+    simulator: str = option(
+        WORLD,
+        "what moves car and adversary: world (SKD's own simulator), metadrive (MetaDrive, which has to be installed: "
+        "extra metadrive), or a simulator that an installed package has registered",
+        choices=Names((), SIMULATORS),
+        group="car and test",
+        commands=("assess", "episode", "probe"),
+    )
+    car_model: str = option(
+        "",
+        "the model of the car with which the adversary plans: a file car_model.yaml that skd fit has written, or the "
+        "folder that holds it",
+        metavar="FILE",
+        group="car and test",
+        unset="none",
+    )
+    knowledge: Knowledge | None = option(
+        None,
+        "what the adversary knows about the car: nothing (it takes every car for a basic one), learned (it plans "
+        "with the "
+        "model in --car-model; where none is given, one is learned from test drives of the car and kept for the next "
+        "time), known (it knows C of the basic controller)",
+        Knowledge,
+        choices=Names(tuple(map(str, Knowledge))),
+        metavar="{" + ",".join(Knowledge) + "}",
+        group="car and test",
+        commands=("assess", "episode"),
+        unset="known for basic, learned for any other car",
+        planning=True,
+    )
+    simulations: int = option(
+        DEFAULT_SIMULATIONS,
+        "how many futures the planner simulates before each decision of a kamikaze",
+        low=1,
+        high=100_000,
+        metavar="N",
+        commands=(*COMMANDS, "ncap"),
+        planning=True,
+    )
+    objective: Objective = option(
+        Objective.PAPER,
+        "what kamikazes are rewarded for: deformation (bending the safe trajectory φ as little as possible: this one "
+        "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
+        "(deformation and then paper; where only a single episode is run, paper)",
+        choices=Names((BOTH,), OBJECTIVES),
+        asked=BOTH,
+    )
+    particles: int | None = option(
+        None,
+        "how many particles (guesses of the car's state) make up what the adversary believes about the car",
+        int,
+        low=0,
+        high=1_000_000,
+        metavar="N",
+        unset="the number for which the objective was tuned",
+        commands=("episode",),
+        planning=True,
+    )
+    maximum_distance: float | None = option(
+        None,
+        "leave out each kamikaze that ends up further than this many metres from its safe trajectory, and report how "
+        "many were left out",
+        float,
+        low=0.0,
+        high=1e6,
+        metavar="M",
+        launches=("assessment",),
+        unset="none is left out",
+    )
+
+    @property
+    def car(self) -> CarUnderTest:
+        """The car under test."""
+        return CarUnderTest(self.controller, self.multiplier)
+
+    @property
+    def knows(self) -> Knowledge:
+        """What the adversary plans with: `knowledge`, or what is implied where that says nothing."""
+        return self.knowledge or implied_knowledge(self.car, self.car_model)
+
+
+def values_of(table: Callable[..., Any], plain: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a table by name, from plain data; other names are ignored, and missing ones left out.
+
+    Args:
+        table: the dataclass whose fields are the options.
+        plain: values by name, as the command line or a node's parameters have them.
+    """
+    return {one.name: one.value(plain[one.name]) for one in options_of(table) if one.name in plain}
+
+
+def read_options(
+    data: Any, where: str, *tables: Callable[..., Any], path: str = "", listed: bool = False
+) -> dict[str, Any]:
+    """Return the options in plain data that somebody else has written, by name; None is one that is not given.
+
+    Args:
+        data: mapping from names of options to plain values.
+        where: file or other origin, for messages.
+        tables: dataclasses whose fields are the options that there are.
+        path: name of the section that the data are, for messages.
+        listed: whether there is a list of values of each.
+
+    Raises:
+        UsageError: there is no such option, or a value is of another type, out of range, or none of the choices.
+    """
+    from skd_sim.inputs.model import read_model  # every command begins with this module, and pydantic takes 30 ms
+
+    found: dict[str, Any] = read_model(_model_of(tables, listed), data, where, path).model_dump(exclude_unset=True)
+    return found
+
+
+@functools.cache
+def _model_of(tables: tuple[Callable[..., Any], ...], listed: bool) -> Any:
+    """Return the model of the plain data of options, or of lists of them."""
+    from pydantic import ConfigDict, create_model
+
+    from skd_sim.inputs.model import plain_type
+
+    known = {one.name: one for table in tables for one in options_of(table)}
+    several: Any = list
+    fields: dict[str, Any] = {}
+    for name, one in known.items():
+        kind = plain_type(one.plain_kind, one.low, one.high, one.choices)
+        fields[name] = (several[kind] if listed else kind | None, None)
+    return create_model("Options", __config__=ConfigDict(extra="forbid"), **fields)
+
+
+def shared_options(source: EpisodeOptions) -> dict[str, Any]:
+    """Return the options of an episode or a campaign by name, for the making of another."""
+    return {one.name: getattr(source, one.name) for one in options_of(EpisodeOptions)}
+
+
+def further_options(source: EpisodeOptions) -> dict[str, Any]:
+    """Return, as plain data, the options that messages and results have no field for and that are not as by default."""
+    known = {one.name: (one, getattr(source, one.name)) for one in options_of(EpisodeOptions) if one.name not in FIELDS}
+    if source.knowledge == implied_knowledge(source.car, source.car_model):
+        del known["knowledge"]
+    return {name: one.plain(value) for name, (one, value) in known.items() if value != one.default}
+
+
+def options_to_text(source: EpisodeOptions) -> str:
+    """Return `further_options` as a message carries them: JSON, empty where there are none."""
+    found = further_options(source)
+    return json.dumps(found, ensure_ascii=False) if found else ""
+
+
+def options_from_text(text: str, where: str) -> dict[str, Any]:
+    """Return the options in a message's JSON by name; the inverse of `options_to_text`.
+
+    Raises:
+        UsageError: it is no JSON of options that this version knows.
+    """
+    if not text:
+        return {}
+    found = read_options(parse_json(text, where), where, EpisodeOptions)
+    if strange := set(found) & FIELDS:
+        raise UsageError(f"{where}: {min(strange)} has a field of its own")
+    return values_of(EpisodeOptions, found)

@@ -1,0 +1,285 @@
+"""Node `carla_bridge`: CARLA, through carla_ros_bridge, in the place of `vehicle_simulator`.
+
+CARLA runs in synchronous mode and paused; `CarlaFrames` steps it frame by frame. carla_ros_bridge is the source of
+/clock.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Pose, Twist
+from nav_msgs.msg import Odometry
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from skd_sim.errors import UsageError
+from skd_sim.ros.from_messages import from_stamp
+from skd_sim.ros.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
+from skd_sim.ros.support import STREAM, Setting, declare, run_node
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.carla_conversion import (
+    adversary_from_odometry,
+    box_from_odometry,
+    car_from_odometry,
+    pedals,
+    walker_control,
+)
+from skd_sim.simulators.carla_objects import ADVERSARY, CONTROL, EGO, OBSTACLE, ODOMETRY, OTHER, blueprints, walks
+from skd_sim.simulators.framed_simulator import FramedSimulator, States
+from skd_sim.world.aborts import AbortKind
+from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.heading import on_grid
+from skd_sim.world.placement import Placement
+from skd_sim.world.simulator import SimulatorError
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+
+_SETTINGS = (
+    *SIMULATOR_SETTINGS,
+    Setting("ego_role", EGO, "role name of the car under test in CARLA"),
+    Setting("adversary_role", ADVERSARY, "role name of the adversary in CARLA"),
+    Setting("odometry_id", ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both"),
+    Setting("control_id", CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"),
+    Setting("obstacles_on_map", False, "whether the map has the scenario's obstacles; if not, actors are put there"),
+    Setting("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
+    Setting("crossing_y", 0.0, "the same, m", -1e5, 1e5),
+    Setting("crossing_z", 0.5, "height at which actors are put on the road, m", -1e3, 1e4),
+    Setting("crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0),
+    Setting("frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1),
+    Setting("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
+    Setting("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
+    Setting("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
+    Setting("settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0),
+)
+_STEP_ONCE = 2  # carla_msgs/CarlaControl.STEP_ONCE
+_LONGEST_WAIT = 0.05  # s; a signal is then seen
+
+
+def carla_messages() -> Any:
+    """Return the message module of CARLA.
+
+    Raises:
+        UsageError: it is not installed.
+    """
+    try:
+        return importlib.import_module("carla_msgs.msg")
+    except ImportError as error:
+        raise UsageError(
+            "carla_bridge needs the package carla_msgs (github.com/carla-simulator/ros-carla-msgs); "
+            "build it in a workspace and source that"
+        ) from error
+
+
+class CarlaFrames:
+    """CARLA as a source of frames; it waits for them with a node and an executor of its own.
+
+    An adversary whose blueprint is a walker's goes by CARLA's walker control. Any other, and everybody else of the
+    scenario, is put where it is to be before each frame: CARLA has no command that makes a vehicle keep a velocity.
+
+    Attributes:
+        frame_step: time between frames, s.
+        limits: what full pedals do.
+    """
+
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        """Take the parameters of `carla_bridge`, and find CARLA's topics."""
+        s = self._settings = settings
+        self._messages = carla_messages()
+        self.frame_step = float(s["frame_step"])
+        self.limits = CommandLimits(-s["full_brake"], s["full_throttle"])
+        self._placement = Placement(s["crossing_x"], s["crossing_y"], s["crossing_yaw"])
+        ego, adversary = f"/carla/{s['ego_role']}", f"/carla/{s['adversary_role']}"
+        node = self._node = rclpy.create_node("carla_link")
+        self._car_control = node.create_publisher(
+            self._messages.CarlaEgoVehicleControl, f"{ego}/vehicle_control_cmd", STREAM
+        )
+        self._walker_control = node.create_publisher(
+            self._messages.CarlaWalkerControl, f"{adversary}/walker_control_cmd", STREAM
+        )
+        self._simulation = node.create_publisher(self._messages.CarlaControl, "/carla/control", STREAM)
+        self._poses: dict[str, Any] = {}
+        self._car_twist = node.create_publisher(Twist, f"{ego}/{s['control_id']}/set_target_velocity", STREAM)
+        self._odometry: dict[str, dict[int, Any]] = {"car": {}, "adversary": {}}
+        topic = s["odometry_id"]
+        node.create_subscription(Odometry, f"{ego}/{topic}", lambda m: self._on_odometry("car", m), STREAM)
+        node.create_subscription(Odometry, f"{adversary}/{topic}", lambda m: self._on_odometry("adversary", m), STREAM)
+        self._last_frame = -1
+        self._newest: States | None = None
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    # --- what StagedFrameSource and FrameSource ask for
+
+    def prepare(self, scenario: Scenario) -> None:
+        """Take the scenario, and where its obstacles are."""
+        self._scenario = scenario
+        self._walks = walks(blueprints(scenario)[ADVERSARY])
+        self._staged: dict[str, tuple[float, float, float]] = {}
+        if not self._settings["obstacles_on_map"]:
+            for index, one in enumerate(scenario.obstacles):
+                self._staged[OBSTACLE.format(index)] = one.x, one.y, one.heading
+
+    def show(self, others: Sequence[RoadUserState]) -> None:
+        """Put the others where they are at the next frame's end."""
+        for index, state in enumerate(others):
+            self._staged[OTHER.format(index)] = state.x, state.y, state.heading
+        self._put_staged()
+
+    def place(self, car: CarState, adversary: AdversaryState) -> States:
+        """Put car and adversary at the start, the car rolling at its start speed, until a frame shows them there."""
+        limit = self._settings["startup_timeout"]
+        begun, tolerance = time.monotonic(), self._settings["placing_tolerance"]
+        self._await_actors(begun, limit)
+        starts: tuple[tuple[float, ...], ...] = car, adversary
+        self._at, self._height = adversary, self._settings["crossing_z"]
+        while True:
+            self._put_staged()
+            self._put_both(car, adversary)
+            self.control(0.0, (0.0, 0.0))
+            now = self._next_frame(begun, limit, AbortKind.NOT_STARTED, "CARLA to put both actors in place")
+            if all(math.dist(there[:2], start[:2]) <= tolerance for there, start in zip(now, starts, strict=True)):
+                if not self._walks:  # it comes as fast as the scenario says, and CARLA reports no speed of it
+                    now = now[0], now[1]._replace(vx=adversary.vx, vy=adversary.vy)
+                self._at = now[1]
+                return now
+
+    def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
+        """Send both commands, and wait until they have arrived: topics have no common order, and nobody answers."""
+        throttle, brake = pedals(acceleration, self._settings["full_throttle"], self._settings["full_brake"])
+        self._car_control.publish(self._messages.CarlaEgoVehicleControl(throttle=throttle, brake=brake))
+        self._velocity = velocity
+        if self._walks:
+            walker = walker_control(velocity, self._placement)
+            message = self._messages.CarlaWalkerControl(speed=walker.speed)
+            message.direction.x, message.direction.y = walker.x, walker.y
+            self._walker_control.publish(message)
+        time.sleep(self._settings["settling_time"])
+
+    def advance(self) -> States:
+        """Step once, and wait for both states."""
+        if not self._walks:
+            self._push()
+        if self._scenario.others or not self._walks:  # poses have to arrive before the step
+            time.sleep(self._settings["settling_time"])
+        return self._next_frame(time.monotonic(), self._settings["command_timeout"], AbortKind.NO_ANSWER, "a frame")
+
+    # --- CARLA
+
+    def _await_actors(self, begun: float, limit: float) -> None:
+        """Wait until everybody of the scenario can be put somewhere.
+
+        Raises:
+            SimulatorError: somebody could not until `limit` (s) after `begun` (monotonic time, s).
+        """
+        for role in self._staged:
+            while self._publisher(role).get_subscription_count() == 0:
+                if time.monotonic() > begun + limit:
+                    control = self._settings["control_id"]
+                    raise SimulatorError(
+                        AbortKind.NOT_STARTED,
+                        f"carla_bridge waited {limit:g} s for an actor {role} with an actor.pseudo.control {control}",
+                    )
+                self._executor.spin_once(timeout_sec=_LONGEST_WAIT)
+
+    def _put_staged(self) -> None:
+        for role, pose in self._staged.items():
+            self._put(role, *pose, self._settings["crossing_z"])
+
+    def _push(self) -> None:
+        """Put an adversary that does not walk where its velocity takes it in a frame, pointing that way."""
+        vx, vy = self._velocity
+        heading = float(on_grid(self._scenario.adversary.heading(self._at.heading, vx, vy)))
+        place = self._at.x + self.frame_step * vx, self._at.y + self.frame_step * vy
+        self._at = AdversaryState(*place, vx, vy, heading)
+        self._put(self._settings["adversary_role"], *place, heading, self._height)
+
+    def _put_both(self, car: CarState, adversary: AdversaryState) -> None:
+        self._put(self._settings["ego_role"], car.x, car.y, car.heading, self._settings["crossing_z"])
+        twist = Twist()
+        twist.linear.x = car.speed
+        self._car_twist.publish(twist)
+        self._put(self._settings["adversary_role"], adversary.x, adversary.y, adversary.heading, self._height)
+
+    def _publisher(self, role: str) -> Any:
+        """Return the publisher of an actor's pose, by its role name."""
+        if role not in self._poses:
+            topic = f"/carla/{role}/{self._settings['control_id']}/set_transform"
+            self._poses[role] = self._node.create_publisher(Pose, topic, STREAM)
+        return self._poses[role]
+
+    def _put(self, role: str, x: float, y: float, heading: float, height: float) -> None:
+        """Ask for an actor to be at a place of the crossing's frame (m), at a height on the map (m)."""
+        place = self._placement.point_to_map(x, y)
+        self._publisher(role).publish(self._pose(*place, height, heading + self._placement.yaw))
+
+    def _pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
+        pose = Pose()
+        pose.position.x, pose.position.y, pose.position.z = x, y, z
+        pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+        return pose
+
+    def _next_frame(self, begun: float, limit: float, kind: AbortKind, what: str) -> States:
+        """Step once and return the frame that comes.
+
+        Raises:
+            SimulatorError: none came until `limit` (s) after `begun` (monotonic time, s).
+        """
+        self._newest = None
+        self._simulation.publish(self._messages.CarlaControl(command=_STEP_ONCE))
+        while self._newest is None:
+            left = begun + limit - time.monotonic()
+            if left <= 0.0:
+                raise SimulatorError(kind, f"carla_bridge waited {limit:g} s for {what}")
+            self._executor.spin_once(timeout_sec=min(_LONGEST_WAIT, left))
+        return self._newest
+
+    def _on_odometry(self, actor: str, message: Any) -> None:
+        stamp = from_stamp(message.header.stamp)
+        self._odometry[actor][stamp] = message
+        if stamp <= self._last_frame or not all(stamp in found for found in self._odometry.values()):
+            return
+        self._last_frame = stamp
+        car = car_from_odometry(self._odometry["car"][stamp], self._placement)
+        message = self._odometry["adversary"][stamp]
+        if self._walks:
+            adversary = adversary_from_odometry(message, self._placement)
+        else:
+            adversary = box_from_odometry(message, self._placement, self._velocity)
+            self._height = message.pose.pose.position.z  # where the road bears it: else each frame lets it fall
+        self._odometry = {"car": {}, "adversary": {}}
+        self._newest = car, adversary
+
+
+class CarlaBridge(Node):
+    """CARLA, and its clock."""
+
+    def __init__(self) -> None:
+        """Find CARLA; then wait for an episode."""
+        super().__init__("carla_bridge")
+        settings = declare(self, _SETTINGS)
+        self._carla = CarlaFrames(settings)
+        self.simulator = GraphSimulator(self, FramedSimulator(self._carla), settings, clock=False)
+
+    def destroy_node(self) -> None:
+        """Leave the graph, and CARLA with it."""
+        self._carla.close()
+        super().destroy_node()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(CarlaBridge, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,326 @@
+"""Who waits for whom in an episode: the rules of lockstep and of real time, without ROS and without a clock.
+
+A simulator's node hands in what arrives, with the time where it matters, and does what comes back: `Step`, `Start`,
+`Repeat` or `End`. In lockstep a control period is over when the command of the car with its stamp is there, and at a
+tick, which is the first period of several or the only one, that of the adversary, too; in real time commands of the
+episode are held, and the node goes on by itself from `Start` on.
+
+A car that only follows `/clock` answers when it likes. Lockstep *with a quiet time* waits for it as well, but not for
+long: a control period is over when the car has said something since its state was published, or when the quiet time is
+over; the last command is held.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from skd_sim.ros.command_source import Source
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.command_ages import CommandAges
+from skd_sim.world.episode import Outcome
+from skd_sim.world.simulator import Frame
+from skd_sim.world.stamps import period_stamp
+
+REPEAT_PERIOD = 0.2
+"""s of wall time between repetitions of tick 0, which a node that joins late has missed."""
+
+LEAD = 900_000_000
+_LEAD_STEP = 100_000_000
+"""ns of simulation time by which the clock is behind tick 0 at first where commands are held, and its step.
+
+A node with a timer speaks when the clock has moved, and may have nothing to say until it has seen a state: with each
+repetition of tick 0 the clock comes nearer. Episodes are a second apart, so that it never runs backwards.
+"""
+
+
+class Step(NamedTuple):
+    """The simulator is to hold these commands for one control period; its frame is handed in next.
+
+    Attributes:
+        drive: what the car under test commanded: an acceleration (m/s²), or a speed target (m/s).
+        velocity: velocity of the adversary, (East, North), m/s.
+        limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
+    """
+
+    drive: float
+    velocity: tuple[float, float]
+    limit: float = 0.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """In real time only: car and adversary have each sent a command, and the control periods may begin."""
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """The state of tick 0 is to be published once more."""
+
+
+class End(NamedTuple):
+    """The episode is over.
+
+    Attributes:
+        outcome: how the episode ended.
+        frame: frame at the end of the episode.
+        stamp: stamp of that frame, ns.
+        reason: why the episode was aborted, beginning with a kind of `skd_sim.world.aborts`; empty if it was not.
+    """
+
+    outcome: Outcome
+    frame: Frame
+    stamp: int
+    reason: str
+
+
+Action = Step | Start | Repeat | End
+
+
+class Limits(NamedTuple):
+    """How long a command may be waited for, s of wall time: in general, and at tick 0, while nodes start."""
+
+    command: float
+    startup: float
+
+
+class Lockstep:
+    """The state of one episode after another; idle before `begin` and after an `End`.
+
+    After a `Step` its frame, or what failed, has to be handed in before anything else.
+
+    Attributes:
+        ages: ages of the car's commands in this episode.
+        lead: how far the clock is to be behind the state that is published now, ns.
+    """
+
+    def __init__(
+        self, car: Source, adversary: Source, limits: Limits, *, real_time: bool = False, quiet_time: float = 0.0
+    ) -> None:
+        """Wait for an episode.
+
+        Args:
+            car: the source of the car's commands.
+            adversary: the source of the adversary's commands.
+            limits: how long commands are waited for.
+            real_time: whether commands are held, instead of waiting for those of each tick.
+            quiet_time: how long a car that follows the clock is waited for, s of wall time; 0: one that answers each
+                state is, as long as its limit says.
+        """
+        self.ages = CommandAges(waited_for=not real_time)
+        self._car, self._adversary = car, adversary
+        self._limits = limits
+        self._real_time = real_time
+        self._quiet_time = quiet_time
+        self._frame: Frame | None = None
+
+    @property
+    def stamp(self) -> int:
+        """Stamp of the frame now, ns."""
+        assert self._frame is not None
+        return frame_stamp(self._start, self._frame, self._scenario)
+
+    def begin(self, start: int, scenario: Scenario, frame: Frame, now: float) -> End | None:
+        """Begin an episode; if one is still running, leave it without a message.
+
+        Args:
+            start: stamp of tick 0, ns.
+            scenario: scenario that gives the time step and the control periods.
+            frame: frame of tick 0.
+            now: time on the monotonic clock, s.
+        """
+        self._start, self._scenario = start, scenario
+        self._car.begin()
+        self._adversary.begin()
+        self._began = False
+        self._velocity: tuple[float, float] | None = None  # of the tick that is under way
+        self._frame = frame
+        self._progress = self._published = self._begun_at = now
+        self.lead = LEAD if self._quiet_time or self._real_time else 0
+        self._spoken = False  # the car has, since the state now was published
+        self.ages.begin()
+        self.ages.publish(start, now)
+        return self._refuse_crowds()
+
+    def stop(self) -> None:
+        """Leave the running episode without a message."""
+        self._frame = None
+
+    def drive(self, stamp: int | None, command: float, limit: float = 0.0, *, now: float = math.nan) -> Action | None:
+        """Take a command of the car.
+
+        Args:
+            stamp: stamp that the command carries, ns; a message without one is for the running tick.
+            command: acceleration (m/s²) or speed target (m/s).
+            limit: greatest change of speed that a speed target allows, m/s²; with 0 any is allowed.
+            now: time on the monotonic clock, s; without it the command's age is not known.
+        """
+        answer = (command, limit) if limit else (command,)
+        if self._quiet_time:
+            return self._hear(stamp, answer, now)
+        return self._answer(self._car, stamp, answer, now)
+
+    def walk(self, stamp: int, velocity: tuple[float, float], *, now: float = math.nan) -> Action | None:
+        """Take a command of the adversary, (East, North), m/s, with its stamp, ns, at a monotonic time, s."""
+        return self._answer(self._adversary, stamp, velocity, now)
+
+    def go_on(self, now: float = math.nan) -> Step | None:
+        """Return the commands that are held at a monotonic time (s); real time only."""
+        return self._take(now) if self._frame is not None and self._began else None
+
+    def quiet(self, now: float = math.nan) -> Step | None:
+        """Take note that the quiet time since the last state is over, at a monotonic time (s)."""
+        if self._frame is None or self._car.command is None:
+            return None
+        self._spoken = True
+        return None if self._waits_for(self._adversary) else self._take(now)
+
+    def advance(self, frame: Frame, now: float) -> End | None:
+        """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
+        self._frame = frame
+        self._progress = self._published = now
+        self._car.go_on()
+        self._adversary.go_on()
+        self.lead = 0
+        self.ages.publish(self.stamp, now)
+        if frame.period == 0:
+            self._velocity = None
+        if frame.outcome == Outcome.RUNNING:
+            return None
+        return self._refuse_crowds() or self._end(frame.outcome, "")
+
+    def fail(self, reason: str) -> End | None:
+        """Abort the running episode, if there is one, for the reason that the simulator gives."""
+        return self._end(Outcome.ABORTED, reason) if self._frame is not None else None
+
+    def watch(self, now: float) -> Repeat | End | None:
+        """End the episode if a sender is silent, gone or one too many; to be asked now and then (monotonic time, s)."""
+        frame = self._frame
+        if frame is None:
+            return None
+        if (crowd := self._refuse_crowds()) is not None:
+            return crowd
+        if self._began:
+            return self._refuse_absence(self._car, self._adversary)
+        if self._quiet_time and self._car.command is not None and (gone := self._refuse_absence(self._car)) is not None:
+            return gone
+        first = frame.tick == 0 and frame.period == 0
+        limit = self._limits.startup if first else self._limits.command
+        if now - self._progress > limit:
+            silent = (source for source in (self._car, self._adversary) if self._waits_for(source))
+            reasons = [source.silence(self.stamp, limit, frame.tick) for source in silent]
+            return self._end(Outcome.ABORTED, " and ".join(reasons))
+        if first and now - self._published > REPEAT_PERIOD:
+            self._published = now
+            self.ages.publish(self.stamp, now)
+            if self._car.senders.count():
+                self.lead = max(0, self.lead - _LEAD_STEP)
+            return Repeat()
+        return None
+
+    def _hear(self, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
+        """Take a command of a car that follows the clock."""
+        if self._frame is None:
+            return None
+        if not stamp:
+            stamp = None
+            if now - self._begun_at < self._quiet_time:
+                return None  # it may be of the episode before, and still have been under way
+        elif stamp < self._start - LEAD:
+            self._car.ignore(stamp)
+            return None
+        if not _finite(answer):
+            return self._not_finite(self._car, answer)
+        first = self._car.command is None
+        self._car.command = answer
+        self.ages.come(stamp, now)
+        # One that comes too late for its state is good for the next one, but does not answer it.
+        self._spoken |= first or stamp is None or stamp >= self.stamp
+        return None if self._waits_for(self._car) or self._waits_for(self._adversary) else self._take(now)
+
+    def _not_finite(self, source: Source, answer: tuple[float, ...]) -> End:
+        said = f"{source.who} commanded {', '.join(map(str, answer))}"
+        return self._end(Outcome.ABORTED, abort_reason(AbortKind.NOT_FINITE, said))
+
+    def _answer(self, source: Source, stamp: int | None, answer: tuple[float, ...], now: float) -> Action | None:
+        if self._frame is None:
+            return None
+        if self._real_time and stamp == 0:
+            stamp = None  # which says nothing
+        if stamp is not None and not self._real_time and self._start <= stamp <= self.stamp:
+            if source.answered(stamp):
+                problem = source.contradiction(stamp, answer, self._start)
+                return None if problem is None else self._end(Outcome.ABORTED, problem)
+            source.note(stamp, answer)
+        if stamp is not None and not self._wants(stamp):
+            source.ignore(stamp)
+            return None
+        if not _finite(answer):
+            return self._not_finite(source, answer)
+        source.command = answer
+        if source is self._car:
+            self.ages.come(stamp, now)
+        if self._began or self._waits_for(self._car) or self._waits_for(self._adversary):
+            return None
+        if self._real_time:
+            self._began = True
+            return Start()
+        return self._take(now)
+
+    def _wants(self, stamp: int) -> bool:
+        """Whether a command is for the running tick: lockstep takes no other, real time takes any of this episode."""
+        if self._real_time:
+            return stamp >= (self._start if self._began else self._start - LEAD)
+        return stamp == self.stamp
+
+    def _waits_for(self, source: Source) -> bool:
+        """Whether the running control period still needs a command of some source."""
+        if self._quiet_time and source is self._car:
+            return not self._spoken
+        return source.command is None and (source is self._car or self._velocity is None)
+
+    def _take(self, now: float) -> Step:
+        drive = self._car.command
+        assert drive is not None
+        self.ages.use(now)
+        if self._velocity is None:
+            velocity = self._adversary.command
+            assert velocity is not None
+            self._velocity = velocity[0], velocity[1]
+        if not self._real_time:
+            self._adversary.command = None
+            if not self._quiet_time:
+                self._car.command = None
+        self._spoken = False
+        return Step(drive[0], self._velocity, *drive[1:])
+
+    def _refuse_crowds(self) -> End | None:
+        """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""
+        problem = self._car.crowd() or self._adversary.crowd()
+        return None if problem is None else self._end(Outcome.ABORTED, problem)
+
+    def _refuse_absence(self, *held: Source) -> End | None:
+        """Where commands are held, only a source that is gone altogether can be noticed."""
+        for source in held:
+            if source.senders.count() == 0:
+                gone = f"{source.who} (publisher of {source.topic}) is gone"
+                return self._end(Outcome.ABORTED, abort_reason(AbortKind.ENDED, gone))
+        return None
+
+    def _end(self, outcome: Outcome, reason: str) -> End:
+        assert self._frame is not None
+        end = End(outcome, self._frame, self.stamp, reason)
+        self._frame = None
+        return end
+
+
+def frame_stamp(start: int, frame: Frame, scenario: Scenario) -> int:
+    """Return the stamp (ns) of a frame of an episode that starts at `start` (ns)."""
+    return period_stamp(start, frame.tick, frame.period, scenario.control_periods, scenario.time_step)
+
+
+def _finite(numbers: Iterable[float]) -> bool:
+    return all(map(math.isfinite, numbers))

@@ -1,0 +1,307 @@
+"""The simulator's part in the graph: it publishes where car and adversary are, and hands their commands to a simulator.
+
+The rules of an episode are `skd_sim.ros.lockstep`, the motion is the simulator's. Here are topics, parameters and
+timers.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from geometry_msgs.msg import TwistStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from skd_msgs.msg import Episode as EpisodeMsg
+from skd_msgs.msg import EpisodeResult
+
+from skd_sim.errors import UsageError
+from skd_sim.options.frames import MAP_FRAME
+from skd_sim.options.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
+from skd_sim.options.options import values_of
+from skd_sim.ros.command_messages import car_commands
+from skd_sim.ros.command_search import kind_name, why_no_command
+from skd_sim.ros.command_source import Senders, Source
+from skd_sim.ros.commands import Quantity, follow_speed
+from skd_sim.ros.from_messages import from_stamp, message_to_episode
+from skd_sim.ros.initial_pose import InitialPose
+from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
+from skd_sim.ros.publishers import living_publishers, publisher_names
+from skd_sim.ros.state_publisher import StatePublisher
+from skd_sim.ros.support import (
+    EPISODE,
+    EPISODE_RESULT,
+    LATCHED,
+    STREAM,
+    VELOCITY_COMMAND,
+    settings_of,
+)
+from skd_sim.ros.to_messages import to_stamp
+from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.command_ages import Schedule
+from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.simulator import Frame, Simulator, SimulatorError, require_others
+from skd_sim.world.world import Contact
+
+SIMULATOR_SETTINGS = settings_of(SimulatorOptions)
+"""Parameters of every simulator's node."""
+
+_WATCH_PERIOD = 0.05  # s of wall time
+
+
+class _Senders:
+    """Who publishes on a topic of commands, as the middleware sees it; see `command_source.Senders`."""
+
+    def __init__(self, node: Node, subscription: Any) -> None:
+        self._node, self._subscription = node, subscription
+
+    def count(self) -> int:
+        return int(self._subscription.get_publisher_count())
+
+    def living(self) -> int:
+        return len(living_publishers(self._node, self._subscription.topic_name))
+
+    def names(self) -> list[str]:
+        return publisher_names(self._node, self._subscription.topic_name)
+
+    def absence(self) -> str:
+        name = self._subscription.topic_name
+        why = why_no_command(self._node, name, kind_name(self._subscription.msg_type))
+        return why or f"what is published on {name} does not reach this node"
+
+
+class _OneSender:
+    """The adversary in this process, which is always there."""
+
+    def count(self) -> int:
+        return 1
+
+    living = count
+
+    def names(self) -> list[str]:
+        return ["the adversary"]
+
+    def absence(self) -> str:
+        return ""
+
+
+class GraphSimulator:
+    """Ground truth of the graph; one episode at a time.
+
+    It speaks through a node that may belong to others as well. Whoever shares the process hears states and results by
+    a call, and calls `begin` and `walk`; everybody else by the topics.
+
+    Attributes:
+        on_frame: called with each state and its stamp (ns).
+        on_result: called with the result of an episode, a skd_msgs/EpisodeResult.
+    """
+
+    def __init__(
+        self, node: Node, simulator: Simulator, values: Mapping[str, Any], *, clock: bool = True, alone: bool = True
+    ) -> None:
+        """Make the topics; then wait for an episode.
+
+        Args:
+            node: node that speaks and listens.
+            simulator: simulator that moves car and adversary.
+            values: values of `SIMULATOR_SETTINGS` by name.
+            clock: whether it publishes `/clock`; a simulator may do so itself.
+            alone: whether evaluator and adversary are in other processes.
+        """
+        self._node, self._simulator, self._values = node, simulator, values
+        self.on_frame: Callable[[int, Frame], None] = lambda _stamp, _frame: None
+        self.on_result: Callable[[EpisodeResult], None] = lambda _result: None
+        self._states = StatePublisher(node, StateOptions(**values_of(StateOptions, values)), clock=clock)
+        self._result = node.create_publisher(EpisodeResult, EPISODE_RESULT, STREAM)
+        self._initial_pose = InitialPose(node) if values["initial_pose"] else None
+        self._lockstep = self._listen_to_commands(alone=alone)
+        if alone:
+            node.create_subscription(EpisodeMsg, EPISODE, self.begin, LATCHED)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = node.create_timer(_WATCH_PERIOD, self._on_watch, clock=self._steady)
+        self._ticker: Any = None
+        self._schedule: Schedule | None = None
+        self._quiet: Any = None
+        if values["quiet_time"]:
+            self._quiet = node.create_timer(values["quiet_time"], self._on_quiet, clock=self._steady)
+            self._quiet.cancel()
+        self._message: Any = None
+
+    def _listen_to_commands(self, *, alone: bool) -> Lockstep:
+        values, node = self._values, self._node
+        commands = car_commands(CommandOptions(**values_of(CommandOptions, values)))
+        topic = values["command_topic"]
+
+        def on_command(message: Any) -> None:
+            try:
+                stamp, command = commands.read(message)
+            except IndexError as error:
+                said = f"a message on {topic} is left out: {commands.format.field}: {error}"
+                node.get_logger().warning(said, throttle_duration_sec=5.0)
+                return
+            self._do(self._lockstep.drive(stamp, *command, now=time.monotonic()))
+
+        def on_velocity(message: TwistStamped) -> None:
+            linear = message.twist.linear
+            self.walk(from_stamp(message.header.stamp), (linear.x, linear.y))
+
+        drives: Senders = _Senders(node, node.create_subscription(commands.kind, topic, on_command, STREAM))
+        walks: Senders = _OneSender()
+        if alone:
+            walks = _Senders(node, node.create_subscription(TwistStamped, VELOCITY_COMMAND, on_velocity, STREAM))
+        low, high = -values["maximum_deceleration"], values["maximum_acceleration"]
+        self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
+        real_time = values["pacing"] == REAL_TIME
+        if real_time and values["quiet_time"]:
+            raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
+        return Lockstep(
+            Source("the car controller", topic, drives),
+            Source("the adversary", VELOCITY_COMMAND, walks),
+            Limits(values["command_timeout"], values["startup_timeout"]),
+            real_time=real_time,
+            quiet_time=values["quiet_time"],
+        )
+
+    # --- episodes
+
+    def begin(self, message: EpisodeMsg) -> None:
+        """Begin an episode, unless it has begun."""
+        if self._message is not None and _identity(self._message) == _identity(message):
+            return
+        self._stop()
+        self._message = message
+        self._start = from_stamp(message.header.stamp)
+        self._clipped = 0
+        self._schedule = None
+        try:
+            self._episode: Episode = message_to_episode(message)
+            require_others(self._simulator, self._node.get_name(), self._episode)
+            self._frame = self._simulator.reset(self._episode)
+        except ValueError as error:
+            self._refuse(abort_reason(AbortKind.FAILED, f"{self._node.get_name()}: {error}"))
+            return
+        except SimulatorError as fault:
+            self._refuse(str(fault))
+            return
+        self._states.begin(self._episode, self._start)
+        if self._initial_pose is not None:
+            self._initial_pose.publish(self._frame.car, self._start)
+        begun = self._lockstep.begin(self._start, self._episode.scenario, self._frame, time.monotonic())
+        self._publish_state()
+        self._do(begun)
+
+    def _refuse(self, reason: str) -> None:
+        self._publish_result(Outcome.ABORTED, 0, self._start, None, reason)
+
+    def _stop(self) -> None:
+        self._lockstep.stop()
+        if self._ticker is not None:
+            self._node.destroy_timer(self._ticker)
+            self._ticker = None
+        if self._quiet is not None:
+            self._quiet.cancel()
+
+    # --- what arrives
+
+    def walk(self, stamp: int, velocity: tuple[float, float]) -> None:
+        """Take the adversary's velocity, (East, North), m/s, for the tick of a stamp (ns)."""
+        self._do(self._lockstep.walk(stamp, velocity, now=time.monotonic()))
+
+    def _on_ticker(self) -> None:
+        now = time.monotonic()
+        assert self._schedule is not None
+        late, limit = self._schedule.late(now), max(self._values["slip_limit"], 0.5 * self._schedule.period)
+        if late <= limit:
+            self._do(self._lockstep.go_on(now))
+            return
+        slipped = (
+            f"{self._node.get_name()} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
+        )
+        self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
+
+    def _on_quiet(self) -> None:
+        self._quiet.cancel()
+        self._do(self._lockstep.quiet(time.monotonic()))
+
+    def _on_watch(self) -> None:
+        self._do(self._lockstep.watch(time.monotonic()))
+
+    # --- what comes of it
+
+    def _do(self, action: Action | None) -> None:
+        if isinstance(action, Step):
+            self._step(action)
+        elif isinstance(action, Start):
+            period = self._episode.scenario.control_duration / self._values["rate_factor"]
+            self._schedule = Schedule(time.monotonic(), period)
+            self._ticker = self._node.create_timer(period, self._on_ticker, clock=self._steady)
+        elif isinstance(action, Repeat):
+            self._publish_state()
+        elif isinstance(action, End):
+            self._end(action)
+
+    def _step(self, commands: Step) -> None:
+        try:
+            self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
+        except SimulatorError as fault:
+            self._do(self._lockstep.fail(str(fault)))
+            return
+        end = self._lockstep.advance(self._frame, time.monotonic())
+        self._publish_state()
+        self._do(end)
+
+    def _acceleration(self, commands: Step) -> float:
+        """Return the acceleration (m/s²) that a command of the car means now."""
+        if self._follows is None:
+            return commands.drive
+        duration = self._episode.scenario.control_duration
+        return follow_speed(commands.drive, self._frame.car.speed, duration, self._follows, commands.limit)
+
+    def _publish_state(self) -> None:
+        stamp = frame_stamp(self._start, self._frame, self._episode.scenario)
+        if self._quiet is None:
+            self._states.tell_time(stamp - self._lockstep.lead)
+            self._states.publish(self._frame, stamp)
+        else:  # who decides by the clock is to know the state by then
+            self._states.publish(self._frame, stamp)
+            self._states.tell_time(stamp - self._lockstep.lead)
+            self._quiet.reset()
+        self.on_frame(stamp, self._frame)
+
+    # --- results
+
+    def _end(self, end: End) -> None:
+        self._clipped = self._simulator.clipped
+        contact = end.frame.contact if end.outcome == Outcome.COLLISION else None
+        self._publish_result(end.outcome, end.frame.tick, end.stamp, contact, end.reason)
+        self._stop()
+
+    def _publish_result(self, outcome: Outcome, ticks: int, end: int, contact: Contact | None, reason: str) -> None:
+        result = EpisodeResult()
+        result.header.stamp = to_stamp(end)
+        result.header.frame_id = MAP_FRAME
+        result.campaign = self._message.campaign
+        result.episode_id = int(self._message.episode_id)
+        result.start = to_stamp(self._start)
+        result.outcome = int(outcome)
+        result.ticks = ticks
+        result.reason = reason
+        result.commands_clipped = self._clipped
+        result.command_ages = array("f", self._lockstep.ages.ages)
+        result.commands_held = self._lockstep.ages.held
+        result.greatest_delay = 0.0 if self._schedule is None else self._schedule.worst
+        result.impact_time, result.impact_speed = math.nan, math.nan
+        if contact is not None:
+            frame = Frame(ticks, self._frame.car, self._frame.adversary, contact)
+            result.impact_time, result.impact_speed = frame.impact(self._episode.scenario.time_step)
+        if self._result.get_subscription_count():
+            self._result.publish(result)
+        self.on_result(result)
+
+
+def _identity(message: Any) -> tuple[str, int, int]:
+    return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)

@@ -1,0 +1,238 @@
+"""What the nodes share: names of topics, quality of service, parameters with ranges, and `main`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.inputs.suggestion import nearest
+from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.options import options_of
+from skd_sim.program.ending import END_LIMIT, end_within
+from skd_sim.program.interruption import Interruption
+
+CLOCK = "/clock"
+TF = "/tf"
+TF_STATIC = "/tf_static"
+ROBOT_DESCRIPTION = "robot_description"
+EGO_ODOMETRY = "ego/odometry"
+EGO_IMU = "ego/imu"
+EGO_SCAN = "ego/scan"
+EGO_POINTS = "ego/points"
+ADVERSARY_ODOMETRY = "adversary/odometry"
+ADVERSARY_DETECTIONS = "adversary/detections"
+ACCELERATION_COMMAND = CommandOptions.command_topic
+VELOCITY_COMMAND = "adversary/velocity_command"
+EPISODE = "skd/episode"
+EPISODE_RESULT = "skd/episode_result"
+ASSESSMENT = "skd/assessment"
+MARKERS = "skd/markers"
+CLEARANCE = "skd/clearance"
+DEFORMATION = "skd/deformation"
+BELIEVED_CAR = "skd/believed_car"
+
+STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+"""States, commands and results: none may be lost.
+
+The lockstep waits for who answers, not for who listens: an evaluator that gets no processor for a tenth of a second has
+a hundred states of a car that decides 20 times a second to catch up with. Fast DDS keeps 5,000 at most.
+"""
+
+LATCHED = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The current episode and the last assessment: a node that joins late gets it."""
+
+_LONGEST_WAIT = 0.05  # s
+_OF_OTHERS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+"""Parameters that rclpy itself looks after, some of them later."""
+
+
+class GraphNode(Node):
+    """A node without rclpy's own events (of quality of service that does not fit): each turn would look at all of them.
+
+    Why nothing comes of a publisher is said by `command_search`.
+    """
+
+    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+        """As a node's."""
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return super().create_publisher(*arguments, event_callbacks=events, **options)
+
+    def create_subscription(self, *arguments: Any, **options: Any) -> Any:
+        """As a node's."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return super().create_subscription(*arguments, event_callbacks=events, **options)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A node parameter.
+
+    Attributes:
+        name: name of the parameter.
+        default: value by default, whose type is that of the parameter.
+        description: what the parameter means, with its unit.
+        low: least number allowed.
+        high: greatest number allowed.
+        choices: texts allowed; any by default.
+        read_only: whether it cannot be changed while the node runs.
+    """
+
+    name: str
+    default: Any
+    description: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = True
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what `ros2 param describe` shows."""
+        descriptor = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        if self.choices:
+            descriptor.additional_constraints = f"one of: {', '.join(self.choices)}"
+        if self.low is not None and self.high is not None:
+            if isinstance(self.default, int):
+                whole = IntegerRange(from_value=int(self.low), to_value=int(self.high), step=1)
+                descriptor.integer_range = [whole]
+            else:
+                real = FloatingPointRange(from_value=float(self.low), to_value=float(self.high), step=0.0)
+                descriptor.floating_point_range = [real]
+        return descriptor
+
+
+def settings_of(table: Callable[..., Any]) -> tuple[Setting, ...]:
+    """Return the parameters by which the options of a table are given to a node."""
+    return tuple(
+        Setting(
+            one.name,
+            one.plain_default,
+            f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text,
+            one.low,
+            one.high,
+            one.texts,
+        )
+        for one in options_of(table)
+    )
+
+
+def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
+    """Declare parameters and return their values.
+
+    Raises:
+        UsageError: a value that was given is of the wrong type or not allowed.
+    """
+    values = {}
+    for setting in settings:
+        try:
+            value = node.declare_parameter(setting.name, setting.default, setting.descriptor()).value
+        except ParameterException as error:
+            raise UsageError(f"{node.get_name()}: {error}") from error
+        if setting.choices and value not in setting.choices:
+            allowed = ", ".join(setting.choices)
+            raise UsageError(f"{node.get_name()}: parameter {setting.name} must be one of {allowed}; got {value!r}")
+        values[setting.name] = value
+    _warn_of_unknown(node)
+    return values
+
+
+def _warn_of_unknown(node: Node) -> None:
+    """Warn of parameters that were given but that the node does not have; rclpy ignores them."""
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith(_OF_OTHERS):
+            near = nearest(name, node._parameters)
+            hint = f"; did you mean {near}?" if near else ""
+            node.get_logger().warning(f"there is no parameter {name}{hint}")
+
+
+def spin(node: Node, ended: Callable[[], bool] = lambda: False) -> None:
+    """Run a node's callbacks until it has ended, which is asked at least every 0.05 s: a signal may come unseen.
+
+    Raises:
+        ExternalShutdownException: the context is shut down.
+    """
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        while not ended():
+            executor.spin_once(timeout_sec=_LONGEST_WAIT)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def _worked(node: Node, work: Callable[[Any], int | None] | None, interruption: Interruption) -> int | None:
+    """Return what the work of a node returns; answering messages ends, too, where code of others lost the signal."""
+    if work is not None:
+        return work(node)
+    spin(node, lambda: interruption.came)
+    return None
+
+
+def run_node(
+    make: Callable[[], Node],
+    args: Sequence[str] | None,
+    work: Callable[[Any], int | None] | None = None,
+    *,
+    interrupted: int = 0,
+) -> int:
+    """Run a node and return the process's exit code.
+
+    Signals are listened to here, not by rclpy, whose own thread would wake executors and shut contexts down while this
+    one takes them apart: it then reads what is freed.
+
+    Args:
+        make: makes the node; a ValueError from here on is one line and exit code 2.
+        args: arguments of the command line.
+        work: what the node does, and its exit code; by default it answers messages until it is told to end.
+        interrupted: exit code when it is told to end by a signal; the end of a node that only answers is no failure.
+    """
+    node: Node | None = None
+    code, failed = interrupted, False
+    with Interruption() as interruption:
+        try:
+            try:
+                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+                node = make()
+                if not interruption.came:  # numba, for one, may have lost it
+                    code = _worked(node, work, interruption) or 0
+            except ValueError as error:
+                rclpy.logging.get_logger("skd").fatal(str(error))
+                code = 2
+            except AssessmentError as error:
+                rclpy.logging.get_logger("skd").fatal(str(error))
+                code = 1
+            except Exception:
+                # Numba loses an interrupt that comes while LLVM works, and then fails on what was not compiled, which
+                # is no error of its own.
+                if not interruption.came:
+                    failed = True
+                    raise
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        finally:
+            # Ctrl-C in a terminal comes twice below `ros2 launch`: from the terminal and from the launch.
+            interruption.held = True
+            if failed:
+                rclpy.try_shutdown()  # the node goes with the process, when the error is said: its end may hang
+            else:
+                with end_within(END_LIMIT, code):
+                    if node is not None:
+                        node.destroy_node()
+                    rclpy.try_shutdown()
+    return code

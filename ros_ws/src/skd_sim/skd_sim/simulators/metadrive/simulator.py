@@ -1,0 +1,90 @@
+"""MetaDrive as a simulator of SKD. Imports MetaDrive when an episode begins, not before."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any, Final
+
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.framed_simulator import FramedSimulator
+from skd_sim.simulators.metadrive.installed import VERSION, require_metadrive
+from skd_sim.world.episode import Episode
+from skd_sim.world.simulator import Frame
+
+
+class MetaDriveSimulator:
+    """One MetaDrive a process, whoever asks for it; see `Simulator`."""
+
+    places_others: Final = True
+    """Whether the others of a scenario are there: they are, as bodies that are put in their places."""
+
+    repeats_itself: Final = True
+    """Whether the same commands lead to the same states: to a rounding of its numbers, which have 24 bits."""
+
+    def __init__(self) -> None:
+        """Look that MetaDrive is installed.
+
+        Raises:
+            UsageError: it is not; says how it is installed.
+        """
+        require_metadrive()
+        self._inner: FramedSimulator | None = None
+
+    def reset(self, episode: Episode) -> Frame:
+        """Build what the episode needs, and place car and adversary.
+
+        Raises:
+            UsageError: the road has curves, or this process cannot have an engine.
+        """
+        self._frames = _frames(episode.scenario)
+        self._inner = FramedSimulator(self._frames)
+        return self._inner.reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Hold both commands for one control period."""
+        return self._running.step(acceleration, velocity)
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+        return self._running.clipped
+
+    @property
+    def own_contact(self) -> float | None:
+        """Time of the first contact by MetaDrive's own shapes (s); nan without one."""
+        return self._running.own_contact
+
+    @property
+    def apart(self) -> float:
+        """Greatest distance in this episode between MetaDrive's place of the adversary and the commanded one, m."""
+        return float(self._frames.apart)
+
+    def described(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return, as plain data, what MetaDrive makes of a scenario's car: what its pedals do, as measured."""
+        from skd_sim.simulators.metadrive.stage import StageSpec, pedals_of, stage_for, step_of
+
+        stage = stage_for(scenario, step_of(scenario))
+        vehicle = StageSpec.of(scenario).vehicle
+        return {
+            "version": VERSION,
+            "physics_step": stage.step,
+            "mass": vehicle.mass,
+            "wheel_friction": vehicle.friction,
+            "limits": list(pedals_of(stage, scenario).limits),
+            "pedals": pedals_of(stage, scenario).as_dict(),
+        }
+
+    @property
+    def _running(self) -> FramedSimulator:
+        if self._inner is None:
+            raise RuntimeError("reset comes first")
+        return self._inner
+
+
+def _frames(scenario: Scenario) -> Any:
+    """Return the frames of MetaDrive; its imports say hello on standard output, where results go."""
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    from skd_sim.simulators.metadrive.frames import MetaDriveFrames
+
+    return MetaDriveFrames(scenario)

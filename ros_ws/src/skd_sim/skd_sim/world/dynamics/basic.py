@@ -1,0 +1,118 @@
+"""The paper's basic car: the speed follows the command at once, up to noise (section "The Cars")."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from skd_sim.arrays import FloatArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.kernels.stream import stream_of
+from skd_sim.scenario.road import is_straight_north, road_pose, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.dynamics.interface import Noise
+from skd_sim.world.heading import on_grid
+from skd_sim.world.motion import draw_relative, next_speed, travelled
+from skd_sim.world.state import CarState
+
+_SAGITTA = 1e-4  # m
+
+
+@kernel
+def _draw(speed_noise: float, acceleration_noise: float, rng: np.random.Generator) -> tuple[float, float]:
+    speed_draw = draw_relative(speed_noise, rng)
+    return speed_draw, draw_relative(acceleration_noise, rng)
+
+
+@kernel
+def drive_straight(
+    x: float,
+    y: float,
+    heading: float,
+    speed: float,
+    acceleration: float,
+    speed_draw: float,
+    acceleration_draw: float,
+    duration: float,
+    path: FloatArray,
+) -> None:
+    """Drive straight on under one command, and write both ends of the way into `path`, 2 × 4.
+
+    Args:
+        x: of the reference point, m.
+        y: of the reference point, m.
+        heading: rad.
+        speed: m/s.
+        acceleration: commanded, m/s².
+        speed_draw: relative noise of the speed.
+        acceleration_draw: relative noise of the acceleration.
+        duration: time to drive, s.
+        path: x, y, heading and speed now and after that time.
+    """
+    applied = acceleration + acceleration_draw * acceleration
+    after = next_speed(speed, applied, speed_draw, duration)
+    distance = travelled(speed, after, duration)
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x, y, heading, speed
+    path[1, 0] = x + distance * math.cos(heading)
+    path[1, 1] = y + distance * math.sin(heading)
+    path[1, 2], path[1, 3] = heading, after
+
+
+@kernel
+def along_road(line: FloatArray, s: float, distance: float, speed: float, after: float) -> FloatArray:
+    """Return the way of a car along a road's centre line over a step; see `CarDynamics.advance`.
+
+    Uniform in time, as on a straight road, and in as many pieces as keep each within 0.1 mm of its arc.
+
+    Args:
+        line: centre line (skd_sim/scenario/road.py).
+        s: path coordinate before, m.
+        distance: distance driven in the step, m.
+        speed: speed before the step, m/s.
+        after: speed after, m/s.
+    """
+    sharpest = 0.0
+    for part in range(line.shape[0]):
+        if line[part, 0] < s + distance and s < line[part, 0] + line[part, 5]:
+            sharpest = max(sharpest, abs(line[part, 4]))
+    pieces = max(1, math.ceil(distance * math.sqrt(sharpest / (8.0 * _SAGITTA))))
+    path = np.empty((pieces + 1, 4))
+    for piece in range(pieces + 1):
+        share = piece / pieces
+        x, y, heading = road_pose(line, s + share * distance)
+        path[piece, 0], path[piece, 1], path[piece, 2] = x, y, on_grid(heading)
+        path[piece, 3] = after if piece == pieces else speed + share * (after - speed)
+    return path
+
+
+class BasicCar:
+    """A point with a speed; on a road with curves it keeps to the centre line."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Take noise and road from the scenario."""
+        self._noise = (scenario.car.speed_noise, scenario.car.acceleration_noise)
+        self._line = scenario.road.line
+        self._curved = not is_straight_north(self._line)
+
+    def reset(self, car: CarState) -> None:
+        """Put the car at this state; on a road with curves, at the nearest point of the centre line."""
+        self._car = car
+        self._s = float(road_position(self._line, car.x, car.y)[0])
+
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw both, so that a car that brakes and one that does not use up the same numbers."""
+        return Noise(*_draw(*self._noise, stream_of(rng)))
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
+        """Return the two ends of a straight way, or points along the road; see `CarDynamics`."""
+        path = np.empty((2, 4))
+        drive_straight(*self._car, acceleration, *noise, duration, path)
+        if self._curved:
+            speed, after = float(path[0, 3]), float(path[1, 3])
+            distance = float(travelled(speed, after, duration))
+            path = along_road(self._line, self._s, distance, speed, after)
+            self._s += distance
+        x, y, heading, speed = path[-1].tolist()
+        self._car = CarState(x, y, heading, speed)
+        return path

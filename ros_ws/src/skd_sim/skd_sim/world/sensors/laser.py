@@ -1,0 +1,173 @@
+"""A planar laser scanner on the car: ray casting, range noise and dropouts.
+
+It sees the adversary, the others and the parked obstacles of the scenario, discs or boxes, and not the car that carries
+it. A beam that hits nothing within the maximum range, or is lost, reads +inf (REP 117).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import NO_CONTACT, to_car_frame
+from skd_sim.world.episode import Episode
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.sensors.scan import FloatRanges, Scan
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+
+
+@kernel
+def disc_range(x: float, y: float, radius: float, cos: float, sin: float) -> float:
+    """Return the distance (m) along a ray from the origin to a disc, 0 from inside, else infinity.
+
+    Args:
+        x: x of the disc's centre, m.
+        y: y of the disc's centre, m.
+        radius: radius of the disc, m.
+        cos: cosine of the ray's bearing.
+        sin: sine of the ray's bearing.
+    """
+    off_axis = cos * y - sin * x
+    along = cos * x + sin * y
+    half_chord_squared = radius * radius - off_axis * off_axis
+    if half_chord_squared < 0.0:
+        return NO_CONTACT
+    half_chord = math.sqrt(half_chord_squared)
+    if along + half_chord < 0.0:
+        return NO_CONTACT
+    return max(0.0, along - half_chord)
+
+
+@kernel
+def rectangle_range(
+    x: float, y: float, heading: float, half_length: float, half_width: float, cos: float, sin: float
+) -> float:
+    """Return the distance (m) along a ray from the origin to an oriented rectangle, 0 from inside, else infinity.
+
+    Args:
+        x: x of the rectangle's centre, m.
+        y: y of the rectangle's centre, m.
+        heading: direction of its length, rad.
+        half_length: half length of the rectangle, m.
+        half_width: half width of the rectangle, m.
+        cos: cosine of the ray's bearing.
+        sin: sine of the ray's bearing.
+    """
+    ahead, left = to_car_frame(0.0, 0.0, x, y, heading)
+    along, across = to_car_frame(cos, sin, 0.0, 0.0, heading)
+    enter, leave = 0.0, NO_CONTACT
+    for start, delta, half in ((ahead, along, half_length), (left, across, half_width)):
+        if delta == 0.0:
+            if abs(start) > half:
+                return NO_CONTACT
+        else:
+            first, second = (-half - start) / delta, (half - start) / delta
+            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    return enter if enter <= leave else NO_CONTACT
+
+
+@kernel
+def cast_beams(
+    origin: tuple[float, float, float],
+    fan: tuple[float, float, int],
+    discs: NDArray[np.float64],
+    rectangles: NDArray[np.float64],
+    maximum_range: float,
+) -> NDArray[np.float64]:
+    """Return the true range of each beam, m; infinity where it hits nothing within the maximum range.
+
+    Args:
+        origin: position (m) and heading (rad) of the sensor, world frame.
+        fan: bearing of the first beam (rad), increment (rad), number of beams.
+        discs: n × 3: centre (m) and radius (m), world frame.
+        rectangles: m × 5: centre (m), heading (rad), half length, half width (m), world frame.
+        maximum_range: greatest range of the laser, m.
+    """
+    x, y, heading = origin
+    first, increment, beams = fan
+    ranges = np.empty(beams)
+    for beam in range(beams):
+        bearing = heading + first + beam * increment
+        cos, sin = math.cos(bearing), math.sin(bearing)
+        nearest = NO_CONTACT
+        for disc in discs:
+            nearest = min(nearest, disc_range(disc[0] - x, disc[1] - y, disc[2], cos, sin))
+        for row in rectangles:
+            nearest = min(nearest, rectangle_range(row[0] - x, row[1] - y, row[2], row[3], row[4], cos, sin))
+        ranges[beam] = nearest if nearest <= maximum_range else NO_CONTACT
+    return ranges
+
+
+@kernel
+def measure(
+    ranges: NDArray[np.float64], noise: float, dropout: float, maximum_range: float, rng: np.random.Generator
+) -> FloatRanges:
+    """Return the measured ranges for true ranges (m): noise is added, and some beams are lost.
+
+    Every beam draws the same numbers whether it hits or not, so that the noise of one does not depend on the others.
+    """
+    measured = np.empty(len(ranges), np.float32)
+    for beam in range(len(ranges)):
+        lost = rng.random() < dropout
+        noisy = max(0.0, ranges[beam] + noise * rng.standard_normal())
+        measured[beam] = NO_CONTACT if lost or noisy > maximum_range else noisy
+    return measured
+
+
+class PlanarLaser:
+    """The scanner of one episode. The scan of a moment is the same, however often it is taken and by whom."""
+
+    def __init__(self, scenario: Scenario, seed: int, episode_id: int) -> None:
+        """Mount the scanner of `scenario`.
+
+        Its noise is drawn from (seed, episode_id, Role.SCAN, tick), and between ticks from (…, tick, control period).
+
+        Raises:
+            ValueError: the scenario has no sensor.
+        """
+        if scenario.sensor is None:
+            raise ValueError(f"scenario {scenario.name} has no sensor")
+        self._sensor = scenario.sensor
+        hides = [one.hides is not False for one in scenario.obstacles]
+        self._scenario, self._parked = scenario, scenario.rectangles[: len(hides)][hides]
+        self._draw = (seed, episode_id)
+        # Angles are those that the message carries, so that a receiver's bearings are the ones that were cast.
+        self._first = float(np.float32(-0.5 * self._sensor.field_of_view))
+        self._increment = float(np.float32(self._sensor.field_of_view / (self._sensor.beams - 1)))
+
+    def true_ranges(
+        self, car: CarState, adversary: AdversaryState, others: tuple[RoadUserState, ...] = ()
+    ) -> NDArray[np.float64]:
+        """Return the ranges without noise and dropouts, m."""
+        sensor, scenario = self._sensor, self._scenario
+        x = car.x + sensor.mount_ahead * math.cos(car.heading)
+        y = car.y + sensor.mount_ahead * math.sin(car.heading)
+        fan = (self._first, self._increment, sensor.beams)
+        discs, boxes = [], []
+        for body, state in zip((scenario.adversary, *scenario.others), (adversary, *others), strict=False):
+            radius, half_length, half_width = body.shape
+            if radius > 0.0:
+                discs.append((state.x, state.y, radius))
+            else:
+                boxes.append((state.x, state.y, state.heading, half_length, half_width))
+        rectangles = np.vstack([self._parked, np.array(boxes).reshape(-1, 5)]) if boxes else self._parked
+        return cast_beams((x, y, car.heading), fan, np.array(discs).reshape(-1, 3), rectangles, sensor.maximum_range)
+
+    def scan(self, car: CarState, adversary: AdversaryState, tick: int, period: int = 0) -> Scan:
+        """Return the scan of a control period's beginning, from the true states there."""
+        sensor = self._sensor
+        rng = generator(*self._draw, Role.SCAN, *((tick, period) if period else (tick,)))
+        true = self.true_ranges(car, adversary, self._scenario.others_at(tick, period))
+        ranges = measure(true, sensor.range_noise, sensor.dropout, sensor.maximum_range, rng)
+        return Scan(ranges, self._first, self._increment, float(np.float32(sensor.maximum_range)))
+
+
+def make_laser(episode: Episode) -> PlanarLaser | None:
+    """Return the scanner of an episode, seeded from its specification; none where the scenario has no sensor."""
+    if episode.scenario.sensor is None:
+        return None
+    return PlanarLaser(episode.scenario, episode.seed, episode.episode_id)
