@@ -11,10 +11,10 @@ setup(
     package_data={
         PACKAGE: [
             "py.typed",
-            "campaign/assessment.schema.json",
+            "assessment/assessment.schema.json",
             "extensions/ncap/templates/*",
             "report/html/templates/*",
-            "measure/behaviour/walkers.yaml",
+            "metrics/behaviour/walkers.yaml",
         ]
     },
     data_files=[

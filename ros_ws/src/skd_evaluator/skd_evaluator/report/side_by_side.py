@@ -122,7 +122,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
         "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
         "SKD\n(m)",
     ):  # fmt: skip
-        table.add_column(escape(name), justify="right")
+        table.add_column(escape(name), justify="right", no_wrap=name.startswith("["))
     for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
         table.add_row(
             f"{escape(row['car'])}{_doubt(row)}",

@@ -39,7 +39,7 @@ class Frozen:
 
 
 class OnLane(Frozen):
-    """Base of a section whose place a file may give by a lane (`encounter/shorthand.py`), in place of coordinates."""
+    """Base of a section whose place a file may give by a lane (`scenario/shorthand.py`), in place of coordinates."""
 
     __slots__ = ()
     __pydantic_config__ = ConfigDict(extra="forbid", json_schema_extra={"also": [*ON_LANE]})
