@@ -1,7 +1,7 @@
 """Assessments that go on until they are certain enough: more φ, batch by batch, and a look after each.
 
 Every look has the intervals of `nominal_confidence`, so that they hold with 95 % at whichever one it stops: see
-`metrics/statistics/sequential.py`. Each batch has new φ, with the same number of kamikazes and runs along each; the result is the
+`metrics/statistics/sequential.py`. Each batch has new φ, with as many kamikazes and runs along each; the result is the
 assessment of all φ so far, the same as if they had been asked for at once, except for the confidence.
 """
 
