@@ -20,10 +20,10 @@ from pathlib import Path
 
 _SMALL = "--safe-count 3 --kamikaze-count 5 --collision-runs 20 --quiet --no-pictures"
 _NODES = {
-    "vehicle_simulator": "skd_sim.ros.vehicle_simulator",
-    "car_controller": "skd_sim.ros.car_controller",
+    "vehicle_simulator": "skd_sim.ros.simulator_node",
+    "car_controller": "skd_sim.ros.controller_node",
     "adversary": "skd_adversary.ros.adversary_node",
-    "evaluator": "skd_evaluator.ros.evaluator_main",
+    "evaluator": "skd_evaluator.ros.evaluator_node",
 }
 
 

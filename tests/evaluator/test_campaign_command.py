@@ -28,7 +28,7 @@ from skd_evaluator.assessment.stages import pipeline
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign.store import FILE_NAME, EpisodeStore
-from skd_evaluator.ros import rated
+from skd_evaluator.ros import session as session_module
 from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Mode
 
@@ -245,7 +245,7 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
         used.append((graphs[len(used)], options.graphs))
         yield used[-1][0]
 
-    monkeypatch.setattr(rated, "graphs_session", session)
+    monkeypatch.setattr(session_module, "graphs_session", session)
     monkeypatch.setattr(command, "prepare_ros", lambda _options: None)
     write(here, "cars: [{graph: true}]")
     words = ("campaign", "campaign.yaml", "--graphs", "2", "--out")

@@ -24,8 +24,7 @@ from skd_sim.controllers.user_controller import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.objective import Objective
-from skd_sim.ros.command_source import Source
-from skd_sim.ros.lockstep import End, Limits, Lockstep, Start, Step, frame_stamp
+from skd_sim.ros.lockstep import End, Limits, Lockstep, Source, Start, Step, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.randomness import Role, generator

@@ -17,12 +17,9 @@ from rich.console import Console
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.driving.hand import Controls, Hand, Wish
-from skd_evaluator.driving.keyboard import key_names
-from skd_evaluator.driving.paced import LeftError, driving_in_process
-from skd_evaluator.driving.screen import KEYS, Screen
+from skd_evaluator.driving.hand import Controls, Hand, LeftError, Wish, driving_in_process, key_names
+from skd_evaluator.driving.screen import KEYS, Screen, top_view
 from skd_evaluator.driving.situation import Onlooker, Situation
-from skd_evaluator.driving.top_view import top_view
 from skd_evaluator.metrics.surrogate.clearance import clearance_at
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode

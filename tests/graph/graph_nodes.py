@@ -20,10 +20,10 @@ from common import PATIENCE
 if TYPE_CHECKING:
     from skd_evaluator.ros.evaluator import Evaluator
 
-SIMULATOR = "skd_sim.ros.vehicle_simulator"
-CONTROLLER = "skd_sim.ros.car_controller"
+SIMULATOR = "skd_sim.ros.simulator_node"
+CONTROLLER = "skd_sim.ros.controller_node"
 ADVERSARY = "skd_adversary.ros.adversary_node"
-EVALUATOR = "skd_evaluator.ros.evaluator_main"
+EVALUATOR = "skd_evaluator.ros.evaluator_node"
 NODES = (SIMULATOR, CONTROLLER, ADVERSARY, EVALUATOR)
 _PRELOAD = "SKD_TEST_PRELOAD"
 _imported_by = os.getpid()

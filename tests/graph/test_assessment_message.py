@@ -14,7 +14,7 @@ from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins
-from skd_evaluator.ros.assessment_message import assessment_to_message
+from skd_evaluator.ros.evaluator import assessment_to_message
 from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome

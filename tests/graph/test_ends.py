@@ -20,7 +20,7 @@ from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.ros import processes
-from skd_evaluator.ros.readiness.lifecycle import LifecycleNodes
+from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, EpisodeLog
 
 HANGS = """
@@ -63,7 +63,7 @@ MARGIN = 2.0  # s that a busy machine may take beyond what a hanging end may cos
 
 @pytest.mark.parametrize(
     "module",
-    ["skd_sim.ros.vehicle_simulator", "skd_sim.ros.car_controller", "skd_adversary.ros.adversary_node"],
+    ["skd_sim.ros.simulator_node", "skd_sim.ros.controller_node", "skd_adversary.ros.adversary_node"],
 )
 def test_a_node_whose_end_hangs(tmp_path: Path, module: str) -> None:
     """It ends in time, as if it had ended in order."""

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from skd_sim.ros.episode_follower import EpisodeFollower
 from skd_sim.ros.from_messages import message_to_episode
+from skd_sim.ros.support import EpisodeFollower
 from skd_sim.ros.to_messages import episode_to_message
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, Mode

@@ -15,10 +15,10 @@ from graph_support import Program, assert_same_results, skd
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 
 MODULES = {
-    "vehicle_simulator": "skd_sim.ros.vehicle_simulator",
+    "vehicle_simulator": "skd_sim.ros.simulator_node",
     "adversary": "skd_adversary.ros.adversary_node",
-    "car_controller": "skd_sim.ros.car_controller",
-    "evaluator": "skd_evaluator.ros.evaluator_main",
+    "car_controller": "skd_sim.ros.controller_node",
+    "evaluator": "skd_evaluator.ros.evaluator_node",
 }
 
 

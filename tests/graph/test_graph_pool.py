@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.graph_pool import GraphPool
-from skd_evaluator.ros.readiness.failures import Failures
+from skd_evaluator.ros.graph import GraphPool
+from skd_evaluator.ros.processes import Failures
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 

@@ -11,7 +11,7 @@ import pytest
 from graph_support import HERE, skd
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 
-NODE = [sys.executable, "-m", "skd_sim.ros.car_controller", "--ros-args", "-p"]
+NODE = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p"]
 PATHS = {"PYTHONPATH": str(HERE / "controllers")}
 SMALL = (
     *("--safe-count", 1, "--kamikaze-count", 4, "--collision-runs", 12, "--simulations", 20, "--seed", 2),

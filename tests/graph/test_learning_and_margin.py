@@ -27,7 +27,7 @@ from skd_sim.options.knowledge import Knowledge
 from skd_sim.options.objective import DEFAULT_OBJECTIVES
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
-BASIC = [sys.executable, "-m", "skd_sim.ros.car_controller", "--ros-args", "-p", "controller:=basic"]
+BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p", "controller:=basic"]
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
 RUNS = 6
 COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)

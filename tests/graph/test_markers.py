@@ -11,7 +11,7 @@ import shapely
 from matplotlib.colors import to_rgb
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.ros.markers import episode_markers
+from skd_evaluator.ros.visualization import episode_markers
 from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, Mode

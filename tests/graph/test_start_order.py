@@ -240,7 +240,7 @@ def test_misbehaviour_during_an_episode(
 @pytest.fixture
 def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
     """A campaign that takes long, with a controller whose command starts processes of its own."""
-    node = f"{shlex.quote(sys.executable)} -m skd_sim.ros.car_controller --ros-args -p controller:=misbehaving:Slow"
+    node = f"{shlex.quote(sys.executable)} -m skd_sim.ros.controller_node --ros-args -p controller:=misbehaving:Slow"
     program = Program(
         skd_command(
             "assess",

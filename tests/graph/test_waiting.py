@@ -21,8 +21,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.readiness import waiting
-from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
+from skd_evaluator.ros import stack as stack_module
+from skd_evaluator.ros.stack import Awaited, FirstCommands
 
 START = 7_000_000_000
 COMMANDS = "/ego/acceleration_command"
@@ -32,8 +32,8 @@ ACCELERATIONS = "geometry_msgs/msg/AccelStamped"
 @pytest.fixture
 def graph(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Node, Node, SingleThreadedExecutor]]:
     """Who watches, and somebody else's stack, in one process; a look is due after tenths of seconds."""
-    monkeypatch.setattr(waiting, "_LISTEN_AFTER", 0.05)
-    monkeypatch.setattr(waiting, "_SAY_EVERY", 0.6)
+    monkeypatch.setattr(stack_module, "_LISTEN_AFTER", 0.05)
+    monkeypatch.setattr(stack_module, "_SAY_EVERY", 0.6)
     watcher, stack = rclpy.create_node("watcher"), rclpy.create_node("stack")
     executor = SingleThreadedExecutor()
     executor.add_node(watcher)
@@ -185,7 +185,7 @@ def test_what_waiting_may_mend_does_not(graph: Any) -> None:
 
 
 def test_a_line_that_says_nothing_new_is_said_seldom(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(waiting, "_SAY_EVERY", 0.2)
+    monkeypatch.setattr(stack_module, "_SAY_EVERY", 0.2)
     watcher, _, executor = graph
     lines: list[str] = []
     commands = FirstCommands(watcher, [Awaited(COMMANDS, ACCELERATIONS)], lines.append)

@@ -20,10 +20,10 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "ros_ws" / "src"
 PYTHON_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
 NODES = {  # node → package, module
-    "vehicle_simulator": ("skd_sim", "skd_sim.ros.vehicle_simulator"),
-    "car_controller": ("skd_sim", "skd_sim.ros.car_controller"),
+    "vehicle_simulator": ("skd_sim", "skd_sim.ros.simulator_node"),
+    "car_controller": ("skd_sim", "skd_sim.ros.controller_node"),
     "adversary": ("skd_adversary", "skd_adversary.ros.adversary_node"),
-    "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_main"),
+    "evaluator": ("skd_evaluator", "skd_evaluator.ros.evaluator_node"),
 }
 ALL_NODES = {**NODES, "carla_bridge": ("skd_sim", "skd_sim.ros.carla_bridge")}  # no launch file starts the last
 

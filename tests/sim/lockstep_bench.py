@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skd_sim.ros.command_source import Source
-from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Step
+from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Source, Step
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Outcome
 from skd_sim.world.simulator import Frame

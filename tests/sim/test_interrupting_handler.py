@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 from common import PATIENCE
-from skd_sim.program.interruption import Interrupted, Interruption
+from skd_sim.interruption import Interrupted, Interruption
 
 PROGRAM = """
 import os, signal, sys, time
 from numba.core.registry import cpu_target
 from skd_sim.kernels.compilation import kernel
-from skd_sim.program.interruption import Interrupted, Interruption
+from skd_sim.interruption import Interrupted, Interruption
 
 @kernel
 def doubled(x):

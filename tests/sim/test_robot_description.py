@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from skd_sim.options.frames import Frames
-from skd_sim.ros.robot_description import robot_description
+from skd_sim.ros.state_publisher import robot_description
 from skd_sim.scenario.known_scenarios import shipped_scenarios
 from skd_sim.scenario.scenario import load_scenario
 

@@ -1,7 +1,7 @@
 """Says in one line what the installed executables miss, before a test waits for them in vain."""
 
 import pytest
-from skd_sim.program.requirements import remedy_for_executables
+from skd_sim.start import remedy_for_executables
 
 
 def pytest_configure():

@@ -11,13 +11,13 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from skd_sim.options.frames import MAP_FRAME
 from skd_sim.options.objective import DEFAULT_OBJECTIVES
-from skd_sim.ros.episode_follower import EpisodeFollower
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
 from skd_sim.ros.support import (
     BELIEVED_CAR,
     EGO_ODOMETRY,
     STREAM,
     VELOCITY_COMMAND,
+    EpisodeFollower,
     GraphNode,
     Setting,
     declare,

@@ -1,13 +1,31 @@
-"""An adversary that is moved by keys, and what else keys ask for."""
+"""Driving at the pace of the wall clock: keys of a terminal, the adversary that they move, and the simulator."""
 
 from __future__ import annotations
 
+import math
+import os
+import select
+import sys
+import termios
 import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import Enum
 from typing import Final
 
+from skd_adversary.adversary import Adversary
+from skd_sim.controllers import make_controller
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.named_simulator import NamedSimulator
+from skd_sim.world.episode import Episode, EpisodeLog
+from skd_sim.world.simulator import Frame
 from skd_sim.world.state import CarState
+
+from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.driving.situation import Onlooker, Situation
 
 _DIRECTIONS: Final = {
     # As seen on the screen, on which the car drives to the right: (East, North).
@@ -107,3 +125,148 @@ class Controls:
             if wish is Wish.AGAIN:
                 self._wish = Wish.NONE
             return wish
+
+
+_ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_ESCAPE: Final = "\x1b"
+_WAIT = 0.1  # s
+
+
+def key_names(text: str) -> Iterator[str]:
+    """Yield the names of the keys that a terminal sent: arrows by their names, letters in small.
+
+    A terminal sends an arrow as ESC [ A or ESC O A, with digits and a semicolon in between where another key was held
+    (ECMA-48; xterm's control sequences). Other sequences mean nothing here; ESC alone is the key itself.
+    """
+    place = 0
+    while place < len(text):
+        one = text[place]
+        place += 1
+        if one != _ESCAPE:
+            yield one.lower()
+            continue
+        if text[place : place + 1] not in ("[", "O"):
+            yield "escape"
+            continue
+        place += 1
+        while place < len(text) and not text[place].isalpha() and text[place] != "~":
+            place += 1
+        if (name := _ARROWS.get(text[place : place + 1])) is not None:
+            yield name
+        place += 1
+
+
+@contextmanager
+def reading_keys(press: Callable[[str], None]) -> Iterator[None]:
+    """Call a function with the name of each key that is pressed, as long as this lasts; the terminal shows none.
+
+    Standard input has to be a terminal. The function is called in a thread of its own, which ends where the terminal is
+    closed.
+    """
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    over = threading.Event()
+
+    def read() -> None:
+        while not over.is_set():
+            if select.select([descriptor], [], [], _WAIT)[0]:
+                try:
+                    data = os.read(descriptor, 256)
+                except OSError:  # it was closed
+                    return
+                if not data:
+                    return
+                for name in key_names(data.decode("utf-8", errors="ignore")):
+                    press(name)
+
+    reader = threading.Thread(target=read, name="skd-keys", daemon=True)
+    try:
+        tty.setcbreak(descriptor)
+        attributes = termios.tcgetattr(descriptor)
+        for key in (termios.VSUSP, termios.VQUIT):  # Ctrl-C is still a signal; these would leave the terminal drawn on
+            attributes[6][key] = b"\0"
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, attributes)
+        reader.start()
+        yield
+    finally:
+        over.set()
+        reader.join(2.0 * _WAIT)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+_NAP = 0.05  # s between two looks at what is wanted
+
+Drive = Callable[[Episode], EpisodeLog]
+"""Runs an episode to its end, or raises a `LeftError`."""
+Show = Callable[[Situation], None]
+HandFor = Callable[[Episode], Adversary | None]
+"""Gives who moves the adversary of an episode that begins; None: what the episode says."""
+
+
+class LeftError(Exception):
+    """Somebody at the keys does not want to see the end of the episode."""
+
+
+class PacedSimulator(NamedSimulator):
+    """The simulator of an episode, which comes to the end of a control period when the wall clock does."""
+
+    def __init__(self, rate: float, show: Show, look: Callable[[], Wish]) -> None:
+        """Wait for an episode.
+
+        Args:
+            rate: simulated seconds in a second of the wall clock.
+            show: called with each situation.
+            look: says what is wanted.
+        """
+        super().__init__()
+        self._rate, self._show, self._look = rate, show, look
+
+    def reset(self, episode: Episode) -> Frame:
+        """Begin an episode; see `Simulator`."""
+        self._onlooker = Onlooker(episode)
+        frame = super().reset(episode)
+        self._period = episode.scenario.control_duration / self._rate
+        self._see(frame, math.nan, math.nan)
+        self._due = self._shown + self._period
+        return frame
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Wait for the end of the control period, and advance by it; see `Simulator`.
+
+        Raises:
+            LeftError: nobody wants to see more of it.
+        """
+        age = time.monotonic() - self._shown
+        while (left := self._due - time.monotonic()) > 0.0 and self._look() is Wish.NONE:
+            time.sleep(min(left, _NAP))
+        if self._look() is not Wish.NONE:
+            raise LeftError
+        self._due = max(self._due + self._period, time.monotonic())  # what was missed is not made up for
+        frame = super().step(acceleration, velocity)
+        self._see(frame, acceleration, age)
+        return frame
+
+    def _see(self, frame: Frame, command: float, age: float) -> None:
+        self._show(self._onlooker.see(frame.tick, frame.period, frame.car, frame.adversary, command, age))
+        self._shown = time.monotonic()
+
+
+@contextmanager
+def driving_in_process(
+    car: CarUnderTest, rate: float, hand_for: HandFor, show: Show, look: Callable[[], Wish]
+) -> Iterator[Drive]:
+    """Yield what runs an episode at the pace of the wall clock.
+
+    Args:
+        car: the car under test.
+        rate: simulated seconds in a second of the wall clock.
+        hand_for: gives who moves the adversary.
+        show: called with each situation.
+        look: says what is wanted.
+    """
+    controller = make_controller(car.controller, car.multiplier)
+
+    def drive(episode: Episode) -> EpisodeLog:
+        return run_episode(episode, controller, hand_for(episode), PacedSimulator(rate, show, look))
+
+    yield drive

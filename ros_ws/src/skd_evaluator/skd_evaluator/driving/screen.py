@@ -1,17 +1,26 @@
-"""How a drive is shown: a picture with figures on a terminal, a line a second elsewhere."""
+"""How a drive is shown: a picture from above with figures on a terminal, a line a second elsewhere.
+
+The car drives to the right, and both are in the picture, which is drawn with letters. A letter is twice as high as it
+is wide, so that each stands for a square of two halves, one above the other.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Final
 
+import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
+from skd_sim.arrays import FloatArray
+from skd_sim.scenario.road_user import Body
 
+from skd_evaluator import palette
 from skd_evaluator.driving.situation import Situation
-from skd_evaluator.driving.top_view import top_view
 
 KEYS = "arrows or w a s d: walk · space: stand · + −: pace · r: again · q: quit"
 KEYS_OF_ONLOOKER = "r: again · q: quit"
@@ -106,3 +115,151 @@ class Lines:
         if situation.time >= self._next - 1e-9:
             self._next = math.floor(situation.time + 1e-9) + _LINE_EVERY
             self._write(situation.line())
+
+
+_SCALES: Final = (0.5, 1.0, 2.0, 4.0)  # m: width of a letter, and half of its height
+_ROOM: Final = 6.0  # m that car and adversary are to have to the picture's edge
+_UPPER, _LOWER, _BOTH = "▀", "▄", "█"
+_EDGE, _DASH, _WAY, _SAFE, _PERSON = "─", "╌", "∙", "·", "●"
+_LANE_REACH = 60.0  # m along each lane, at the least
+_DASH_EVERY, _DASH_LENGTH = 6.0, 3.0  # m
+
+
+class TopView:
+    """A grid of letters over a part of the ground."""
+
+    def __init__(self, width: int, height: int, middle: tuple[float, float], half: float) -> None:
+        """Begin with nothing.
+
+        Args:
+            width: in letters.
+            height: in letters.
+            middle: place (x, y) of the world in the middle of it, m.
+            half: width of a letter, and half of its height, m.
+        """
+        self.half = half
+        self._width, self._height = width, height
+        self._middle = middle
+        self._letters = [[" "] * width for _ in range(height)]
+        self._colours = [[""] * width for _ in range(height)]
+
+    def cells(self, places: FloatArray) -> FloatArray:
+        """Return where places (n × 2, m) are in the grid: column and half row, n × 2, as real numbers."""
+        right = places[:, 1] - self._middle[1] + 0.5 * self.half * self._width
+        down = places[:, 0] - self._middle[0] + self.half * self._height
+        return np.column_stack([right, down]) / self.half
+
+    def points(self, places: FloatArray, letter: str, colour: str, *, over: bool = False) -> None:
+        """Put a letter at each of some places (n × 2, m); with `over` also where there is another one."""
+        for column, half in np.floor(self.cells(np.asarray(places, dtype=float).reshape(-1, 2))).astype(int).tolist():
+            self._put(column, half // 2, letter, colour, over=over)
+
+    def polygon(self, corners: FloatArray, colour: str) -> None:
+        """Fill a convex polygon (k × 2, m), in halves of letters; a small one has one half at the least."""
+        placed = self.cells(corners)
+        low, high = np.floor(placed.min(axis=0)).astype(int), np.ceil(placed.max(axis=0)).astype(int)
+        columns, drawn = range(max(low[0], 0), min(high[0], self._width)), False
+        for row in range(max(low[1] // 2, 0), min(high[1] // 2 + 1, self._height)):
+            for column in columns:
+                halves = [_inside(placed, column + 0.5, 2 * row + half + 0.5) for half in (0, 1)]
+                if any(halves):
+                    letter = _BOTH if all(halves) else _UPPER if halves[0] else _LOWER
+                    self._put(column, row, letter, colour, over=True)
+                    drawn = True
+        if not drawn:
+            column, half = np.floor(placed.mean(axis=0)).astype(int).tolist()
+            self._put(column, half // 2, (_UPPER, _LOWER)[half % 2], colour, over=True)
+
+    def _put(self, column: int, row: int, letter: str, colour: str, *, over: bool) -> None:
+        if 0 <= row < self._height and 0 <= column < self._width and (over or self._letters[row][column] == " "):
+            self._letters[row][column], self._colours[row][column] = letter, colour
+
+    def text(self) -> Text:
+        """Return it as text with colours."""
+        found = Text(no_wrap=True)
+        for row, (letters, colours) in enumerate(zip(self._letters, self._colours, strict=True)):
+            found.append("\n" if row else "")
+            for letter, colour in zip(letters, colours, strict=True):
+                found.append(letter, colour or None)
+        return found
+
+
+def top_view(situation: Situation, width: int, height: int) -> Text:
+    """Return a situation as seen from above, with car and adversary in it.
+
+    Args:
+        situation: what is to be seen.
+        width: in letters.
+        height: in lines.
+    """
+    car, adversary, scenario = situation.car, situation.adversary, situation.scenario
+    half = _scale(situation, width, height)
+    view, fine = TopView(width, height, _middle(situation, width, half), half), 0.5 * half
+    reach = max(_LANE_REACH, half * width)
+    low, high = car.y - reach, car.y + reach
+    for left, right in scenario.road.surfaces(low, high):
+        for edge in (left, right):
+            view.points(_between(edge, fine), _EDGE, palette.ROAD_EDGE)
+    view.points(_dashes(scenario.road.edge(0.0, low, high), low, fine), _DASH, palette.ROAD_EDGE)
+    if situation.phi is not None:
+        view.points(_between(situation.phi, fine), _SAFE, palette.SKY)
+    view.points(_between(situation.walked, fine), _WAY, palette.ORANGE)
+    view.polygon(_box((car.x, car.y), car.heading, scenario.car.front, scenario.car.rear, scenario.car.half_width),
+                 palette.CAR)  # fmt: skip
+    for other, state in zip(scenario.others, scenario.others_after(situation.time), strict=True):
+        _draw(view, other, state[:2], state.heading, palette.OBSTACLE)
+    _draw(view, scenario.adversary, adversary[:2], adversary.heading, palette.VERMILLION)
+    return view.text()
+
+
+def _scale(situation: Situation, width: int, height: int) -> float:
+    """Return the least of the scales at which both are in the picture, else the greatest one."""
+    car, adversary = situation.car, situation.adversary
+    along = abs(car.y - adversary.y) + 2.0 * _ROOM
+    aside = max(abs(car.x), abs(adversary.x)) + 0.5 * _ROOM
+    return next((one for one in _SCALES if along <= one * width and aside <= one * height), _SCALES[-1])
+
+
+def _middle(situation: Situation, width: int, half: float) -> tuple[float, float]:
+    """Return the place in the middle of the picture, m: between both, or, where that is too far, near the adversary."""
+    car, adversary = situation.car, situation.adversary
+    reach = 0.5 * half * width - _ROOM
+    return 0.0, min(max(0.5 * (car.y + adversary.y), adversary.y - reach), adversary.y + reach)
+
+
+def _draw(view: TopView, body: Body, place: tuple[float, float], heading: float, colour: str) -> None:
+    if body.is_box:
+        view.polygon(body.outline_at(np.array(place), heading), colour)
+    else:
+        view.points(np.array([place]), _PERSON, colour, over=True)
+
+
+def _box(place: tuple[float, float], heading: float, front: float, rear: float, half_width: float) -> FloatArray:
+    ahead = np.array([math.cos(heading), math.sin(heading)])
+    left = np.array([-ahead[1], ahead[0]])
+    corners = ((front, 1.0), (-rear, 1.0), (-rear, -1.0), (front, -1.0))
+    return np.array([place + along * ahead + side * half_width * left for along, side in corners])
+
+
+def _between(way: FloatArray, step: float) -> FloatArray:
+    """Return places along a way (n × 2, m), at most so far apart (m)."""
+    found = [way[:1]]
+    for start, end in itertools.pairwise(way):
+        count = max(1, math.ceil(float(np.hypot(*(end - start))) / step))
+        found.append(start + (end - start) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(found)
+
+
+def _dashes(line: FloatArray, begin: float, step: float) -> FloatArray:
+    """Return the places of a broken line along a way: it lies still on the ground while the picture goes along."""
+    places = _between(line, step)
+    passed = begin + np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    return np.asarray(places[passed % _DASH_EVERY < _DASH_LENGTH])
+
+
+def _inside(corners: FloatArray, column: float, half: float) -> bool:
+    """Tell whether a place of the grid is in a convex polygon."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    away = np.array([column, half]) - corners
+    turns: Iterable[float] = sides[:, 0] * away[:, 1] - sides[:, 1] * away[:, 0]
+    return all(one >= 0.0 for one in turns) or all(one <= 0.0 for one in turns)

@@ -24,8 +24,7 @@ from skd_sim.world.command_ages import CommandAges
 from skd_sim.world.episode import Episode, EpisodeLog
 from skd_sim.world.state import AdversaryState, CarState
 
-from skd_evaluator.driving.hand import Wish
-from skd_evaluator.driving.paced import Drive, HandFor, LeftError, Show
+from skd_evaluator.driving.hand import Drive, HandFor, LeftError, Show, Wish
 from skd_evaluator.driving.situation import Onlooker
 from skd_evaluator.ros.evaluator import Evaluator
 

@@ -1,10 +1,16 @@
-"""Node `evaluator`: hands out episodes, collects what happens, records it, and publishes the assessment."""
+"""The evaluator in the graph: hands out episodes, collects what happens, records it, and publishes the assessment.
+
+Simulator and adversary may be plain objects in its process, which hear each other by calls (`Composed`). Topics then
+carry the states to the car and its commands back, and whatever somebody else listens to. While the adversary plans, the
+car decides.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +19,10 @@ from nav_msgs.msg import Odometry
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
+from skd_adversary.ros.adversary_node import GraphAdversary
 from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
@@ -22,9 +30,9 @@ from skd_sim.errors import UsageError
 from skd_sim.options.graph_options import CommandOptions
 from skd_sim.options.simulators import is_own_world
 from skd_sim.ros.command_messages import car_commands
-from skd_sim.ros.command_search import kind_name
+from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
-from skd_sim.ros.publishers import living_publishers, second_publisher
+from skd_sim.ros.simulator_node import GraphSimulator
 from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     ASSESSMENT,
@@ -39,7 +47,8 @@ from skd_sim.ros.support import (
     VELOCITY_COMMAND,
     GraphNode,
 )
-from skd_sim.ros.to_messages import episode_to_message
+from skd_sim.ros.to_messages import episode_to_message, to_stamp
+from skd_sim.simulators.named_simulator import NamedSimulator
 from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.simulator import Frame
@@ -48,18 +57,129 @@ from skd_sim.world.state import AdversaryState, CarState
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from skd_evaluator.assessment.judge.figure_table import Of, keys_of
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.store.figure_names import figure
 from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.assessment_message import assessment_to_message
-from skd_evaluator.ros.composed import Composed
-from skd_evaluator.ros.live_figures import LiveFigures
-from skd_evaluator.ros.markers import episode_markers
-from skd_evaluator.ros.readiness.failures import Failures
-from skd_evaluator.ros.readiness.waiting import Awaited, FirstCommands
+from skd_evaluator.ros.processes import Failures
 from skd_evaluator.ros.recording import SETTLE, BagRecorder
+from skd_evaluator.ros.stack import Awaited, FirstCommands
+from skd_evaluator.ros.visualization import LiveFigures, episode_markers
+
+_FIGURES = ("double", "double[2]", "boolean")
+"""Kinds of fields that say something of the car; the others count episodes."""
+
+
+def _field(kind: str, value: Any) -> Any:
+    """Return a figure as a field of a message has it: nan, or false, where it is not defined."""
+    if kind == "double":
+        return math.nan if value is None else float(value)
+    if kind == "double[2]":
+        return [math.nan, math.nan] if value is None else [float(value[0]), float(value[1])]
+    return bool(value) if kind == "boolean" else value
+
+
+def _ends(ends: Sequence[float | None], text: str) -> list[float]:
+    """Return an interval whose ends may lie beyond what was compared; of those the text says on which side."""
+    sides = [math.inf if word.startswith("above") else -math.inf for word in text.strip("[]").split(", ")]
+    return [side if end is None else end for end, side in zip(ends, sides, strict=True)]
+
+
+def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
+    """Return the message of an assessment published at simulation time `stamp` (ns).
+
+    A field has the figure of its name. Figures that are not credible are not defined: whoever reads a message sees no
+    warning beside it.
+    """
+    settings, unsaid = keys_of(Of.SETTING), not rating.credible
+    result = rating.as_dict()
+    name = "equivalent_multiplier"
+    text, interval = result[f"{name}_text"], result[f"{name}_ci95_text"]
+    equivalent = {
+        name: figure(result, name) if text else None,
+        f"{name}_ci95": _ends(result[f"{name}_ci95"], interval) if interval else None,
+    }
+    found = {**result, **equivalent, "campaign": campaign, "scenario_name": rating.plan.scenario.name}
+    message = AssessmentMsg()
+    for field, kind in message.get_fields_and_field_types().items():
+        if field != "header":
+            of_the_car = kind in _FIGURES and field not in settings
+            setattr(message, field, _field(kind, None if unsaid and of_the_car else found[field]))
+    message.header.stamp = to_stamp(stamp)
+    return message
+
+
+class Composed:
+    """Both sides of an episode, through the evaluator's own node."""
+
+    def __init__(
+        self,
+        node: Node,
+        options: GraphOptions,
+        on_frame: Callable[[int, Frame], None],
+        on_result: Callable[[Any], None],
+    ) -> None:
+        """Make both.
+
+        Args:
+            node: the evaluator, through which they speak with everybody else.
+            options: how the graph is run.
+            on_frame: called with each state and its stamp (ns).
+            on_result: called with the result of each episode.
+        """
+        self._on_frame, self._on_result = on_frame, on_result
+        self._simulator = GraphSimulator(node, NamedSimulator(), options.simulator_parameters(), alone=False)
+        self._simulator.on_frame = self._hear_frame
+        self._simulator.on_result = self._hear_result
+        self._adversary = GraphAdversary(node)
+        self._due: Callable[[], None] | None = None
+        self._problem: str | None = None
+
+    def begin(self, episode: Episode, message: EpisodeMsg) -> None:
+        """Begin an episode, which a message says to others; what goes wrong is said by `problem`."""
+        self._due = self._problem = None
+        try:
+            self._adversary.begin(episode)
+        except Exception as error:  # an objective may be of somebody else's package
+            self._fail(error)
+        else:
+            self._simulator.begin(message)
+
+    def work(self) -> None:
+        """Let the adversary decide, if it is its turn; to be called when all others have been heard."""
+        due, self._due = self._due, None
+        if due is not None:
+            due()
+
+    def problem(self) -> str | None:
+        """Return why the episode cannot go on, as the reason of an abort; none where it can."""
+        return self._problem
+
+    def _hear_frame(self, stamp: int, frame: Frame) -> None:
+        self._on_frame(stamp, frame)
+        if not frame.period and frame.outcome == Outcome.RUNNING:  # the car decides in between, the adversary does not
+            self._due = partial(self._decide, frame.tick, stamp, frame.car)
+
+    def _hear_result(self, result: Any) -> None:
+        self._due = None  # nobody waits for an answer to the last state
+        self._on_result(result)
+
+    def _decide(self, tick: int, stamp: int, car: CarState) -> None:
+        try:
+            velocity = self._adversary.answer(tick, stamp, car)
+        except Exception as error:
+            self._fail(error)
+            return
+        if velocity is not None:
+            self._simulator.walk(stamp, velocity)
+
+    def _fail(self, error: Exception) -> None:
+        said = str(error).partition("\n")[0]
+        self._problem = abort_reason(AbortKind.FAILED, f"adversary: {type(error).__name__}: {said}")
+
 
 _PLAIN = CommandOptions()
 _WAKE = 0.1  # s: how often a waiting evaluator looks after the processes

@@ -18,7 +18,7 @@ from launch_ros.actions import Node
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
 from skd_sim.options.graph_options import SimulatorOptions
 from skd_sim.options.options import options_of
-from skd_sim.program.requirements import remedy_for_executables
+from skd_sim.start import remedy_for_executables
 
 from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions

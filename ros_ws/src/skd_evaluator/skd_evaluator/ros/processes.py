@@ -1,7 +1,8 @@
 """The processes of a graph: started, watched, restarted, and all ended, whatever happens.
 
 Each is the first of a process group, which ends with it. A shell beside it waits for the end of this process, by
-whatever death, and kills the group then.
+whatever death, and kills the group then. Aborted episodes are said once of each kind, and too many in a row end the
+campaign (`Failures`).
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import printable
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
-from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
+from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
@@ -290,3 +293,43 @@ def _last_lines(process: _Process) -> list[str]:
         text = ""
     lines = [printable(line.rstrip().expandtabs())[:_LONGEST_LINE] for line in text.splitlines() if line.strip()]
     return lines[-_LAST_LINES:] or ["(it has printed nothing)"]
+
+
+class Failures:
+    """Takes note of every episode of a campaign, in their order.
+
+    Attributes:
+        reasons: why episodes were aborted, one reason for each.
+    """
+
+    def __init__(self, say: Callable[[str], None], log_folder: Path | None = None) -> None:
+        """Know of none yet.
+
+        Args:
+            say: called with a line for the user.
+            log_folder: folder with the output of the graph's processes, if they print there.
+        """
+        self.reasons: list[str] = []
+        self._say = say
+        self._log_folder = log_folder
+        self._said: set[AbortKind] = set()
+        self._failed_starts = 0
+
+    def note(self, log: EpisodeLog) -> None:
+        """Take note of an episode.
+
+        Raises:
+            AssessmentError: it is the last of several in a row that were aborted before their first tick.
+        """
+        if log.outcome != Outcome.ABORTED:
+            self._failed_starts = 0
+            return
+        self.reasons.append(log.reason)
+        self._failed_starts = 0 if len(log.adversary) > 1 else self._failed_starts + 1
+        kind = kind_of(log.reason)
+        if kind not in self._said:
+            self._said.add(kind)
+            where = f"; log: {log_of(self._log_folder, log.reason)}" if self._log_folder else ""
+            self._say(f"an episode was aborted, the first one so: {log.reason}{where}")
+        if self._failed_starts >= FAILED_STARTS:
+            raise AssessmentError(f"{FAILED_STARTS} starts in a row failed, the last one so: {log.reason}")

@@ -1,4 +1,4 @@
-"""Running graphs as an episode runner, for as long as a campaign lasts."""
+"""Graphs as an episode runner for as long as a campaign lasts, and an assessment through them."""
 
 from __future__ import annotations
 
@@ -7,29 +7,34 @@ import ctypes
 import os
 import sys
 import uuid
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.graph_options import LOCKSTEP
+from skd_sim.options.objective import Objective
 from skd_sim.options.simulators import WORLD
 from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 from skd_sim.world.aborts import counts_in_words
 
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.judge.repeatability import Fresh
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.processes import log_of
-from skd_evaluator.ros.readiness.failures import Failures
+from skd_evaluator.ros.processes import Failures, log_of
 
 if TYPE_CHECKING:
     from skd_evaluator.ros.driving import Watched
     from skd_evaluator.ros.evaluator import Evaluator
-    from skd_evaluator.ros.graph import GraphSetting
-    from skd_evaluator.ros.graph_pool import GraphPool
+    from skd_evaluator.ros.graph import GraphPool, GraphSetting
 
 
 def campaign_name(car: CarUnderTest) -> str:
@@ -87,8 +92,11 @@ def graph_session(
         UsageError: a process cannot be started.
         AssessmentError: the graph cannot go on; says where the logs are.
     """
-    from skd_evaluator.ros.domains import choose_domain  # only here: ROS may be added by `prepare_ros`
-    from skd_evaluator.ros.graph import GraphSetting, running_graph
+    from skd_evaluator.ros.graph import (
+        GraphSetting,
+        choose_domain,  # only here: ROS may be added by `prepare_ros`
+        running_graph,
+    )
 
     domain = choose_domain()
     say = say or _say
@@ -133,9 +141,7 @@ def graphs_session(
 def _pool(
     options: GraphOptions, controller: str, simulator: str, campaign: str, log_folder: Path, record_to: Path | None
 ) -> Iterator[GraphPool]:
-    from skd_evaluator.ros.domains import choose_domain, free_domain
-    from skd_evaluator.ros.graph import GraphSetting
-    from skd_evaluator.ros.graph_pool import GraphPool, without_echo
+    from skd_evaluator.ros.graph import GraphPool, GraphSetting, choose_domain, free_domain, without_echo
 
     domains = [choose_domain()]
     while len(domains) < options.graphs:
@@ -192,3 +198,91 @@ def _give_back_memory() -> None:
     """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def repeats(car: CarUnderTest, options: GraphOptions) -> bool:
+    """Tell whether a user's car is run again through a graph: in real time no episode goes as before."""
+    return not car.is_own and options.pacing == LOCKSTEP
+
+
+def fresh_graph(
+    evaluator: EpisodeRunner | None, car: CarUnderTest, simulator: str, options: GraphOptions, log_folder: Path
+) -> Fresh | None:
+    """Return what runs episodes again: a new graph, or the one that there is where somebody else started the car.
+
+    Args:
+        evaluator: runs the graph that there is; None: it has ended.
+        car: what is rated.
+        simulator: name of the simulator.
+        options: how the graph that there is is run.
+        log_folder: folder with the output of its processes; that of the new graph goes below it.
+
+    Returns:
+        None where it is to be asked again after the graph has ended, or before, or no episode is run again.
+    """
+    awaited = car.is_external and not options.controller_command
+    if not repeats(car, options) or awaited == (evaluator is None):
+        return None
+    if evaluator is not None:
+        return lambda: nullcontext(evaluator)
+    folder = log_folder / "again"
+    folder.mkdir(parents=True, exist_ok=True)
+    return partial(
+        graphs_session,
+        replace(options, graphs=1),
+        controller=car.controller,
+        simulator=simulator,
+        campaign=campaign_name(car),
+        log_folder=folder,
+        record_to=None,
+    )
+
+
+def rated_through_graph(
+    plan: Plan,
+    objectives: Sequence[Objective],
+    options: GraphOptions,
+    further: Further,
+    *,
+    log_folder: Path,
+    record_to: Path | None,
+    progress: Progress,
+    say: Callable[[str], None],
+    kept_by: Callable[[EpisodeRunner], EpisodeRunner] = lambda evaluator: evaluator,
+) -> Rating:
+    """Return the assessment of a plan, for which kernels have been compiled (`compile_for_graph`).
+
+    Args:
+        plan: what to assess.
+        objectives: the objectives of the kamikazes.
+        options: how the graph is run.
+        further: what the assessment has besides the figures of its kamikazes.
+        log_folder: folder for the output of the graph's processes.
+        record_to: folder for one bag per episode; none: do not record.
+        progress: called with how far the work is.
+        say: called with one line about what was done.
+        kept_by: makes of the runner of the graph's episodes one that keeps those of which figures are.
+
+    Raises:
+        UsageError: a process cannot be started.
+        AssessmentError: the graph cannot go on; says where the logs are.
+    """
+    car, simulator = plan.car, plan.simulator
+    session = graphs_session(
+        options,
+        controller=car.controller,
+        simulator=simulator,
+        campaign=campaign_name(car),
+        log_folder=log_folder,
+        record_to=record_to,
+    )
+    with session as evaluator:
+        plan = learned_plan(plan, evaluator, progress, say, options)
+        # Only nodes that wait for one another can walk a way again.
+        ways = evaluator if options.pacing == LOCKSTEP else None
+        fresh = fresh_graph(evaluator, car, simulator, options, log_folder)
+        runners = Runners.of_graph(plan, kept_by(evaluator), ways, fresh)
+        rating = assessed(plan, objectives, runners, progress, further)
+        evaluator.publish_assessment(rating)
+    fresh = fresh_graph(None, car, simulator, options, log_folder)
+    return rating if fresh is None else with_repeatability(rating, fresh)

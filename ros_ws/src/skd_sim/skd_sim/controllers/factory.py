@@ -10,9 +10,9 @@ from skd_sim.controllers.protocol import Controller
 from skd_sim.controllers.user_controller import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.options.registry import load, reason_of
-from skd_sim.program.interruption import Interrupted
 
 
 def make_controller(name: str, multiplier: float = 1.0) -> Controller:

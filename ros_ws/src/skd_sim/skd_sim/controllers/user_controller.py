@@ -24,7 +24,7 @@ from skd_sim.controllers.protocol import (
     takes_scene,
 )
 from skd_sim.errors import AssessmentError, NoNumberError
-from skd_sim.program.interruption import Interrupted
+from skd_sim.interruption import Interrupted
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene

@@ -16,7 +16,7 @@ from numba.core.errors import NumbaError
 from skd_sim.errors import UsageError
 from skd_sim.kernels import stream_type as stream_type  # tells numba of it
 from skd_sim.kernels.code_cache import KernelCache, digest_of
-from skd_sim.program.requirements import environment
+from skd_sim.start import environment
 
 if tuple(map(int, numba.__version__.split(".")[:2])) < (0, 61):  # as Ubuntu's python3-numba may be
     raise UsageError(f"skd needs numba 0.61 or newer, and {sys.executable} has {numba.__version__}: {environment()}")

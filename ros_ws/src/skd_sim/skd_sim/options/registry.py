@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.suggestion import did_you_mean
-from skd_sim.program.interruption import Interrupted
+from skd_sim.interruption import Interrupted
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -1,7 +1,8 @@
-"""The simulator's part in the graph: it publishes where car and adversary are, and hands their commands to a simulator.
+"""Node `vehicle_simulator`, and the part of a simulator in the graph: states go out, commands come in.
 
 The rules of an episode are `skd_sim.ros.lockstep`, the motion is the simulator's. Here are topics, parameters and
-timers.
+timers. `lockstep`: publishes the state of tick k and advances when both commands stamped t_k have arrived. `real_time`:
+ticks on its own and holds the last commands. A command source that stays silent ends the episode as ABORTED, by name.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from geometry_msgs.msg import TwistStamped
@@ -23,23 +24,24 @@ from skd_sim.options.frames import MAP_FRAME
 from skd_sim.options.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
 from skd_sim.options.options import values_of
 from skd_sim.ros.command_messages import car_commands
-from skd_sim.ros.command_search import kind_name, why_no_command
-from skd_sim.ros.command_source import Senders, Source
 from skd_sim.ros.commands import Quantity, follow_speed
+from skd_sim.ros.discovery import kind_name, living_publishers, publisher_names, why_no_command
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
-from skd_sim.ros.initial_pose import InitialPose
-from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Repeat, Start, Step, frame_stamp
-from skd_sim.ros.publishers import living_publishers, publisher_names
-from skd_sim.ros.state_publisher import StatePublisher
+from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Repeat, Senders, Source, Start, Step, frame_stamp
+from skd_sim.ros.state_publisher import InitialPose, StatePublisher
 from skd_sim.ros.support import (
     EPISODE,
     EPISODE_RESULT,
     LATCHED,
     STREAM,
     VELOCITY_COMMAND,
+    GraphNode,
+    declare,
+    run_node,
     settings_of,
 )
 from skd_sim.ros.to_messages import to_stamp
+from skd_sim.simulators.named_simulator import NamedSimulator
 from skd_sim.world.aborts import AbortKind, abort_reason
 from skd_sim.world.command_ages import Schedule
 from skd_sim.world.dynamics.limits import CommandLimits
@@ -305,3 +307,24 @@ class GraphSimulator:
 
 def _identity(message: Any) -> tuple[str, int, int]:
     return str(message.campaign), int(message.episode_id), from_stamp(message.header.stamp)
+
+
+_SETTINGS = SIMULATOR_SETTINGS
+
+
+class VehicleSimulator(GraphNode):
+    """The world, and its clock."""
+
+    def __init__(self) -> None:
+        """Declare parameters; then wait for an episode."""
+        super().__init__("vehicle_simulator")
+        self.simulator = GraphSimulator(self, NamedSimulator(), declare(self, _SETTINGS))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node(VehicleSimulator, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

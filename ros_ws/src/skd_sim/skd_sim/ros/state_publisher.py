@@ -1,12 +1,17 @@
-"""What a stack hears: clock, transforms, odometries, measurements of the car's sensors, and the car's shape.
+"""What a stack hears: clock, transforms, odometries, measurements of the car's sensors, start pose and shape.
 
-Each goes out only while somebody listens.
+Each goes out only while somebody listens. Adversary and others are tracked objects of vision_msgs, where that package
+is installed. The car's shape is a URDF: its body is the footprint of the scenario's car, as high as it is drawn. There
+are no movable joints, since nothing is known of the wheels; so no `/joint_states` are needed either.
 """
 
 from __future__ import annotations
 
+import math
+import xml.etree.ElementTree as ElementTree
 from typing import Any
 
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -14,9 +19,8 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from skd_sim.options.frames import Frames
+from skd_sim.options.frames import FRAMES, MAP_FRAME, Frames
 from skd_sim.options.graph_options import StateOptions
-from skd_sim.ros.robot_description import laser_mount, robot_description
 from skd_sim.ros.support import (
     ADVERSARY_DETECTIONS,
     ADVERSARY_ODOMETRY,
@@ -32,6 +36,7 @@ from skd_sim.ros.support import (
     TF_STATIC,
 )
 from skd_sim.ros.to_messages import (
+    COVARIANCE_6,
     adversary_to_odometry,
     car_to_odometry,
     car_to_transform,
@@ -39,12 +44,16 @@ from skd_sim.ros.to_messages import (
     scan_to_message,
     scan_to_points,
     static_transforms,
+    to_orientation,
     to_stamp,
 )
-from skd_sim.ros.tracked_objects import DETECTIONS, detections
+from skd_sim.scenario.kinds import height_of
+from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode
 from skd_sim.world.sensors import InertialUnit, PlanarLaser, make_laser
 from skd_sim.world.simulator import Frame
+from skd_sim.world.state import CarState, RoadUserState, Scene
 
 
 class StatePublisher:
@@ -129,3 +138,134 @@ class StatePublisher:
                 self._scan.publish(scan_to_message(scan, stamp, self._frames))
             if wanted[1]:
                 self._points.publish(scan_to_points(scan, stamp, self._frames))
+
+
+CAR_HEIGHT = 1.5
+"""Of the body, m; it is looked at only."""
+LASER_HEIGHT = 0.3
+"""Of the scanner above the ground, m: the world is flat, but filters by height take what lies at 0 for the road."""
+
+_LASER_RADIUS, _LASER_LENGTH = 0.05, 0.07  # m
+
+
+def robot_description(scenario: Scenario, frames: Frames = FRAMES) -> str:
+    """Return the URDF of a scenario's car, and of its laser where it has one.
+
+    Args:
+        scenario: gives footprint and sensor.
+        frames: names of the links.
+    """
+    car, sensor = scenario.car, scenario.sensor
+    robot = ElementTree.Element("robot", name="car_under_test")
+    middle = (0.5 * (car.front - car.rear), 0.0, 0.5 * CAR_HEIGHT)
+    size = _numbers((car.front + car.rear, car.width, CAR_HEIGHT))
+    _link(robot, frames.base, middle, ("box", {"size": size}), "0.29 0.44 0.65 0.9")
+    if sensor is not None:
+        shape = {"radius": repr(_LASER_RADIUS), "length": repr(_LASER_LENGTH)}
+        _link(robot, frames.laser, (0.0, 0.0, 0.0), ("cylinder", shape), "0.1 0.1 0.1 1.0")
+        joint = ElementTree.SubElement(robot, "joint", name=f"{frames.laser}_mount", type="fixed")
+        ElementTree.SubElement(joint, "parent", link=frames.base)
+        ElementTree.SubElement(joint, "child", link=frames.laser)
+        ElementTree.SubElement(joint, "origin", xyz=_numbers(laser_mount(scenario)), rpy="0 0 0")
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+
+
+def laser_mount(scenario: Scenario) -> tuple[float, float, float]:
+    """Return where the laser is in the frame of the car, m; it looks straight ahead.
+
+    Raises:
+        ValueError: the scenario has no sensor.
+    """
+    if scenario.sensor is None:
+        raise ValueError(f"scenario {scenario.name} has no sensor")
+    return scenario.sensor.mount_ahead, 0.0, LASER_HEIGHT
+
+
+def _link(
+    robot: ElementTree.Element,
+    name: str,
+    middle: tuple[float, float, float],
+    shape: tuple[str, dict[str, str]],
+    colour: str,
+) -> None:
+    link = ElementTree.SubElement(robot, "link", name=name)
+    for part in ("visual", "collision"):
+        element = ElementTree.SubElement(link, part)
+        ElementTree.SubElement(element, "origin", xyz=_numbers(middle), rpy="0 0 0")
+        ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), shape[0], shape[1])
+        if part == "visual":
+            material = ElementTree.SubElement(element, "material", name=f"{name}_colour")
+            ElementTree.SubElement(material, "color", rgba=colour)
+
+
+def _numbers(values: tuple[float, float, float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+try:
+    from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
+except ImportError:  # ROS 2's base installation lacks it
+    Detection3DArray = None
+
+DETECTIONS: type | None = Detection3DArray
+"""Type of the messages; none where the package is missing."""
+TRACK = "adversary"
+"""The adversary's id in every message; that of `others[0]` is `other_0`."""
+
+
+def detections(scenario: Scenario, scene: Scene, stamp: int, frame_id: str) -> Any:
+    """Return a Detection3DArray with the adversary and the others; velocities have no place in that message.
+
+    Args:
+        scenario: gives kinds, which are the classes, and shapes; the box of a disc is as wide as the disc.
+        scene: true states.
+        stamp: time stamp, ns.
+        frame_id: frame in which the states are.
+    """
+    found = [_detection(TRACK, scenario.adversary, scene.adversary)]
+    for index, (other, state) in enumerate(zip(scenario.others, scene.others, strict=True)):
+        found.append(_detection(f"other_{index}", other, state))
+    message = Detection3DArray(detections=found)
+    for one in (message, *found):
+        one.header.stamp, one.header.frame_id = to_stamp(stamp), frame_id
+    return message
+
+
+def _detection(track: str, body: Body, state: RoadUserState) -> Any:
+    detection, result = Detection3D(id=track), ObjectHypothesisWithPose()
+    result.hypothesis.class_id, result.hypothesis.score = body.kind, 1.0
+    height = height_of(body.kind)
+    box, size = detection.bbox.center, detection.bbox.size
+    box.position.x, box.position.y, box.position.z = state.x, state.y, 0.5 * height
+    box.orientation = to_orientation(state.heading)
+    radius, half_length, half_width = body.shape
+    size.x, size.y, size.z = 2.0 * (radius or half_length), 2.0 * (radius or half_width), height
+    result.pose.pose, result.pose.covariance = box, COVARIANCE_6
+    detection.results = [result]
+    return detection
+
+
+INITIAL_POSE = "initialpose"
+_X, _Y, _YAW = 0, 7, 35  # on the diagonal of a covariance of 6 × 6, row by row
+_VARIANCE = 1e-6  # m² and rad²: it is exact, and zero would say that it is not known
+
+
+class InitialPose:
+    """Publishes where the car starts; a node that subscribes while an episode runs gets it, too."""
+
+    def __init__(self, node: Node) -> None:
+        """Make the topic."""
+        self._publisher = node.create_publisher(PoseWithCovarianceStamped, INITIAL_POSE, LATCHED)
+
+    def publish(self, car: CarState, stamp: int) -> None:
+        """Publish the pose with a stamp (ns)."""
+        message = PoseWithCovarianceStamped()
+        message.header.stamp = to_stamp(stamp)
+        message.header.frame_id = MAP_FRAME
+        pose = message.pose.pose
+        pose.position.x, pose.position.y = car.x, car.y
+        pose.orientation.z, pose.orientation.w = math.sin(0.5 * car.heading), math.cos(0.5 * car.heading)
+        for place in (_X, _Y, _YAW):
+            message.pose.covariance[place] = _VARIANCE
+        self._publisher.publish(message)

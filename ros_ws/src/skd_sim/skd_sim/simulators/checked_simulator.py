@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 from skd_sim.controllers.user_controller import failed, shown
 from skd_sim.errors import AssessmentError, UsageError
-from skd_sim.program.interruption import Interrupted
+from skd_sim.interruption import Interrupted
 from skd_sim.world.aborts import AbortKind
 from skd_sim.world.episode import Outcome
 from skd_sim.world.simulator import Frame, SimulatorError

@@ -40,9 +40,9 @@ from skd_sim.controllers.isolated import (
     set_call_limit,
 )
 from skd_sim.errors import UsageError
+from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.simulators import is_own_world
-from skd_sim.program.interruption import SIGNALS
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.trajectory import Trajectory

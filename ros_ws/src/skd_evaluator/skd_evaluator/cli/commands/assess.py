@@ -52,8 +52,7 @@ from skd_evaluator.report.terminal import (
 )
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.ros.processes import log_of
-from skd_evaluator.ros.rated import rated_through_graph
-from skd_evaluator.ros.session import prepare_ros
+from skd_evaluator.ros.session import prepare_ros, rated_through_graph
 
 EXIT_INTERRUPTED = 130
 

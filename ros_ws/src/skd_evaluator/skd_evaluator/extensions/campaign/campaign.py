@@ -40,7 +40,7 @@ from skd_evaluator.extensions.campaign.rows import (
 from skd_evaluator.extensions.campaign.store import FILE_NAME, CellStore, EpisodeStore, StoreError, remove_files
 from skd_evaluator.extensions.campaign.storing_runner import StoppedError, StoringRunner
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
-from skd_evaluator.ros.rated import rated_through_graph
+from skd_evaluator.ros.session import rated_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
 _FAREWELL = 10.0  # s for cells to notice that they are to stop

@@ -30,8 +30,7 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, s
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.ros.rated import fresh_graph
-from skd_evaluator.ros.session import campaign_name, graphs_session, prepare_ros
+from skd_evaluator.ros.session import campaign_name, fresh_graph, graphs_session, prepare_ros
 from skd_evaluator.version import version
 
 

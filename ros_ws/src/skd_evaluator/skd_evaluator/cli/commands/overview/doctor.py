@@ -17,7 +17,7 @@ from importlib.metadata import version as version_of
 from typing import Any
 
 from skd_sim import ros_environment
-from skd_sim.program.requirements import PACKAGES, environment
+from skd_sim.start import PACKAGES, environment
 
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.version import version

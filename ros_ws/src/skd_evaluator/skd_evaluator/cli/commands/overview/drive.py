@@ -27,8 +27,7 @@ from skd_evaluator.assessment.stages.findings import episode_line
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.assessment.store.results import ResultFolder, episode_summary
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.driving.hand import Controls, Hand, Wish
-from skd_evaluator.driving.paced import Drive, LeftError, driving_in_process
+from skd_evaluator.driving.hand import Controls, Drive, Hand, LeftError, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
@@ -147,7 +146,7 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
 @contextmanager
 def _on_terminal(title: str, controls: Controls, *, by_keys: bool) -> Iterator[Screen]:
     """Draw on the terminal and read its keys, as long as this lasts."""
-    from skd_evaluator.driving.keyboard import reading_keys
+    from skd_evaluator.driving.hand import reading_keys
 
     console = terminal()
     screen = Screen(title, KEYS if by_keys else KEYS_OF_ONLOOKER, console)

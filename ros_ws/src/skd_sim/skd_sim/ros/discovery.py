@@ -1,19 +1,115 @@
-"""What the graph shows if a command is awaited and none comes: which nodes use its topic, and where else commands are.
+"""Which nodes publish on a topic, and why no command can come on it, as far as the graph shows it.
 
-Asked only while something is wrong; nothing here costs a running episode anything.
+The middleware still lists killed nodes for a while; they are left out. On SKD's own topics one node may publish. Why no
+command comes is asked only while something is wrong, and costs a running episode nothing.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
 
 from skd_sim.errors import UsageError
 from skd_sim.ros.command_messages import message_class, number_paths
 from skd_sim.ros.commands import NAMED_FORMATS
-from skd_sim.ros.publishers import Publisher, endpoint_name, living_publishers
 from skd_sim.ros.support import EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND
+
+_FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin
+_PREFIX = 12  # bytes of a GUID that are its participant's (RTPS 2.3, section 8.2.4)
+_UNKNOWN = "_UNKNOWN_"  # in what rmw calls a node whose endpoints were found before its name
+_NAMING = 0.5  # s that a name is waited for
+
+
+class Publisher(NamedTuple):
+    """One publisher of a topic.
+
+    Attributes:
+        name: full name of its node; a node that publishes twice is listed twice.
+        participant: identifier by which its process takes part in the graph; it is known from the first moment, while a
+            name is not.
+        kind: type of its messages, as `geometry_msgs/msg/Twist`.
+        reliable: whether it delivers all of them.
+    """
+
+    name: str
+    participant: bytes
+    kind: str
+    reliable: bool
+
+    @property
+    def named(self) -> bool:
+        """Whether its node's name has come already."""
+        return _UNKNOWN not in self.name
+
+
+def living_publishers(node: Node, topic: str) -> list[Publisher]:
+    """Return the publishers of a topic, sorted by name.
+
+    A process that was killed says no farewell, and its publishers are listed until their lease ends (20 s). Fast DDS
+    writes host (2 bytes) and process (2 bytes) into a GUID, by which the dead of this machine are told apart; of other
+    middlewares and machines all that are listed count as living.
+
+    Args:
+        node: node through which the graph is seen.
+        topic: name of the topic as the node would write it, before remapping.
+    """
+    endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    publishers = sorted(map(_publisher, endpoints))
+    processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
+    nodes = [(endpoint_name(one), bytes(one.endpoint_gid)) for one in node.get_publishers_info_by_topic("/rosout")]
+    ours = next((gid for name, gid in nodes if name == node.get_fully_qualified_name()), None)
+    if ours is None or tuple(ours[:2]) != _FAST_DDS:
+        return publishers
+    if not {_process(gid) for _, gid in nodes if _process(gid) != _process(ours)} & processes:
+        return publishers  # of no other node a process is seen: they may run in containers, with processes of their own
+    return [one for one in publishers if one.participant[:4] != ours[:4] or _process(one.participant) in processes]
+
+
+def publisher_names(node: Node, topic: str, *, least: int = 0) -> list[str]:
+    """Return the names of the nodes that publish on a topic, sorted; waits a moment for those that have not come.
+
+    Args:
+        node: node through which the graph is seen.
+        topic: name of the topic as the node would write it, before remapping.
+        least: how many there were a moment ago.
+    """
+    latest = time.monotonic() + _NAMING
+    while True:
+        publishers = living_publishers(node, topic)
+        if all(one.named for one in publishers) or time.monotonic() > latest:
+            names = [one.name for one in publishers]
+            return names + ["one that is gone"] * (least - len(names))
+        time.sleep(0.01)
+
+
+def second_publisher(node: Node, topic: str) -> str | None:
+    """Return, in words, who publishes on a topic that is one node's alone; none where at most one does. Cheap then."""
+    topic = node.resolve_topic_name(topic)
+    if node.count_publishers(topic) < 2 or len(living_publishers(node, topic)) < 2:
+        return None
+    names = publisher_names(node, topic, least=2)
+    return f"{len(names)} nodes publish {topic}, one may: {' and '.join(names)}"
+
+
+def _publisher(endpoint: Any) -> Publisher:
+    reliable = endpoint.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT
+    return Publisher(endpoint_name(endpoint), bytes(endpoint.endpoint_gid[:_PREFIX]), endpoint.topic_type, reliable)
+
+
+def endpoint_name(endpoint: Any) -> str:
+    """Return the name, in full, of the node that has a publisher or a subscription."""
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def _process(gid: bytes) -> int:
+    """Return the last 16 bits of the id of a process, as Fast DDS writes them."""
+    return int(gid[4] | gid[5] << 8)
+
 
 _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")

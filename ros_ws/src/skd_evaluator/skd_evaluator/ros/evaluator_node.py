@@ -1,4 +1,4 @@
-"""The process of node `evaluator`: an assessment or an episode from parameters, for launch files and containers.
+"""Node `evaluator`: an assessment or an episode from parameters, for launch files and containers.
 
 Exit code: 0 fine, 1 the assessment failed (or the episode was aborted), 2 wrong usage, 130 interrupted.
 """
@@ -14,10 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
+from skd_sim.interruption import SIGNALS
 from skd_sim.options.graph_options import CommandOptions
 from skd_sim.options.objective import objectives_named
 from skd_sim.options.options import options_of, values_of
-from skd_sim.program.interruption import SIGNALS
 from skd_sim.ros.support import Setting, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 
@@ -35,8 +35,8 @@ from skd_evaluator.assessment.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.readiness.lifecycle import resetting
 from skd_evaluator.ros.session import campaign_name
+from skd_evaluator.ros.stack import resetting
 
 _INTERRUPTED = 130
 _SETTINGS = (

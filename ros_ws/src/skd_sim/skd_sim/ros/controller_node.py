@@ -21,7 +21,6 @@ from skd_sim.controllers import (
 )
 from skd_sim.errors import NoNumberError, UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros.episode_follower import EpisodeFollower
 from skd_sim.ros.from_messages import (
     CarEpisode,
     from_stamp,
@@ -36,6 +35,7 @@ from skd_sim.ros.support import (
     EGO_ODOMETRY,
     EGO_SCAN,
     STREAM,
+    EpisodeFollower,
     GraphNode,
     Setting,
     declare,

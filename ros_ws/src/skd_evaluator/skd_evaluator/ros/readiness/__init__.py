@@ -1,1 +1,0 @@
-"""Whether all of a graph is there, waits, and is itself."""

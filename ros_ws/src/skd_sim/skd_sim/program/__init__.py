@@ -1,1 +1,0 @@
-"""How a program begins and ends: signals, requirements, bounds."""
