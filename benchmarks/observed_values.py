@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 

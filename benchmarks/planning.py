@@ -1,7 +1,7 @@
 """How good the planner is on problems with published results: mean discounted return, and time a move.
 
 Each problem is played in closed loop, an episode a seed: plan, act, observe, update the belief. The models are in
-`benchmarks/problems`, each with its source, written against the public interface, `skd_adversary.pomdp.pomdp`.
+`benchmarks/problems`, each with its source, written against the public interface, `skd_adversary.pomdp.model`.
 
     python benchmarks/planning.py [--problems NAME ...] [--episodes N] [--simulations N] [--workers N] [--seed N]
 """
@@ -20,13 +20,12 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from problems.rock_sample import rock_sample
-from problems.sub_hunt import sub_hunt, sub_hunt_at_random, sub_hunt_with_leaves
+from problems.sub_hunt import sub_hunt, sub_hunt_with_leaves
 from problems.tiger import tiger
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.closed_loop import play
-from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
-from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
+from skd_adversary.pomdp.planner import Planner, play
+from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
 from skd_sim.arrays import FloatArray
 
 
@@ -52,12 +51,10 @@ class Problem:
 # Observations that repeat exactly: each has a child of its own.
 _DISCRETE: Final[dict[str, Any]] = {"cells": Cells.NEAREST, "observation_factor": math.inf}
 _TIGER: Final = PlannerOptions(
-    # The default policy listens, whatever the state: rollouts have no optimism, and need not learn any.
     simulations=5_000,
     depth=25,
     exploration=110.0,
     particles=1_000,
-    learned_states=0,
     **_DISCRETE,
 )
 _ROCK_SAMPLE: Final = PlannerOptions(
@@ -108,8 +105,6 @@ PROBLEMS: Final[dict[str, Problem]] = {
             "ping first, then QMDP, published": (79.0, 1.1),
         },
     ),
-    "sub_hunt_rollouts": Problem(sub_hunt, _SUB_HUNT, moves=100),
-    "sub_hunt_at_random": Problem(sub_hunt_at_random, _SUB_HUNT, moves=100),
 }
 
 

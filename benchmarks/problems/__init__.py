@@ -1,1 +1,1 @@
-"""POMDPs with published results, written against the public model interface (`skd_adversary.pomdp.pomdp`)."""
+"""POMDPs with published results, written against the public model interface (`skd_adversary.pomdp.model`)."""

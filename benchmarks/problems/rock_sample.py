@@ -16,7 +16,7 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 

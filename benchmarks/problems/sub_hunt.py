@@ -15,12 +15,11 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from observed_values import with_observed_leaves
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 
@@ -166,11 +165,6 @@ def sub_hunt() -> Pomdp:
         rollout_action=rollout_action,
         reinvigorate=reinvigorate,
     )
-
-
-def sub_hunt_at_random() -> Pomdp:
-    """Return SubHunt with a default policy that does anything."""
-    return replace(sub_hunt(), name="benchmark_sub_hunt_at_random", rollout_action=any_action)
 
 
 @functools.cache

@@ -9,7 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 

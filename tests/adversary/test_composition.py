@@ -21,8 +21,8 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.parts import ObjectiveModel, Template, template
 from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, STAY
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.options import PlannerOptions
 from skd_adversary.pomdp.planner import Planner
+from skd_adversary.pomdp.search import PlannerOptions
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.objective import OBJECTIVES

@@ -19,7 +19,7 @@ from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, acti
 from skd_adversary.crossing.road_user.pedestrian import KERNELS as PEDESTRIAN
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.crossing.safe_path import polyline_distance, polyline_segments
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import road_position

@@ -17,8 +17,8 @@ from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.objective.deformation import OBJECTIVE
 from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.pomdp.belief import ParticleBelief
+from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.pomdp import Pomdp
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_evaluator.metrics.distances.deformation import deformation

@@ -10,7 +10,7 @@ from skd_adversary.crossing.composer import compose
 from skd_adversary.crossing.crossing import ADVERSARY_X, CAR_S, STATE_DIM
 from skd_adversary.crossing.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, action_velocity
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario

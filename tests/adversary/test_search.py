@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from models import ring, tiger
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
 from skd_sim.kernels.compilation import kernel
 
 F32 = np.float32
@@ -48,9 +48,6 @@ class ReadableSearch:
         self.root: Node | None = None
         self.nodes = 0
         self.steps = 0
-        self.learned: dict[tuple[float, ...], dict[int, tuple[Any, int]]] = {}  # state → action → mean return, tries
-        self.usual, self.rollouts, self.sought, self.found = 0.0, 0, 0, 0
-        self.learns = model.leaf_value is None and options.learned_states > 0 and options.backup == Backup.MEAN
         self.returned: list[tuple[int, float, float]] = []  # this decision's, by action: number, mean, deviations
 
     def plan(self, belief: ParticleBelief) -> int:
@@ -64,8 +61,6 @@ class ReadableSearch:
         if self.root is None:
             self.root, self.nodes = self.new_node(None), 1
         self.returned = [(0, 0.0, 0.0)] * self.model.action_count
-        if self.learns and self.rollouts == 0:  # practice
-            self.practise(belief, roots)
         for source in roots:
             if self.root.visits == 0 and self.model.legal is not None:
                 self.root = self.new_node(belief.particles[source])
@@ -214,94 +209,16 @@ class ReadableSearch:
             if depth < self.options.depth:
                 first = int(model.rollout_action(model.parameters, state, self.rng))
             return first, model.leaf_value(model.parameters, state)
-        if self.learns:
-            return self.learn(state, self.options.depth - depth)
-        return self.follow(state, self.options.depth - depth, self.by_default)
-
-    def known(self, state: Any) -> dict[int, tuple[Any, int]]:
-        self.sought += 1
-        self.found += tuple(state) in self.learned
-        return self.learned.setdefault(tuple(state), {})
-
-    def practise(self, belief: ParticleBelief, roots: list[int]) -> None:
-        """Learn from each root; keep to the default policy if it is past half-way from chance to what was learned."""
-        steps = self.options.depth
-        learned, gains, at_random = [], [], []
-        for number, source in enumerate(roots):
-            learned.append(self.learn(belief.particles[source].copy(), steps)[1])
-            if number < 1000:
-                by_default = self.follow(belief.particles[source].copy(), steps, self.by_default)[1]
-                at_random.append(self.follow(belief.particles[source].copy(), steps, self.anything)[1])
-                gains.append(by_default - at_random[-1])
-        gain, error = np.mean(gains), np.std(gains, ddof=1) / math.sqrt(len(gains))
-        worth = np.mean(learned[len(roots) // 2 :])
-        if gain > 3.0 * error and gain > 0.5 * (worth - np.mean(at_random)):
-            self.learns = False
-
-    def by_default(self, state: Any) -> int:
-        return int(self.model.rollout_action(self.model.parameters, state, self.rng))
-
-    def anything(self, state: Any) -> int:
-        action = int(self.model.action_count * self.rng.random())
-        while self.model.legal is not None and not self.model.legal(self.model.parameters, state, action):
-            action = (action + 1) % self.model.action_count
-        return action
-
-    def follow(self, state: Any, steps: int, act: Any) -> tuple[int | None, float]:
-        """Return (first action, return) of a rollout."""
-        first, value, weight = None, 0.0, 1.0
-        for _ in range(steps):
-            action = act(state)
+        value, weight = 0.0, 1.0
+        for _ in range(self.options.depth - depth):
+            action = int(model.rollout_action(model.parameters, state, self.rng))
             first = action if first is None else first
             reward, terminal, state = self.step(state, action)
             value += weight * reward
             if terminal:
                 break
-            weight *= self.model.discount
+            weight *= model.discount
         return first, value
-
-    def learn(self, state: Any, steps: int) -> tuple[int | None, float]:
-        """Q-learning, with one action in ten at random, and half of the rest by default where the best is poor."""
-        model = self.model
-        if steps == 0:
-            return None, 0.0
-        if self.sought >= 5000 and self.found < 0.01 * self.sought:
-            raise NotImplementedError("no model here has states that do not come again")
-        self.rollouts += 1
-        passed: list[tuple[Any, int, float]] = []
-        terminal = False
-        for _ in range(steps):
-            known = self.known(state)
-            action = max(known, key=lambda a: (known[a][0], -a)) if known else None
-            poor = not known or known[action][0] < self.usual
-            draw = self.rng.random()
-            if draw < 0.1:
-                action = int(model.action_count * draw / 0.1)
-                if model.legal is not None and not model.legal(model.parameters, state, action):
-                    action = None
-            elif draw < 0.55 and poor:
-                action = None
-            if action is None:
-                action = int(model.rollout_action(model.parameters, state, self.rng))
-            reward, terminal, after = self.step(state, action)
-            passed.append((known, action, reward))
-            if terminal:
-                break
-            state = after
-        gained = 0.0
-        for number, (_, _, reward) in enumerate(passed):
-            gained += model.discount**number * reward
-        self.usual += (gained - self.usual) / min(self.rollouts, 1000)
-        ahead = 0.0
-        if not terminal:
-            known = self.known(state)
-            ahead = float(max((mean for mean, _ in known.values()), default=0.0))
-        for known, action, reward in reversed(passed):
-            mean, tries = known.get(action, (F32(0.0), 0))
-            target = F32(reward + model.discount * ahead)
-            known[action] = mean + F32(max(1.0 / (tries + 1), 0.125)) * (target - mean), tries + 1
-            ahead = float(max(mean for mean, _ in known.values()))
-        return passed[0][1], ahead
 
     def back_up(self, path: list[tuple[Node, int, float]], tail: float) -> float:
         value = gained = tail
@@ -359,7 +276,6 @@ SMALL = PlannerOptions(
     backup=Backup.BEST,
     cells=Cells.NEAREST,
     keep_tree=True,
-    learned_states=0,
 )
 
 

@@ -5,8 +5,7 @@ from collections import deque
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.pomdp.observation_cells import most_alike_child, nearest_child
-from skd_adversary.pomdp.search_tree import (
+from skd_adversary.pomdp.tree import (
     CHILDREN,
     FIRST_CHILD,
     VALUE,
@@ -16,6 +15,8 @@ from skd_adversary.pomdp.search_tree import (
     clear_node,
     copy_subtree,
     empty_tree,
+    most_alike_child,
+    nearest_child,
 )
 
 ACTIONS, DIMENSION = 3, 2

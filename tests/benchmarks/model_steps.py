@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 
 
 def step(model: Pomdp, state: list[float], action: int) -> tuple[float, bool, list[float]]:

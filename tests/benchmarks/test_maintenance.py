@@ -11,11 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.closed_loop import play
-from skd_adversary.pomdp.model_check import check_model
-from skd_adversary.pomdp.options import PlannerOptions
-from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp, check_model
+from skd_adversary.pomdp.planner import Planner, play
+from skd_adversary.pomdp.search import PlannerOptions
 from skd_sim.kernels.compilation import kernel
 
 RUN, INSPECT, REPAIR = range(3)

@@ -11,7 +11,7 @@ import pytest
 from model_steps import step
 from planning import PROBLEMS, run_episode
 from problems import rock_sample, tiger
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 
 Draws = dict[tuple[float, ...], float]
 SIGMAS = 4.5  # binomial bounds: 7e-6 each, a few hundred of them

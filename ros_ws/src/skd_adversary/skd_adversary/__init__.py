@@ -11,11 +11,11 @@ from skd_sim.public import exported
 
 if TYPE_CHECKING:
     from skd_adversary.pomdp.belief import ParticleBelief as ParticleBelief
-    from skd_adversary.pomdp.closed_loop import play as play
-    from skd_adversary.pomdp.model_check import check_model as check_model
-    from skd_adversary.pomdp.options import PlannerOptions as PlannerOptions
+    from skd_adversary.pomdp.model import Pomdp as Pomdp
+    from skd_adversary.pomdp.model import check_model as check_model
     from skd_adversary.pomdp.planner import Planner as Planner
-    from skd_adversary.pomdp.pomdp import Pomdp as Pomdp
+    from skd_adversary.pomdp.planner import play as play
+    from skd_adversary.pomdp.search import PlannerOptions as PlannerOptions
 
 __all__ = [
     "ParticleBelief",
@@ -29,9 +29,9 @@ __all__ = [
 _WHERE = {
     "ParticleBelief": "skd_adversary.pomdp.belief",
     "Planner": "skd_adversary.pomdp.planner",
-    "PlannerOptions": "skd_adversary.pomdp.options",
-    "Pomdp": "skd_adversary.pomdp.pomdp",
-    "check_model": "skd_adversary.pomdp.model_check",
-    "play": "skd_adversary.pomdp.closed_loop",
+    "PlannerOptions": "skd_adversary.pomdp.search",
+    "Pomdp": "skd_adversary.pomdp.model",
+    "check_model": "skd_adversary.pomdp.model",
+    "play": "skd_adversary.pomdp.planner",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)

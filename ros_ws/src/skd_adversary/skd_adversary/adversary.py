@@ -29,9 +29,9 @@ from skd_adversary.crossing.parts import CarPrediction, RoadUserModel
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.crossing.safe_path import velocities_of, velocity_at
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.options import PlannerOptions
+from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.search import PlannerOptions
 
 
 class BelievedCar(NamedTuple):

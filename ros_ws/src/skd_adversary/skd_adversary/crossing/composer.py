@@ -23,7 +23,7 @@ from skd_adversary.crossing.parts import (
 )
 from skd_adversary.crossing.road import curved, straight
 from skd_adversary.crossing.road_user import pedestrian
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 
 
 class _Kernels(NamedTuple):

@@ -15,7 +15,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise
 from skd_sim.scenario.scenario import Scenario
 
-from skd_adversary.pomdp.options import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

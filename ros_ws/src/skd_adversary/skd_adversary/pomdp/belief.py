@@ -16,7 +16,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 from skd_sim.kernels.stream import stream_of
 
-from skd_adversary.pomdp.pomdp import Pomdp
+from skd_adversary.pomdp.model import Pomdp
 
 RESAMPLE_BELOW = 0.5
 """Resample when the effective sample size is below this share of the particles."""
@@ -141,11 +141,6 @@ class ParticleBelief:
         self.weights = np.full(count, 1.0 / count)
         self.depletions = 0
         self._draw(model.parameters, self.particles, self._rng)
-
-    @property
-    def effective_sample_size(self) -> float:
-        """1 / Σ w²."""
-        return float(effective_sample_size(self.weights))
 
     @property
     def mean(self) -> FloatArray:

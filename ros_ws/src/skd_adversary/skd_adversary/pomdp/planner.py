@@ -11,76 +11,38 @@ A node's value is the mean over all that was tried there, as published: where le
 of an action's means is their optimism, and "ask later" always looks better than to ask. A new node's first try is the
 default policy's.
 
-Where a model has no leaf values, rollouts learn what states are worth (`learning_rollouts`).
-
-docs/decisions.md says why this planner.
+`play` runs an episode in closed loop: decide, act, observe, update the belief. docs/decisions.md says why this planner.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.learning_rollouts import ROLLOUTS, no_experience, practice_kernel
-from skd_adversary.pomdp.observation_cells import most_alike_child, nearest_child, profile_kernel
-from skd_adversary.pomdp.options import Cells, PlannerOptions
-from skd_adversary.pomdp.pomdp import Pomdp
-from skd_adversary.pomdp.search import RootLog, Scratch, draw_roots, search_kernel
-from skd_adversary.pomdp.search_tree import (
+from skd_adversary.pomdp.model import Pomdp
+from skd_adversary.pomdp.search import Cells, PlannerOptions, Scratch, draw_roots, search_kernel
+from skd_adversary.pomdp.tree import (
     CHILDREN,
-    FIRST_CHILD,
     KNOWN,
     VALUE,
     VISITS,
     Float32Array,
-    SearchTree,
     clear_node,
     copy_subtree,
     empty_tree,
+    exploration_from,
+    most_alike_child,
+    nearest_child,
+    no_returns,
+    profile_kernel,
+    tables_of,
 )
-from skd_adversary.pomdp.ucb import exploration_from, no_returns, tables_of
-
-
-@dataclass(frozen=True)
-class RootCell:
-    """A child of the root: observations that lead to the same node.
-
-    Attributes:
-        observation: the observation that made the cell, d numbers.
-        visits: simulations of the last decision that went on there.
-        states: different states of the belief that these began in. Where most cells hold most of the belief's states,
-            the observation says little, or the cells do not tell apart what it says.
-    """
-
-    observation: FloatArray
-    visits: int
-    states: int
-
-
-@dataclass(frozen=True)
-class RootAction:
-    """What the last decision found out about an action.
-
-    Attributes:
-        action: the action.
-        visits: simulations through it, those of a kept tree included.
-        value: estimated return; nan where it was not tried.
-        standard_error: standard error of the mean return of the last decision's simulations, as if they were
-            independent; nan with fewer than two. They are not independent, for all learn from the same tree: the true
-            error is larger.
-        cells: most visited first.
-    """
-
-    action: int
-    visits: int
-    value: float
-    standard_error: float
-    cells: tuple[RootCell, ...]
 
 
 class Planner:
@@ -103,16 +65,8 @@ class Planner:
         self._rng = stream_of(rng)
         self._tree = tree
         self._roots = np.zeros(options.simulations, np.uint32)
-        self._log = RootLog(
-            np.full(options.simulations, -1, np.int32),
-            np.zeros(options.simulations),
-            np.full(options.simulations, -1, np.int32),
-        )
         self._returns = no_returns(tree.statistics.shape[1])
-        self._particles = np.empty((0, model.state_dim))
-        learns = options.learns and model.leaf_value is None
-        self._search = search_kernel(model, self._by_likelihood, learns)
-        self._practise = practice_kernel(model.name, model.step, model.rollout_action, model.legal) if learns else None
+        self._search = search_kernel(model, self._by_likelihood)
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
         self._scratch = Scratch(
@@ -127,9 +81,6 @@ class Planner:
             other_observation=np.empty(model.observation_dim),
             likelihood=np.empty(references),
             profile=np.empty(references, np.float32),
-            notes=no_experience(
-                options.learned_states if learns else 0, model.state_dim, model.action_count, options.depth
-            ),
             returns=self._returns,
         )
         self._kept = 0  # nodes of the tree that `advance` has left
@@ -138,33 +89,9 @@ class Planner:
     def plan(self, belief: ParticleBelief) -> int:
         """Return the action of highest estimated value at `belief`."""
         draw_roots(belief.weights, self._roots, self._rng)
-        self._log.action.fill(-1)
-        if self._particles.shape != belief.particles.shape:
-            self._particles = np.empty_like(belief.particles)
-        self._particles[:] = belief.particles  # the belief goes on; `root` asks what it was
-        self._search_from(belief)
-        return self._decision()
-
-    def _search_from(self, belief: ParticleBelief) -> None:
-        """Search from what `advance` kept, or from nothing.
-
-        Where nothing was kept and but one action is legal, it is that one, without a search.
-        """
-        if self._kept == 0:
+        if self._kept == 0:  # then an action is taken without a search where no other is legal
             clear_node(self._tree, 0)
-        options, model, scratch = self._options, self._model, self._scratch
-        if self._practise is not None and scratch.notes.totals[ROLLOUTS] == 0.0:
-            self.model_steps += self._practise(
-                model.parameters,
-                belief.particles,
-                self._roots,
-                scratch.state,
-                scratch.moved,
-                scratch.notes,
-                options.depth,
-                model.discount,
-                self._rng,
-            )
+        options, model = self._options, self._model
         self.model_steps += self._search(
             model.parameters,
             model.leaves,
@@ -174,7 +101,6 @@ class Planner:
             max(1, self._kept),
             self._tables,
             self._scratch,
-            self._log,
             options.ucb_constant,
             model.discount,
             int(options.backup),
@@ -182,8 +108,6 @@ class Planner:
             self._rng,
         )
         self._kept = 0
-
-    def _decision(self) -> int:
         best, decision = -math.inf, 0
         for action, (value, visits) in enumerate(self._tree.statistics[0].tolist()):  # for so few, faster than numpy
             if visits > 0.0 and value > best:
@@ -237,31 +161,63 @@ class Planner:
         """UCB1's constant at the end of the last decision, in units of reward."""
         return float(exploration_from(self._options.ucb_constant, self._returns))
 
-    @property
-    def tree(self) -> SearchTree:
-        """The tree of the last decision, until `advance`; the planner's own arrays, to be read only."""
-        return self._tree
 
-    def root(self) -> tuple[RootAction, ...]:
-        """Return what the last decision found out about each action; to be asked before `advance`."""
-        _, numbers = np.unique(self._particles, axis=0, return_inverse=True)
-        state_of = numbers.ravel()[self._roots]
-        return tuple(self._root_action(action, state_of) for action in range(self._model.action_count))
+class DecisionMaker(Protocol):
+    """Whoever decides: a planner, or a policy in its place."""
 
-    def _root_action(self, action: int, state_of: np.ndarray) -> RootAction:
-        visits = int(self.visits[action])
-        returns = self._log.value[self._log.action == action]
-        cells = []
-        child = int(self._tree.links[0, action, FIRST_CHILD])
-        for _ in range(self._tree.links[0, action, CHILDREN]):
-            here = (self._log.cell == child) & (self._log.action == action)
-            observation = self._tree.observation[child].copy()
-            cells.append(RootCell(observation, int(here.sum()), len(np.unique(state_of[here]))))
-            child = int(self._tree.sibling[child])
-        return RootAction(
-            action,
-            visits,
-            float(self.values[action]) if visits else np.nan,
-            float(returns.std(ddof=1) / np.sqrt(len(returns))) if len(returns) > 1 else np.nan,
-            tuple(sorted(cells, key=lambda cell: -cell.visits)),
+    def plan(self, belief: ParticleBelief) -> int:
+        """Return an action."""
+
+    def advance(self, action: int, observation: FloatArray) -> None:
+        """Be told what was done and what was observed after it."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """An episode that was played.
+
+    Attributes:
+        value: discounted return of the episode.
+        actions: the actions that were taken, in order.
+        ended: whether the model ended the episode, and not the limit of moves.
+    """
+
+    value: float
+    actions: tuple[int, ...]
+    ended: bool
+
+
+def play(
+    model: Pomdp, belief: ParticleBelief, planner: DecisionMaker, rng: np.random.Generator, *, moves: int = 1000
+) -> Played:
+    """Play an episode.
+
+    Args:
+        model: the world; the planner may plan with another model of the same states, such as one with leaf values.
+        belief: belief at the beginning; it is updated in the episode.
+        planner: chooses the actions.
+        rng: generator of what happens in the world.
+        moves: greatest number of moves.
+
+    Raises:
+        ValueError: the belief is about states of another length.
+    """
+    if belief.particles.shape[1] != model.state_dim:
+        raise ValueError(
+            f"{model.name} has states of {model.state_dim} numbers, and the belief's have {belief.particles.shape[1]}"
         )
+    state, after, seen = np.empty(model.state_dim), np.empty(model.state_dim), np.empty(model.observation_dim)
+    model.initial(model.parameters, state, rng)
+    value, discount, ended = 0.0, 1.0, False
+    actions: list[int] = []
+    while not ended and len(actions) < moves:
+        action = planner.plan(belief)
+        actions.append(action)
+        reward, ended = model.step(model.parameters, state, action, after, rng)
+        value, discount, state[:] = value + discount * reward, discount * model.discount, after
+        if not ended:
+            model.observe(model.parameters, state, action, seen, rng)
+            belief.predict(action)
+            belief.correct(action, seen)
+            planner.advance(action, seen)
+    return Played(value, tuple(actions), bool(ended))

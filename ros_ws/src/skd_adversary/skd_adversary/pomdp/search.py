@@ -1,46 +1,122 @@
-"""The search itself: one compiled function per model, which runs all simulations of a decision without allocation."""
+"""The search of a decision, compiled once per model, and its options: budget, depth, exploration, cells, backup."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel, specialise, unbound
 
-from skd_adversary.pomdp.learning_rollouts import learning_rollout_kernel
-from skd_adversary.pomdp.observation_cells import (
-    add_reference_kernel,
-    most_alike_child,
-    nearest_child,
-    profile_kernel,
-    set_profile,
-)
-from skd_adversary.pomdp.options import Backup
-from skd_adversary.pomdp.pomdp import Pomdp
-from skd_adversary.pomdp.rollouts import rollout_kernel
-from skd_adversary.pomdp.search_tree import (
+from skd_adversary.pomdp.model import Pomdp
+from skd_adversary.pomdp.tree import (
     BLOCK,
     CHILDREN,
+    FOUND,
     KNOWN,
     VALUE,
     VISITS,
     Float32Array,
     IndexArray,
-    Int32Array,
     SearchTree,
+    Tables,
     add_child,
+    add_reference_kernel,
     best_mean,
+    choose,
     clear_node,
+    exploration_from,
+    forget_returns,
+    most_alike_child,
     most_tried_mean,
+    nearest_child,
+    note_return,
     note_value,
+    profile_kernel,
+    set_profile,
 )
-from skd_adversary.pomdp.ucb import Tables, choose, exploration_from, forget_returns, note_return
 
-_step = _observe = _leaf_value = _legal = _forbid = unbound
-_first_try = _profile = _add_reference = _rollout = unbound
+
+class Backup(IntEnum):
+    """How the value of a node enters that of the node above it."""
+
+    BEST = 0  # the best of its actions' means, as in ABT
+    MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it
+    MOST_VISITED = 2  # the mean of the action tried most: a lucky first try does not count yet
+
+
+class Cells(IntEnum):
+    """Which observations share a node."""
+
+    LIKELIHOOD = 0  # those that say nearly the same of the states
+    NEAREST = 1  # those that are near each other, by Euclid
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """Budget and shape of the search.
+
+    Attributes:
+        simulations: new simulations per decision: a count, never a time, so that results repeat.
+        depth: longest look-ahead, steps.
+        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of what an action of the
+            root has returned in this decision, of the action for which that is greatest. See `tree`.
+        observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
+        observation_exponent: α of the widening.
+        particles: size of the belief.
+        backup: how the value of a node enters that of the node above it.
+        keep_tree: whether the subtree of what was done and seen is kept for the next decision.
+        cells: says which observations share a node.
+        references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
+        cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
+            a cell of its own (`Cells.LIKELIHOOD`).
+    """
+
+    simulations: int = 10_000
+    depth: int = 25
+    exploration: float | None = None
+    observation_factor: float = 4.0
+    observation_exponent: float = 0.25
+    particles: int = 3000
+    backup: Backup = Backup.MEAN
+    keep_tree: bool = False
+    cells: Cells = Cells.LIKELIHOOD
+    references: int = 8
+    cell_distance: float = 0.1
+
+    @property
+    def ucb_constant(self) -> float:
+        """What the search takes for `exploration`."""
+        return FOUND if self.exploration is None else self.exploration
+
+    def __post_init__(self) -> None:
+        if self.simulations < 1 or self.depth < 1:
+            raise ValueError("a planner needs at least one simulation and a depth of one")
+        if self.exploration is not None and not self.exploration >= 0.0:
+            raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
+        if self.particles < 1:
+            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
+        if self.references < 1:
+            raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
+        for name in ("simulations", "depth", "particles", "references"):
+            if getattr(self, name) != int(getattr(self, name)):
+                raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
+        if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
+            raise ValueError(
+                f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
+                f"observation_exponent {self.observation_exponent!r}"
+            )
+        for name, kind in (("backup", Backup), ("cells", Cells)):
+            if getattr(self, name) not in list(kind):
+                raise ValueError(f"{name} must be one of {', '.join(map(str, kind))}, got {getattr(self, name)!r}")
+
+
+_step = _observe = _rollout_action = _roll_out = _leaf_value = unbound
+_legal = _forbid = _profile = _add_reference = unbound
 _ACTIONS = _SEEN = 0
 _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
@@ -60,16 +136,7 @@ class Scratch(NamedTuple):
     other_observation: FloatArray  # d
     likelihood: FloatArray  # m: of the observation in each reference state
     profile: Float32Array  # m
-    notes: Any  # of rollouts: an `Experience`
     returns: FloatArray  # actions × 3: what is kept of the decision's returns
-
-
-class RootLog(NamedTuple):
-    """What each of the last decision's simulations did at the root."""
-
-    action: Int32Array
-    value: FloatArray  # return from the root, as backed up
-    cell: Int32Array  # child that the simulation went on in; −1: the episode ended
 
 
 @kernel(allocates=False)
@@ -99,7 +166,6 @@ def _search_template(
     node_count: int,
     tables: Tables,
     scratch: Scratch,
-    log: RootLog,
     exploration: float,
     discount: float,
     backup: int,
@@ -133,21 +199,18 @@ def _search_template(
             statistics[0, only, VISITS] = 1.0
             statistics[0, only, VALUE] = 0.0
             return steps
-    elif tree.total[0] == 0:
-        _forbid(parameters, tree, 0, state)
     forget_returns(scratch.returns)
     for i in range(roots.shape[0]):
         source = roots[i]
         for k in range(state.shape[0]):
             state[k] = particles[source, k]
         constant = exploration_from(exploration, scratch.returns)
-        log.cell[i] = -1
         node = 0
         depth = 0
         tail = 0.0
         while depth < depth_limit:
             if tree.total[node] == 0:
-                action = _first_try(parameters, state, rng)
+                action = _rollout_action(parameters, state, rng)
             else:
                 action = choose(tree, node, constant, tables, rng)
             reward, terminal = _step(parameters, state, action, moved, rng)
@@ -179,8 +242,6 @@ def _search_template(
                 same = apart == 0.0
             room = siblings < tables.widening[min(int(statistics[node, action, VISITS]), last)]
             if same or not room or node_count == tree.total.shape[0]:
-                if depth == 1:
-                    log.cell[i] = child
                 node = child
                 if node < 0:
                     break
@@ -190,10 +251,9 @@ def _search_template(
             child = node_count
             node_count += 1
             clear_node(tree, child)
-            _forbid(parameters, tree, child, state)
+            if _HAS_LEGAL:
+                _forbid(parameters, tree, child, state)
             add_child(tree, node, action, child, observation)
-            if depth == 1:
-                log.cell[i] = child
             if _BY_LIKELIHOOD:
                 if siblings == 0:  # the oldest child's row holds the references
                     tree.basis[node, action, BLOCK] = child
@@ -207,12 +267,10 @@ def _search_template(
             first = -1
             if _HAS_LEAF_VALUE:
                 if depth < depth_limit:
-                    first = _first_try(parameters, state, rng)
+                    first = _rollout_action(parameters, state, rng)
                 tail = _leaf_value(leaf_parameters, state)
             else:
-                tail, first, made, _ = _rollout(
-                    parameters, state, moved, scratch.notes, depth_limit - depth, discount, rng
-                )
+                tail, first, made = _roll_out(parameters, state, moved, depth_limit - depth, discount, rng)
                 steps += made
             if first >= 0:
                 tree.total[child] = 1
@@ -226,18 +284,43 @@ def _search_template(
             value = path_reward[level] + discount * value
             tree.total[node] += 1
             note_value(tree, node, action, value)
-            if level == 0:
-                log.action[i] = action
-                log.value[i] = value
+            if level == 0 and exploration < 0.0:
+                note_return(scratch.returns, action, value)
             if backup == _MEAN:
                 continue
             value = float(best_mean(tree, node) if backup == _BEST else most_tried_mean(tree, node))
-        if exploration < 0.0:
-            note_return(scratch.returns, log.action[i], log.value[i])
     return steps
 
 
-def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[..., Any]:
+def _roll_out_template(
+    parameters: Any, state: FloatArray, moved: FloatArray, steps: int, discount: float, rng: np.random.Generator
+) -> tuple[float, int, int]:
+    """Act by the default policy; both arrays are overwritten. Return (return, first action or −1, steps made)."""
+    value, discounting = 0.0, 1.0
+    first = -1
+    made = 0
+    while made < steps:
+        action = int(_rollout_action(parameters, state, rng))
+        if made == 0:
+            first = action
+        reward, terminal = _step(parameters, state, action, moved, rng)
+        made += 1
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        state, moved = moved, state
+    return value, first, made
+
+
+def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    """Keep the search of a new node from actions that make no sense in its state."""
+    for a in range(tree.statistics.shape[1]):
+        if not _legal(parameters, state, a):
+            tree.statistics[node, a, VISITS] = -1.0
+
+
+def search_kernel(model: Pomdp, by_likelihood: bool) -> Callable[..., Any]:
     """Return the search compiled around a model's functions."""
     likelihood = model.likelihood if by_likelihood else None
     return _search_kernel(
@@ -248,7 +331,6 @@ def search_kernel(model: Pomdp, by_likelihood: bool, learns: bool) -> Callable[.
         model.leaf_value,
         model.legal,
         likelihood,
-        learns,
         model.action_count,
         model.observation_dim,
     )
@@ -263,28 +345,25 @@ def _search_kernel(
     leaf_value: Callable[..., Any] | None,
     legal: Callable[..., Any] | None,
     likelihood: Callable[..., Any] | None,
-    learns: bool,
     actions: int,
     seen: int,
 ) -> Callable[..., Any]:
     bound: dict[str, Any] = {
         "_step": step,
         "_observe": observe,
-        "_first_try": rollout_action,
+        "_rollout_action": rollout_action,
         "_ACTIONS": actions,
         "_SEEN": seen,
-        "_forbid": forbid_kernel(name, legal),
     }
     if leaf_value is not None:
         name += "_leaves"
         bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
-    elif learns:
-        bound |= {"_rollout": learning_rollout_kernel(name, step, rollout_action, legal)}
-        name += "_learns"
     else:
-        bound |= {"_rollout": rollout_kernel(name, step, rollout_action)}
+        rollout = {"_step": step, "_rollout_action": rollout_action}
+        bound |= {"_roll_out": specialise(_roll_out_template, name, rollout, inline=True)}
     if legal is not None:
-        bound |= {"_legal": legal, "_HAS_LEGAL": True}
+        forbid = specialise(_forbid_template, name, {"_legal": legal}, inline=True)
+        bound |= {"_legal": legal, "_forbid": forbid, "_HAS_LEGAL": True}
     if likelihood is not None:
         bound |= {
             "_BY_LIKELIHOOD": True,
@@ -293,22 +372,3 @@ def _search_kernel(
         }
         name += "_by_likelihood"
     return specialise(_search_template, name, bound, allocates=False)
-
-
-def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
-    """Keep the search of a new node from actions that make no sense in its state."""
-    for a in range(tree.statistics.shape[1]):
-        if not _legal(parameters, state, a):
-            tree.statistics[node, a, VISITS] = -1.0
-
-
-def _allow_all(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
-    pass
-
-
-@functools.cache
-def forbid_kernel(name: str, legal: Callable[..., Any] | None) -> Callable[..., Any]:
-    """Return the kernel (parameters, tree, node, state) that keeps a new node from actions that make no sense there."""
-    if legal is None:
-        return kernel(inline=True)(_allow_all)
-    return specialise(_forbid_template, name, {"_legal": legal}, inline=True)
