@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/comparison.py --better 50 --out comparison.npz
 
 Campaigns of the default size, three a repetition: the basic car at C = 1 with two seeds, and at C = 1.05 with the first
-of them; the last in the first `--better` repetitions alone. Their exact margins, or with `--figure deformation` what
+of them; the last in the first `--better` repetitions alone. Their exact margins, or with `--figure deviation` what
 kamikazes of that objective come to, are held against each other, as `skd compare` does:
 
 * C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
@@ -33,7 +33,7 @@ from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_sets,
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.pipeline import planners_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.difference import Difference, difference
 from skd_evaluator.metrics.statistics.prior import DISTANCES
@@ -66,7 +66,7 @@ def attempts(group: KamikazeSet, plan: Plan) -> list[float]:
         needed = plan.scenario.eta_max
         if log.hit:
             ticks = log.impact_time / plan.scenario.time_step
-            needed = min(needed, deformation(group.safe_trajectory.positions, log.trajectory.positions, ticks))
+            needed = min(needed, deviation(group.safe_trajectory.positions, log.trajectory.positions, ticks))
         found.append(needed)
     return found
 
@@ -144,7 +144,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=200, metavar="N")
     parser.add_argument("--better", type=int, metavar="N", help="repetitions of C = 1.05; all by default")
-    parser.add_argument("--figure", choices=("margin", "deformation"), default="margin")
+    parser.add_argument("--figure", choices=("margin", "deviation"), default="margin")
     parser.add_argument("--safe-count", type=int, default=Plan.safe_count, metavar="N")
     parser.add_argument("--kamikaze-count", type=int, default=Plan.kamikaze_count, metavar="N")
     parser.add_argument("--workers", type=int, default=1, metavar="N")
@@ -158,12 +158,12 @@ def main() -> None:
     with InProcessRunner(arguments.workers) as runner:
         plan = Plan(
             load_scenario("crossing"),
-            objective=Objective.DEFORMATION,
+            objective=Objective.DEVIATION,
             safe_count=arguments.safe_count,
             kamikaze_count=arguments.kamikaze_count,
         )
         warm_up_margins()
-        runner.start(planners_of(plan, [Objective.DEFORMATION]))
+        runner.start(planners_of(plan, [Objective.DEVIATION]))
         better = arguments.repetitions if arguments.better is None else min(arguments.better, arguments.repetitions)
         # C = 1.05 at last: what is found by chance alone takes the most repetitions.
         wanted = [(car, number) for number in range(arguments.repetitions) for car in CARS[:2]]

@@ -41,8 +41,8 @@ from skd_evaluator.metrics.statistics.statistics import (
 from skd_sim.arrays import FloatArray
 from tally import Tally
 
-PRIORS = {"deformation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}
-RATES = ("deformation_success_rate", "kamikaze_success_rate", "collision_rate")
+PRIORS = {"deviation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}
+RATES = ("deviation_success_rate", "kamikaze_success_rate", "collision_rate")
 SIZES = ((5, 100), (10, 100), (20, 100), (10, 50), (20, 25))
 BOUND_ETA = 0.5
 BATCH, ATTEMPTS = 5, 100
@@ -117,7 +117,7 @@ def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
 
 def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield, by the width wanted, how often the interval at which the rule stopped holds."""
-    groups = result.groups["deformation"]
+    groups = result.groups["deviation"]
     truth, parts = population_mean(groups), variance_components(groups)
     single = expected_width(parts.between or 0.0, parts.within or 0.0, BATCH, ATTEMPTS, prior=DISTANCES)
     for share in SHARES:

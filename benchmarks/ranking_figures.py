@@ -15,7 +15,7 @@ from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.frechet import discrete_frechet
 from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.any_car import AnyCar
@@ -58,7 +58,7 @@ class Work:
     crossings: int = 25
     """Of the risk, on each φ: as many as in an assessment."""
 
-    def plan(self, objective: Objective = Objective.DEFORMATION) -> Plan:
+    def plan(self, objective: Objective = Objective.DEVIATION) -> Plan:
         """Return the assessment that the attempts are of."""
         return Plan(
             self.car.scenario,
@@ -89,13 +89,13 @@ def _hit_along(episode: Episode) -> float:
 
 
 def _needed(episode: Episode) -> float:
-    """Return the deformation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
+    """Return the deviation (m) of a kamikaze that hits, at most η_max, which stands for all others."""
     log, scenario = run_episode(episode), episode.scenario
     if not log.hit:
         return scenario.eta_max
     assert episode.safe_trajectory is not None
     ticks = log.impact_time / scenario.time_step
-    return min(scenario.eta_max, deformation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
+    return min(scenario.eta_max, deviation(episode.safe_trajectory.positions, log.trajectory.positions, ticks))
 
 
 def _frechet(episode: Episode) -> float:

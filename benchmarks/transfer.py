@@ -5,7 +5,7 @@ A world is a simulator and, after a slash, the dynamics of its car: `world` (SKD
 same safe trajectories φ, which are planned in SKD's own world and then handed to all. Kamikazes know the same of every
 car in every world (--knowledge, by default nothing), for otherwise planned figures would not compare.
 
-Printed are, for each car, margin, planned deformation, SKD and the equivalent multiplier in each world: the C of the
+Printed are, for each car, margin, planned deviation, SKD and the equivalent multiplier in each world: the C of the
 basic car with the same margin in that world, read off the basic cars of the list. Then, for each two worlds, Kendall's
 τ of each figure, with the intervals of rank_agreement.py.
 
@@ -54,7 +54,7 @@ TEN = (
     "time to collision",
     "latched and delayed",
 )
-FIGURES = {"margin": "margin (m)", "deformation": "planned deformation (m)", "skd": "SKD (m)"}
+FIGURES = {"margin": "margin (m)", "deviation": "planned deviation (m)", "skd": "SKD (m)"}
 """Of the groups of a stored result, with a name for people; of all of them more is safer."""
 
 

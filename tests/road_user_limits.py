@@ -83,7 +83,7 @@ def straight(scenario: Scenario) -> list[Trajectory]:
 
 def tally(scenario: Scenario, safe: Sequence[Trajectory], count: int) -> tuple[int, int, float]:
     """Return how many of so many kamikazes are beyond their limits, how many hit, and by how much the worst is."""
-    plan = Plan(scenario, objective=Objective.DEFORMATION, multiplier=0.75, simulations=300)
+    plan = Plan(scenario, objective=Objective.DEVIATION, multiplier=0.75, simulations=300)
     outside, hits, worst = 0, 0, -math.inf
     for number in range(count):
         phi = safe[number % len(safe)]

@@ -3,18 +3,18 @@
 import sys
 
 import matplotlib.pyplot as plt
-from skd_evaluator import assess, clustered_mean, deformation, load_result
+from skd_evaluator import assess, clustered_mean, deviation, load_result
 
 
 def main(out: str) -> None:
     """Assess the basic car into a folder that is not there yet, and draw a picture beside the results."""
-    rating = assess("basic", multiplier=1.0, objective="deformation", safe_count=5, kamikaze_count=20, seed=0, out=out)
+    rating = assess("basic", multiplier=1.0, objective="deviation", safe_count=5, kamikaze_count=20, seed=0, out=out)
     print(f"margin {rating.as_dict()['margin']:.3f} m, found in {rating.seconds:.1f} s")
     result = load_result(out)  # refused where its figures do not follow from its episodes
     mean = clustered_mean(result.groups["margin"])
     print(f"margin again {mean.value:.3f} m, the mean of {mean.values} attempts along {mean.groups} safe trajectories")
     strayed = [
-        deformation(phi.positions, log.trajectory.positions, log.impact_time / phi.time_step)
+        deviation(phi.positions, log.trajectory.positions, log.impact_time / phi.time_step)
         for log in rating.kamikaze_logs
         if log.hit and (phi := log.episode.safe_trajectory)
     ]

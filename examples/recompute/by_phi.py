@@ -3,7 +3,7 @@ import numpy as np
 from bounds import bound
 from intervals import layout, of_distance, of_rate
 from recompute import a, along, d, each, hit, most, needed, parts, ran, sets, touch
-SPREAD = {"deformation": (0.02, 3.0), "skd": (0.02, 3.0), "skd_prefix": (0.04, 1.5), "warped": (0.04, 1.5)}
+SPREAD = {"deviation": (0.02, 3.0), "skd": (0.02, 3.0), "skd_prefix": (0.04, 1.5), "warped": (0.04, 1.5)}
 by_phi = {}
 def groups(values, rows):
     return [np.asarray(values, float)[rows & mine] for _, mine in each]
@@ -17,7 +17,7 @@ for k in np.flatnonzero(touch):
     closing[k] = np.hypot(*(np.diff(parts[k][-2:], axis=0)[0] / a["time_step"] - (0.0, a["impact_speed"][k])))
 for name, of, rows in sets:
     tried, kept = rows & ran, rows & touch & ~(d[of] > a["maximum_distance"])
-    figures = {"deformation": (needed, tried, most), "skd": (d[0], kept, np.inf), "skd_prefix": (d[1], kept, np.inf)}
+    figures = {"deviation": (needed, tried, most), "skd": (d[0], kept, np.inf), "skd_prefix": (d[1], kept, np.inf)}
     for key, (values, mine, high) in (figures | {"warped": (d[3], kept, np.inf)}).items():
         low = -np.inf if key == "warped" else 0.0
         put(name, key, groups(values, mine), lambda one, ends=(*SPREAD[key], low, high): of_distance(one, *ends))

@@ -5,7 +5,7 @@ from by_phi import groups
 from intervals import of_rate
 from margins import per_phi
 from recompute import most, needed, ran, sets, wilson
-curve, rows = {}, ([rows for name, _, rows in sets if name == "objectives.deformation."] or [sets[0][2]])[0] & ran
+curve, rows = {}, ([rows for name, _, rows in sets if name == "objectives.deviation."] or [sets[0][2]])[0] & ran
 for name, parts in (("margins", per_phi), ("kamikazes", groups(needed, rows))):
     parts = [np.where(one <= 1e-10, 0.0, one) for one in parts]
     values = np.concatenate(parts)

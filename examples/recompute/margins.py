@@ -18,7 +18,7 @@ margin |= {"margin_beyond": (~found).sum(), "margin_p10": np.quantile(margins, 0
 margin |= {"impact_speed.mean": speeds.mean(), "impact_speed.p90": np.quantile(speeds, 0.9)} if speeds.size else {}
 runs = groups(hit, along & ran)
 margin |= {"hit_rate": np.concatenate(runs).mean(), "hit_rate_ci95": of_rate(runs)}
-rows = ([rows for name, _, rows in sets if name == "objectives.deformation."] or [sets[0][2]])[0] & ran
+rows = ([rows for name, _, rows in sets if name == "objectives.deviation."] or [sets[0][2]])[0] & ran
 planned, least = [], []  # closeness: planned over margin, of the attempts that both have
 for i, (_, mine) in enumerate(each):
     number = a["episode_id"][rows & mine] & 0xFFFFFFFF

@@ -108,7 +108,7 @@ def test_a_step_does_what_donors_did(name: str, learned: FittedCar) -> None:
     prediction = learned_car(learned, unknown_car())
     model = compose(
         scenario,
-        objective_named(Objective.DEFORMATION),
+        objective_named(Objective.DEVIATION),
         prediction,
         start=(-3.0, 0.0),
         gap=10.0,

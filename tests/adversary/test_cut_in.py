@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.knowledge import Knowledge
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario
@@ -63,7 +63,7 @@ def test_a_safe_one_cuts_in_well_ahead() -> None:
         assert beyond_the_limits(np.empty((0, 2)), log.adversary) <= 1e-6
 
 
-@pytest.mark.parametrize("objective", [Objective.DEFORMATION, Objective.PAPER])
+@pytest.mark.parametrize("objective", [Objective.DEVIATION, Objective.PAPER])
 def test_a_kamikaze_is_no_missile(objective: Objective) -> None:
     """φ stays in its lane, so whoever is hit has left it; and that within a driver's limits."""
     hits = 0
@@ -86,7 +86,7 @@ def test_a_kamikaze_is_no_missile(objective: Objective) -> None:
 
 
 def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_max() -> None:
-    """Braking in its lane and steering over, 2.2 m of deformation in the mean of 20 attempts (standard error 0.16 m).
+    """Braking in its lane and steering over, 2.2 m of deviation in the mean of 20 attempts (standard error 0.16 m).
 
     Who plans by a pedestrian's ways, and for hits that are worth no more than a miss, comes to 3.7 m here.
     """
@@ -98,10 +98,10 @@ def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_
             "basic",
             multiplier=0.5,
             simulations=300,
-            objective=Objective.DEFORMATION,
+            objective=Objective.DEVIATION,
             knowledge=Knowledge.KNOWN,
         )
         ticks = log.impact_time / STEP
-        found = deformation(AHEAD.positions, log.trajectory.positions, ticks) if log.hit else SCENARIO.eta_max
+        found = deviation(AHEAD.positions, log.trajectory.positions, ticks) if log.hit else SCENARIO.eta_max
         strayed.append(min(SCENARIO.eta_max, found))
     assert np.mean(strayed) < 2.7

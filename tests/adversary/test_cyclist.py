@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skd_adversary.crossing.car.basic import known_basic_car
 from skd_adversary.crossing.composer import compose, road_user_interfaces
 from skd_adversary.crossing.crossing import STATE_DIM
-from skd_adversary.crossing.objective.deformation import OBJECTIVE
+from skd_adversary.crossing.objective.deviation import OBJECTIVE
 from skd_adversary.crossing.road_user import cyclist, pedestrian, wheeled
 from skd_adversary.crossing.road_user.wheeled import (
     ACCELERATE,
@@ -161,7 +161,7 @@ def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
                 number,
                 safe_trajectory=phi,
                 simulations=300,
-                objective=Objective.DEFORMATION,
+                objective=Objective.DEVIATION,
             )
         )
         walked = log.adversary

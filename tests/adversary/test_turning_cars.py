@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_adversary.crossing.road import curved
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road import road_pose, road_position
@@ -107,9 +107,9 @@ def test_who_is_hit_along_phi_hardly_leaves_it(name: str) -> None:
             multiplier=0.75,
             safe_trajectory=phi,
             simulations=100,
-            objective=Objective.DEFORMATION,
+            objective=Objective.DEVIATION,
         )
         log = run_episode(kamikaze)
         assert log.hit
-        strayed.append(deformation(phi.positions, log.trajectory.positions, log.impact_time / scenario.time_step))
+        strayed.append(deviation(phi.positions, log.trajectory.positions, log.impact_time / scenario.time_step))
     assert np.mean(strayed) < 0.8, strayed  # 1.5 m and more while the car was taken to have passed

@@ -13,7 +13,7 @@ from ranking import Row, Store, exceptions, ranked
 from ranking_figures import FIGURES, Work
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.trajectory import Trajectory
@@ -176,7 +176,7 @@ def test_figures_are_means_over_all_attempts_a_miss_counting_as_the_most(car):
         log = run_episode(plan.episode(Mode.KAMIKAZE, 0, attempt, ACROSS))
         if log.outcome == Outcome.COLLISION and log.impact_speed >= 0.556:
             ticks = log.impact_time / CROSSING.time_step
-            assert value == min(5.0, deformation(ACROSS.positions, log.trajectory.positions, ticks))
+            assert value == min(5.0, deviation(ACROSS.positions, log.trajectory.positions, ticks))
         else:
             assert value == 5.0
     assert set(hits[0]) <= {0.0, 1.0}

@@ -68,7 +68,7 @@ def test_formulas_are_drawn_by_the_build(pages: dict[str, str]):
 
 
 def test_pipes_in_the_code_of_tables_are_pipes(pages: dict[str, str]):
-    assert "both|deformation|paper|frechet" in pages["commands.html"]
+    assert "both|deviation|paper|frechet" in pages["commands.html"]
     assert not any(re.search(r"<td[^\n]*<code>[^<]*\\\|", page) for page in pages.values())
 
 
@@ -138,4 +138,4 @@ def test_search_works_where_the_site_is_opened_as_a_file(site: Path, browser: An
     page.locator(".md-search__input").press_sequentially("Eiter Mannila")
     page.locator(".md-search-result__item").first.wait_for(state="visible")
     found = page.locator(".md-search-result__item h1").all_inner_texts()
-    assert "Deformation and Fréchet distance" in found
+    assert "Deviation and Fréchet distance" in found

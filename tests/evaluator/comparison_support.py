@@ -1,4 +1,4 @@
-"""Figures that made-up results have in common: of 1 m of planned deformation, in `crossing`."""
+"""Figures that made-up results have in common: of 1 m of planned deviation, in `crossing`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ FIGURES: dict[str, Any] = {
     "margin_budget": None,
     "margin_how": "",
     "margin_note": "",
-    "deformation": 1.0,
+    "deviation": 1.0,
     "hit_rate": 0.0,
     "knowledge": "known",
-    "objectives": {"deformation": {}, "paper": {}},
+    "objectives": {"deviation": {}, "paper": {}},
 }

@@ -114,7 +114,7 @@ def test_the_worst_is_what_the_same_episodes_give_with_hits(mode: Mode, name: st
 def test_the_worst_of_a_length_is_that_with_hits_at_none() -> None:
     found = rating(2, mode=Mode.KAMIKAZE).as_dict()
     assert (found["pairs"], found["kamikaze_aborted"]) == (100, 2)
-    for name in ("deformation", "skd", "objectives.paper.skd_prefix"):
+    for name in ("deviation", "skd", "objectives.paper.skd_prefix"):
         values = np.full(100, found["objectives"]["paper"][name.rpartition(".")[2]])
         told = at_worst(found, name)
         assert told is not None
@@ -302,7 +302,7 @@ def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
                 (log,) = rating(0).assessments[0].kamikaze[0].logs[:1]
                 yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
 
-    plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEFORMATION)
+    plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEVIATION)
     point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner())
     assert (point.attempts, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)

@@ -102,7 +102,7 @@ def test_no_kamikaze_found_is_none_and_not_zero():
         assert result[key] is None
     assert (result["pairs"], result["kamikaze_success_rate"], result["probability_bound"]) == (0, 0.0, {})
     assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(0, 7))
-    assert (result["deformation"], result["deformation_of_successes"]) == (5.0, None)  # η_max
+    assert (result["deviation"], result["deviation_of_successes"]) == (5.0, None)  # η_max
     write_episodes(io.BytesIO(), found)
 
 
@@ -139,10 +139,10 @@ def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     (subject,) = read_subjects([tmp_path])
     (kamikazes,) = found.assessments
     tried = [group.attempts - group.aborted for group in kamikazes.kamikaze]
-    assert [len(group) for group in subject.episodes.deformations_of(str(SMALL.objective))] == tried
+    assert [len(group) for group in subject.episodes.deviations_of(str(SMALL.objective))] == tried
     result, figures = read_result(tmp_path), found.as_dict()
-    assert [len(group) for group in result.groups["deformation"]] == tried
-    for name in ("deformation", "collision_rate", "kamikaze_success_rate"):
+    assert [len(group) for group in result.groups["deviation"]] == tried
+    for name in ("deviation", "collision_rate", "kamikaze_success_rate"):
         assert np.mean(np.concatenate(result.groups[name])) == pytest.approx(figures[name])
 
 

@@ -32,7 +32,7 @@ from skd_evaluator.ros import session as session_module
 from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Mode
 
-SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
+SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}
 OPTIONS = [word for key, value in SIZES.items() for word in (f"--{key.replace('_', '-')}", str(value))]
 TWO = """
@@ -89,9 +89,9 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
         assert names(cell) == names(here / row["name"])
         assert (cell / "episodes.npz").read_bytes() == (here / row["name"] / "episodes.npz").read_bytes()
         assert figures(cell) == figures(here / row["name"])
-        for name in ("margin", "deformation"):
+        for name in ("margin", "deviation"):
             assert row[name] == figures(cell)[name] is not None
-        assert (row["knowledge"], row["ranking_objective"]) == ("known", "deformation")
+        assert (row["knowledge"], row["ranking_objective"]) == ("known", "deviation")
         with np.load(cell / "episodes.npz") as arrays:
             assert row["episodes"] == (arrays["mode"] != Mode.SAFE).sum()
     with (here / "out" / "campaign.csv").open(newline="") as file:

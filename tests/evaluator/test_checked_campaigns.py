@@ -36,7 +36,7 @@ def test_rows_of_a_campaign_are_made_from_its_cells(campaign, skd_here):
     written, table = (campaign / "campaign.json").read_text(), (campaign / "campaign.csv").read_text()
     content = json.loads(written)
     for row in content["cells"]:
-        row.update(deformation=4.9, margin=4.9, skd_ci95=[1, 2], problems=["none"], warnings=["none"], episodes=10**6)
+        row.update(deviation=4.9, margin=4.9, skd_ci95=[1, 2], problems=["none"], warnings=["none"], episodes=10**6)
     (campaign / "campaign.json").write_text(json.dumps(content))
     assert skd_here(*RESUME).returncode == 0
     again = json.loads((campaign / "campaign.json").read_text())

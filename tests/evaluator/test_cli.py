@@ -343,7 +343,7 @@ def test_interrupt_prints_what_there_is(here, as_json):
     if as_json:
         result = json.loads(done.stdout)
         assert result["interrupted"] is True
-        assert result["objectives"]["deformation"]["pairs"] + result["pairs"] == found
+        assert result["objectives"]["deviation"]["pairs"] + result["pairs"] == found
     else:
         assert "success rate, paper" in done.stdout
     assert not (here / "out").exists()

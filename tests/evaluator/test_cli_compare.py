@@ -12,7 +12,7 @@ from matplotlib.image import imread
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
-RANKING = [*SMALL, "--objective", "deformation", "--kamikaze-count", "3"]
+RANKING = [*SMALL, "--objective", "deviation", "--kamikaze-count", "3"]
 ASSESS = ["assess", *RANKING, "--safe", "good.csv"]
 
 
@@ -25,7 +25,7 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     assert done.returncode == 0, done.stderr
     first = content(here / "one" / "assessment.json")
     curve = first["vulnerability_curve"]
-    assert curve["kamikazes"]["area_above"] == pytest.approx(first["deformation"], abs=1e-9)
+    assert curve["kamikazes"]["area_above"] == pytest.approx(first["deviation"], abs=1e-9)
     assert [point["attempts"] for point in curve["budgets"]] == [1] * 4
     assert imread(here / "one" / "vulnerability.png").shape[1] > 600
     assert skd_here(*ASSESS, "--multiplier", "0.9", "--out", "two").returncode == 0
@@ -35,11 +35,11 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     assert names(here / "both") == ["comparison.json", "manifest.sha256", "vulnerability.png"]
     rows = content(here / "both" / "comparison.json")["rows"]
     assert [row["car"] for row in rows] == ["basic, C = 0.5", "basic, C = 0.9"]
-    assert [rows[0][name] for name in ("margin", "deformation")] == [first["margin"], first["deformation"]]
+    assert [rows[0][name] for name in ("margin", "deviation")] == [first["margin"], first["deviation"]]
     assert rows[0]["knowledge"] == "known"
     assert "not compared" in compared.stdout  # one φ says nothing about how φ differ
     (held,) = content(here / "both" / "comparison.json")["comparisons"]
-    for name in ("margin", "deformation"):
+    for name in ("margin", "deviation"):
         apart = rows[1][name] - rows[0][name]
         assert held["differences"][name]["difference"] == pytest.approx(apart)
     assert held["design"] == "paired on 1 φ and draws"

@@ -24,7 +24,7 @@ from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 
 PHI = tuple(np.full((3, 2), float(index)) for index in range(8))
-PLANNED = ("deformation", "skd", "skd_prefix")
+PLANNED = ("deviation", "skd", "skd_prefix")
 
 
 def result(
@@ -37,7 +37,7 @@ def result(
         del groups["margin"]
         changes = {"margin_converged": None, "margin_how": None, "margin_note": "no car to ask", **changes}
     curve = vulnerability_curve(list(planned), 5.0)
-    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, "deformation", groups)
+    return StoredResult(Path(name), {**FIGURES, **changes}, tuple(phi), curve, "deviation", groups)
 
 
 def values(seed: int, phi: int = 8, shift: float = 0.0) -> np.ndarray:
@@ -200,7 +200,7 @@ def test_the_margin_judges_where_planned_figures_are_of_unlike_knowledge() -> No
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"objectives": {"paper": {}}}, "objective deformation and paper"),
+        ({"objectives": {"paper": {}}}, "objective deviation and paper"),
         ({"maximum_distance": 1.0}, "maximum distance (m) none and 1"),
         ({"options": {"particles": 3}}, "particles the usual number and 3"),
     ],
@@ -209,7 +209,7 @@ def test_kamikazes_of_unlike_kind_are_not_compared_and_margins_are(changes: dict
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), **changes))
     assert (found.verdict, found.refusals) == (SAFER, ())
     assert said in found.planned_refusal
-    assert "deformation" not in found.differences
+    assert "deviation" not in found.differences
 
 
 def test_options_that_change_no_plan_leave_planned_figures_comparable() -> None:
@@ -219,9 +219,9 @@ def test_options_that_change_no_plan_leave_planned_figures_comparable() -> None:
     assert set(PLANNED) < set(found.differences)
 
 
-def test_skd_of_other_kamikazes_is_left_out_where_deformations_compare() -> None:
-    found = compare(result("a", values(1)), result("b", values(1), objectives={"deformation": {}}))
-    assert "deformation" in found.differences
+def test_skd_of_other_kamikazes_is_left_out_where_deviations_compare() -> None:
+    found = compare(result("a", values(1)), result("b", values(1), objectives={"deviation": {}}))
+    assert "deviation" in found.differences
     assert "skd" not in found.differences
 
 
@@ -235,7 +235,7 @@ def test_where_planned_kamikazes_say_the_opposite_for_sure_nothing_is_said(shift
     first = result("a", values(1), planned=planned)
     found = compare(first, result("b", values(1, shift=0.5), planned=other))
     assert found.differences["margin"].direction == 1
-    assert found.differences["deformation"].direction == np.sign(shift)
+    assert found.differences["deviation"].direction == np.sign(shift)
     assert found.verdict == verdict
     assert any("opposite" in line for line in found.lines()) == (verdict == NOT_TOLD_APART)
 
@@ -337,14 +337,14 @@ def test_margins_that_were_found_in_different_ways_are_said_to_be() -> None:
     assert "on the car itself, in process and by whole episodes" in line
 
 
-def test_without_a_margin_planned_deformations_judge_and_it_is_said() -> None:
+def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:
     first, second = (result(name, values(1, shift=shift), margin=False) for name, shift in (("a", 0.0), ("b", 1.0)))
     found = compare(first, second)
-    assert (found.verdict, found.judged_by) == (SAFER, "deformation")
+    assert (found.verdict, found.judged_by) == (SAFER, "deviation")
     (line,) = found.lines()
-    assert line.startswith("no margin of a (no car to ask) and of b (no car to ask): judged by planned deformations")
+    assert line.startswith("no margin of a (no car to ask) and of b (no car to ask): judged by planned deviations")
     one = compare(result("a", values(1)), second)
-    assert (one.judged_by, one.design) == ("deformation", "paired on 8 φ and draws")
+    assert (one.judged_by, one.design) == ("deviation", "paired on 8 φ and draws")
     assert "no margin of b (no car to ask)" in one.lines()[0]
 
 
@@ -365,7 +365,7 @@ def test_results_stand_in_an_order_of_what_they_all_have() -> None:
     known = [result("a", values(1)), result("b", values(2), knowledge="nothing")]
     without = [result("a", values(1), margin=False), result("b", values(2), margin=False)]
     assert ranking_figure(known) == "margin"
-    assert ranking_figure(without) == "deformation"
-    assert ranking_figure([known[0], without[1]]) == "deformation"
+    assert ranking_figure(without) == "deviation"
+    assert ranking_figure([known[0], without[1]]) == "deviation"
     assert ranking_figure([known[1], without[1]]) is None
     assert ranking_figure([known[0], result("b", values(2), eta_max=4.0)]) is None

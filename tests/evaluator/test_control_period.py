@@ -18,7 +18,7 @@ from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.searching import one_by_one
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.controllers.user_controller import user_controller
 from skd_sim.errors import UsageError
@@ -45,7 +45,7 @@ def episode_of(name: str, number: int = 0, mode: Mode = Mode.KAMIKAZE) -> Episod
         scenario=plan.scenario,
         controller=name,
         mode=mode,
-        objective=Objective.DEFORMATION,
+        objective=Objective.DEVIATION,
         knowledge=plan.knows,
     )
 
@@ -279,9 +279,9 @@ def test_the_search_finds_what_can_be_driven(name: str) -> None:
     assert driven.hit
     np.testing.assert_array_equal(driven.trajectory.positions, found.trajectory.positions)
     assert driven.impact_speed == found.impact_speed
-    assert deformation(phi, found.trajectory.positions, found.duration) == pytest.approx(found.distance)
+    assert deviation(phi, found.trajectory.positions, found.duration) == pytest.approx(found.distance)
     if log.hit:
-        kamikaze = deformation(phi, log.trajectory.positions, log.impact_time / 0.3)
+        kamikaze = deviation(phi, log.trajectory.positions, log.impact_time / 0.3)
         assert found.distance <= kamikaze + 1e-9
 
 

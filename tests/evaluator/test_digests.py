@@ -81,7 +81,7 @@ _OWN_CAR = f"{Path(__file__).stem}:BrakesByTime"
 _SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=3, collision_runs=6, seed=11, simulations=120)
 _RECORDED = replace(_SMALL, scenario=load_scenario("citr_crossing"), safe=RECORDED, safe_count=1)
 _FRECHET = Objective.FRECHET
-_DEFORMATION = Objective.DEFORMATION
+_DEVIATION = Objective.DEVIATION
 PLANS = {
     "basic, C = 0.5": replace(_SMALL, multiplier=0.5),
     "basic, C = 1": _SMALL,
@@ -100,9 +100,9 @@ PLANS = {
     "multi-body": replace(_SMALL, scenario=load_scenario("crossing_multi_body")),
     "a class": replace(_SMALL, controller=_OWN_CAR, safe=OWN),
     "a fitted model": replace(_SMALL, controller=_OWN_CAR, car_model=a_fitted_car()),
-    "basic, C = 1.15, deformation": replace(_SMALL, multiplier=1.15, objective=_DEFORMATION),
-    "carla, deformation": replace(_SMALL, controller="carla", objective=_DEFORMATION),
-    "a fitted model, deformation": replace(_SMALL, car_model=a_fitted_car(), objective=_DEFORMATION, safe=OWN),
+    "basic, C = 1.15, deviation": replace(_SMALL, multiplier=1.15, objective=_DEVIATION),
+    "carla, deviation": replace(_SMALL, controller="carla", objective=_DEVIATION),
+    "a fitted model, deviation": replace(_SMALL, car_model=a_fitted_car(), objective=_DEVIATION, safe=OWN),
     "a fitted model, frechet": replace(_SMALL, car_model=a_fitted_car(), objective=_FRECHET, safe=OWN),
 }
 

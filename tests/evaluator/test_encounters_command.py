@@ -101,7 +101,7 @@ def test_a_campaign_of_test_speeds(skd_here, here):
 def test_an_assessment_on_the_protocols_own_ways(skd_here, here):
     done = skd_here(
         *("assess", "--scenario", "cpna", "--safe", "regulatory", "--kamikaze-count", "1", "--collision-runs", "7"),
-        *("--objective", "deformation", "--simulations", "60", "--margin-limit", "0", "--out", "result"),
+        *("--objective", "deviation", "--simulations", "60", "--margin-limit", "0", "--out", "result"),
     )
     assert done.returncode == 0, done.stderr
     found = json.loads((here / "result" / "assessment.json").read_text())

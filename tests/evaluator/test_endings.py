@@ -81,7 +81,7 @@ def test_the_margin_found_from_the_east_is_the_exact_one_from_the_west(number: i
     """The search comes to what is exact, whichever side they come from."""
     path = np.column_stack([-3.5 + 0.7 * np.arange(9), 0.05 * np.arange(9)])
     west, east = (
-        Episode(scene, Mode.KAMIKAZE, 0, number, safe_trajectory=Trajectory(way, 0.3), objective=Objective.DEFORMATION)
+        Episode(scene, Mode.KAMIKAZE, 0, number, safe_trajectory=Trajectory(way, 0.3), objective=Objective.DEVIATION)
         for scene, way in ((CROSSING, path), (MIRRORED, path * MIRROR))
     )
     exact = exact_margin(west)

@@ -16,7 +16,7 @@ from skd_adversary.crossing.road_user.pedestrian import action_velocity
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.margin.exact import exact, exact_search
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_sim.controllers import BasicController
 from skd_sim.scenario.scenario import load_scenario
@@ -84,7 +84,7 @@ class Steps:
 
 
 def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
-    """Return the least deformation over all sequences of ways, every step made by the world; infinity: none.
+    """Return the least deviation over all sequences of ways, every step made by the world; infinity: none.
 
     Only what has strayed more than a hit found before is not followed any further.
     """
@@ -107,7 +107,7 @@ def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
 
 
 def least_by_layers(episode: Episode, limit: float, paces: tuple[float, ...] = BOTH) -> float:
-    """Return the least deformation up to the limit, tick by tick, in a dictionary of all that can be reached."""
+    """Return the least deviation up to the limit, tick by tick, in a dictionary of all that can be reached."""
     steps = Steps(episode, paces)
     best = math.inf
     layer = {0: (steps.world.car, steps.world.adversary, 0.0)}
@@ -162,7 +162,7 @@ def check_way(episode: Episode, found: LeastWay) -> None:
             assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
             assert contact.speed >= episode.scenario.collision.hit_speed
         car, adversary = step[:2]
-    assert deformation(steps.phi, walked, found.duration) == found.distance
+    assert deviation(steps.phi, walked, found.duration) == found.distance
 
 
 def lattice_path(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -306,7 +306,7 @@ def test_no_kamikaze_that_was_run_comes_closer(multiplier):
     episode = kamikaze_episode(points, multiplier=multiplier, simulations=100)
     log = run_episode(episode)
     assert log.outcome == Outcome.COLLISION
-    own = deformation(points, log.trajectory.positions, log.impact_time / TIME_STEP)
+    own = deviation(points, log.trajectory.positions, log.impact_time / TIME_STEP)
     episode = any_touch(episode)
     assert checked(episode, own) <= own + 1e-9
     assert checked(episode, own) == checked(episode)

@@ -47,7 +47,7 @@ def quiet(*_told: object) -> None:
 @pytest.fixture(scope="module")
 def rated() -> Rating:
     with InProcessRunner(1) as runner:
-        return rate(PLAN, [Objective.DEFORMATION], safe_trajectories(PLAN, runner), runner, quiet)
+        return rate(PLAN, [Objective.DEVIATION], safe_trajectories(PLAN, runner), runner, quiet)
 
 
 @pytest.fixture(scope="module")

@@ -59,11 +59,11 @@ def result(cars: dict[float, Path]) -> dict[str, Any]:
 
 
 def test_limits_hold_on_their_own_side(result):
-    value = result["deformation"]
+    value = result["deviation"]
     for limit, passed in ((value, True), (np.nextafter(value, 9.0), False), (np.nextafter(value, 0.0), True)):
-        (least,) = check_limits(result, [Limit("deformation", float(limit))])
+        (least,) = check_limits(result, [Limit("deviation", float(limit))])
         assert (least.passed, least.failed, least.error) == (passed, not passed, False)
-        (most,) = check_limits(result, [Limit("deformation", float(limit), is_least=False)])
+        (most,) = check_limits(result, [Limit("deviation", float(limit), is_least=False)])
         assert most.passed == (value <= limit)
 
 
@@ -96,17 +96,17 @@ def test_every_number_of_a_result_has_a_name_that_is_known(result):
         if "probability_bound.0." not in name:  # whose own name has a dot
             check_figure(name)
             assert figure(result, name) is not None
-    for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deformation", ""):
+    for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deviation", ""):
         with pytest.raises(UsageError, match="no figure"):
             check_figure(name)
-    assert {"margin", "hit_rate", "closeness", "impact_speed.p90", "deformation"} <= set(scalar_figures())
+    assert {"margin", "hit_rate", "closeness", "impact_speed.p90", "deviation"} <= set(scalar_figures())
 
 
 def test_no_gate_passes_with_figures_that_are_not_credible(result):
     """A car that counts its episodes passed, with a warning that nobody reads where a machine decides."""
     doubted = {**result, "warnings": [f"{NOT_CREDIBLE}it counts"]}
     assert headline(doubted) == f"Not credible (the warnings say why): {headline(result)}"
-    checks = Gate((Limit("deformation", 0.0),), None, {}).checks(doubted, None, [])
+    checks = Gate((Limit("deviation", 0.0),), None, {}).checks(doubted, None, [])
     assert [(one.error, one.passed) for one in checks] == [(True, False), (True, False)]
     assert checks[1].text.startswith("not judged: ")
     assert checks[0].text == f"{NOT_CREDIBLE}it counts"
@@ -137,18 +137,18 @@ class Aborting:
 
 
 def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tmp_path):
-    """It passed: its planned deformation is that of the attempts that it let go on."""
+    """It passed: its planned deviation is that of the attempts that it let go on."""
     plan = replace(PLAN, multiplier=1.15)
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
         write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner), lambda *_progress: None))
     earlier, mine = read_result(cars[1.15]), read_result(tmp_path)
-    counts = mine.figures["objectives"]["deformation"]
-    assert sum(map(len, mine.worst["deformation"])) == counts["attempts"] + counts["aborted"]
-    assert mean(np.concatenate(mine.worst["deformation"])) == pytest.approx(at_worst(mine.figures, "deformation").value)
+    counts = mine.figures["objectives"]["deviation"]
+    assert sum(map(len, mine.worst["deviation"])) == counts["attempts"] + counts["aborted"]
+    assert mean(np.concatenate(mine.worst["deviation"])) == pytest.approx(at_worst(mine.figures, "deviation").value)
     found = check_not_worse(tmp_path, earlier)
     assert (found.failed, found.error) == (False, True)
-    assert "it would be less safe by deformation if it had hit in all of its aborted episodes" in found.text
+    assert "it would be less safe by deviation if it had hit in all of its aborted episodes" in found.text
     assert check_not_worse(tmp_path, mine).error
     assert check_not_worse(cars[1.15], mine).passed
 
@@ -180,7 +180,7 @@ def test_an_upper_bound_shows_no_least(result, name):
     assert (failed.failed, failed.error) == (True, False)
     (most,) = check_limits(bound, [Limit(name, 0.9, is_least=False)])
     assert most.passed
-    (other,) = check_limits({**bound, "deformation": 0.8}, [Limit("deformation", 0.5)])
+    (other,) = check_limits({**bound, "deviation": 0.8}, [Limit("deviation", 0.5)])
     assert other.passed
     assert check_limits({**bound, "margin_converged": True}, [Limit(name, 0.5)])[0].passed
 
@@ -227,15 +227,15 @@ def test_markdown_keeps_its_cells(result):
     tables = [line for line in page.splitlines() if line.startswith("|")]
     assert {line.replace("\\|", "").count("|") for line in tables} == {4, 5}
     assert "<script>" not in page
-    assert "| planned deformation (m)" in page
-    assert f" | {result['deformation']:.3f} |" in page
+    assert "| planned deviation (m)" in page
+    assert f" | {result['deviation']:.3f} |" in page
     assert markdown(result, CHECKS[:1]).startswith("## ✅")
     assert "no statement about the car" in markdown(result, [CHECKS[0], CHECKS[2]])
 
 
 def test_csv_has_the_figures_of_the_car_and_not_what_they_are_made_of(result):
     rows = {row["figure"]: row for row in csv.DictReader(csv_table(result).splitlines())}
-    for name in ("deformation", "objectives.paper.skd", "measures.warped.mean"):
+    for name in ("deviation", "objectives.paper.skd", "measures.warped.mean"):
         assert float(rows[name]["value"]) == figure(result, name)
     low, high = result["skd_ci95"]
     assert (float(rows["skd"]["ci95_low"]), float(rows["skd"]["ci95_high"])) == (low, high)
@@ -264,16 +264,16 @@ def test_the_command_line_decides(skd_here, here, cars):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["--fail-below", "defomation=1"], ["--fail-below defomation=1", "did you mean 'deformation'?"]),
+        (["--fail-below", "defomation=1"], ["--fail-below defomation=1", "did you mean 'deviation'?"]),
         (["--fail-above", "colision_rate=0.1"], ["did you mean 'collision_rate'?"]),
         (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
         (["--fail-below", "margn=1"], ["did you mean 'margin'?"]),
         (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
         (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
-        (["--fail-below", "deformation=much"], ["FIGURE=NUMBER"]),
+        (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
         (["--fail-above", "hit_rate=5"], ["--fail-above hit_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
-        (["--fail-below", "objectives.paper.deformation=-1"], ["at least 0"]),
+        (["--fail-below", "objectives.paper.deviation=-1"], ["at least 0"]),
         (["--junit", "same.out", "--csv", "./same.out"], ["--junit same.out: --csv is written there, too"]),
         (["--fail-if-worse-than", "nowhere"], ["--fail-if-worse-than", "nowhere"]),
         (["--junit", "nowhere/j.xml"], ["--junit nowhere/j.xml", "folder"]),

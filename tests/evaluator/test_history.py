@@ -148,7 +148,7 @@ def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
         (tmp_path / name / MANIFEST).unlink()
     path = tmp_path / "second" / "assessment.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "knowledge": "nothing", "version": "9.9"}))
-    assert main(["trend", *folders, "--figure", "deformation", "--out", str(tmp_path / "trend")]) == 0
+    assert main(["trend", *folders, "--figure", "deviation", "--out", str(tmp_path / "trend")]) == 0
     said = capsys.readouterr()
     warnings = [line for line in said.err.splitlines() if "manifest" not in line]
     assert main(["compare", *folders, "--no-pictures", "--out", str(tmp_path / "compared")]) == 0

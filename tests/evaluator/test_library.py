@@ -210,6 +210,6 @@ def test_the_example_says_the_same_figure_twice_and_draws(tmp_path):
     first, again, strayed = done.stdout.splitlines()
     assert first.split()[1] == again.split()[2]
     stated = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    assert float(strayed.split()[-4]) == pytest.approx(stated["deformation_of_successes"], abs=6e-4)
+    assert float(strayed.split()[-4]) == pytest.approx(stated["deviation_of_successes"], abs=6e-4)
     assert (tmp_path / "out" / "margins.png").stat().st_size > 10_000
     assert len(script.read_text().splitlines()) <= 35

@@ -22,7 +22,7 @@ ENDED = {
     "margin_converged": True,
     "equivalent_multiplier": 1.0,
     "hit_rate": 0.052,
-    "deformation": 0.824,
+    "deviation": 0.824,
     "knowledge": "known",
     "skd": 3.5,
     "problems": [],
@@ -65,7 +65,7 @@ def test_a_cell_in_a_line():
 
 def test_a_terminal_shows_figures_before_the_end(here: Path):
     """The first of two cells is there while the second runs."""
-    sizes = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deformation"}
+    sizes = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
     content = {
         "defaults": {**sizes, "margin_limit": 8, "behaviour": "none", "safe": "good.csv"},
         "cars": [{"controller": "basic"}],
@@ -85,7 +85,7 @@ def test_a_terminal_shows_figures_before_the_end(here: Path):
 
 @pytest.mark.parametrize("quiet", [True, False])
 def test_elsewhere_each_cell_is_a_line(here: Path, skd_here, quiet):
-    sizes = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "simulations": 5, "objective": "deformation"}
+    sizes = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "simulations": 5, "objective": "deviation"}
     content = {
         "defaults": {**sizes, "margin_limit": 0, "behaviour": "none", "safe": "good.csv"},
         "cars": [{"controller": "basic"}],

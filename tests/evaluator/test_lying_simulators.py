@@ -29,7 +29,7 @@ STEP = CROSSING.time_step
 QUIET = replace(CROSSING, car=replace(CROSSING.car, speed_noise=0.0, acceleration_noise=0.0, start_gap_range=0.0))
 TINY = {
     "safe_count": 2, "kamikaze_count": 1, "collision_runs": 4, "simulations": 20, "workers": 1, "behaviour": "none",
-    "objective": "deformation",
+    "objective": "deviation",
 }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
 from skd_evaluator.margin.searching import in_processes, repeated
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.options.knowledge import Knowledge
 from skd_sim.scenario.scenario import load_scenario
@@ -109,7 +109,7 @@ def short(number: int, ticks: int, control_period: float | None = None) -> Episo
 
 
 def brute_force(episode: Episode, make) -> float:
-    """Return the least deformation of all sequences of ways; infinity: none within η_max."""
+    """Return the least deviation of all sequences of ways; infinity: none within η_max."""
     phi = episode.safe_trajectory.positions
     least = math.inf
 
@@ -126,7 +126,7 @@ def brute_force(episode: Episode, make) -> float:
                 if contact.speed >= episode.scenario.collision.hit_speed:
                     x, y = walked[-1]
                     at = (x + contact.fraction * (here.x - x), y + contact.fraction * (here.y - y))
-                    least = min(least, deformation(phi, np.array([*walked, at]), tick + contact.fraction))
+                    least = min(least, deviation(phi, np.array([*walked, at]), tick + contact.fraction))
             elif episode.outcome(tick + 1, here, collided=False) == Outcome.RUNNING:
                 follow(after, driver, [*walked, (here.x, here.y)])
 
@@ -231,7 +231,7 @@ def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     episode = replace(known, scenario=setting, controller=controller)
     (way,) = searched([episode], LITTLE).ways
     assert way is not None
-    assert way.distance == pytest.approx(deformation(POINTS, way.trajectory.positions, way.duration), abs=1e-12)
+    assert way.distance == pytest.approx(deviation(POINTS, way.trajectory.positions, way.duration), abs=1e-12)
     assert way.impact_speed >= setting.collision.hit_speed
 
 

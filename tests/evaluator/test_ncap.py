@@ -129,19 +129,19 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
 
 
 def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
-    """Margins and planned deformation to the last bit, for both attempt the same under the same draws."""
+    """Margins and planned deviation to the last bit, for both attempt the same under the same draws."""
     done = skd_here("ncap", "--multiplier", "0.9", "--encounters", "cpfa-50", "--speeds", "30:30:1", "--planned",
                     "--kamikaze-count", "2", "--simulations", "50", "--margin-limit", "256", "--workers", "1",
                     "--out", "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
     (cell,) = cells_of(here / "out")
-    rating = assess(scenario="cpfa-50", multiplier=0.9, safe="regulatory", safe_count=1, objective="deformation",
+    rating = assess(scenario="cpfa-50", multiplier=0.9, safe="regulatory", safe_count=1, objective="deviation",
                     kamikaze_count=2, simulations=50, margin_limit=256, collision_runs=1, behaviour="none",
                     workers=1, out=here / "assessed")  # fmt: skip
     assert rating.margins is not None
     assert cell.margins == tuple(rating.margins.values.tolist())
     assert cell.margin == rating.margins.mean
-    assert cell.deformation == rating.as_dict()["deformation"]
+    assert cell.deviation == rating.as_dict()["deviation"]
     (view,) = views_of(read_subjects([here / "assessed"]), 0.5)  # so its report shows the same cell
     assert view.grid.cells == (cell,)
     assert view.said == headline(read_ncap(here / "out").grids[0], 0.5)

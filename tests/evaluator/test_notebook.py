@@ -45,9 +45,9 @@ def test_a_row_for_each_episode(result):
     along = table[table["mode"] == "replay"]
     assert len(along) == result.figures["collision_runs"]
     assert along["hit"].mean() == pytest.approx(result.figures["hit_rate"])
-    planned = table[(table["objective"] == "deformation") & table["hit"]]
-    groups = [planned.loc[planned["safe_index"] == index, "deformation"] for index in range(len(result.safe))]
-    assert sum(map(len, groups)) == sum(int(np.isfinite(one).sum()) for one in result.groups["deformation"]) > 0
+    planned = table[(table["objective"] == "deviation") & table["hit"]]
+    groups = [planned.loc[planned["safe_index"] == index, "deviation"] for index in range(len(result.safe))]
+    assert sum(map(len, groups)) == sum(int(np.isfinite(one).sum()) for one in result.groups["deviation"]) > 0
 
 
 def test_trajectories_have_names_and_units(result):

@@ -72,8 +72,8 @@ def test_margin_and_risk_by_whole_episodes(twin, tmp_path):
     file = tmp_path / "quiet.yaml"
     file.write_text(json.dumps({**quiet.as_dict(), "name": "quiet"}))
     small = {"safe_count": 2, "kamikaze_count": 2, "collision_runs": 4, "simulations": 200, "workers": 1}
-    there = assess("basic", scenario=str(file), simulator="twin", objective="deformation", **small)
-    here = assess("basic", scenario=str(file), objective="deformation", behaviour="none", **small)
+    there = assess("basic", scenario=str(file), simulator="twin", objective="deviation", **small)
+    here = assess("basic", scenario=str(file), objective="deviation", behaviour="none", **small)
     assert there.margins is not None
     assert here.margins is not None
     found, exact = np.concatenate(there.margins.per_phi), np.concatenate(here.margins.per_phi)
@@ -91,7 +91,7 @@ def test_margin_and_risk_by_whole_episodes(twin, tmp_path):
 def test_one_that_does_not_say_it_repeats_itself_has_neither(twin, monkeypatch):
     monkeypatch.setattr(Twin, "repeats_itself", False)
     small = {"safe_count": 1, "kamikaze_count": 1, "collision_runs": 1, "simulations": 50, "workers": 1}
-    found = assess("basic", simulator="twin", objective="deformation", **small)
+    found = assess("basic", simulator="twin", objective="deviation", **small)
     assert (found.margins, found.risks) == (None, None)
     assert "simulator twin" in found.margin_note
     assert "simulator twin" in found.risk_note

@@ -101,8 +101,8 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
         "multiplier": multiplier,
         "margin": None if skd is None else 0.2 * skd,
         "margin_ci95": None if skd is None else (0.2 * skd - 0.1, 0.2 * skd + 0.2),
-        "deformation": None if skd is None else 0.3 * skd,
-        "deformation_ci95_attempts": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
+        "deviation": None if skd is None else 0.3 * skd,
+        "deviation_ci95_attempts": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
         "skd": skd,
         "skd_ci95_pairs": None if skd is None else (skd - 0.1, skd + 0.1),
         "collision_rate": 0.5 if skd is not None else None,
@@ -217,7 +217,7 @@ def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tm
     group = what.kamikaze[0]
     slow = dataclasses.replace(group.logs[1], impact_speed=0.1)
     group = dataclasses.replace(group, logs=(group.logs[0], slow, group.logs[2]))
-    plan = dataclasses.replace(what.plan, objective="deformation")
+    plan = dataclasses.replace(what.plan, objective="deviation")
     again = judge(plan, what.safe, [group], [], 1.0)
     draw(tmp_path / "picture.png", again)
     (panel,) = figures[0].axes
@@ -241,21 +241,21 @@ def test_aborted_episodes_do_not_look_like_safe_ones(tmp_path, figures):
     assert figures[0].get_suptitle().startswith("4 of 9 episodes aborted\n")
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     assert "4 of 4 aborted" in panels[0].get_title()
-    (one,) = [row for row in what.deformation.per_safe_trajectory if row.distances.size]
+    (one,) = [row for row in what.deviation.per_safe_trajectory if row.distances.size]
     assert f"planned {one.mean:.2f} m, SKD {what.skd.skd:.2f} m, 3 failed" in panels[1].get_title()
-    assert f"planned deformation {what.deformation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
+    assert f"planned deviation {what.deviation.mean:.2f} m, SKD {what.skd.skd:.2f} m" in figures[0].get_suptitle()
     draw(tmp_path / "fine.png", what)
     assert "aborted" not in figures[1].get_suptitle() + "".join(axes.get_title() for axes in figures[1].axes)
 
 
 def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
     """A picture of the kamikazes that rank the car shows no SKD beside the paper's, nor the other way round."""
-    deformed, paper = (
+    deviating, paper = (
         dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
-        for one, objective in ((assessment([3, 2]), "deformation"), (assessment([2, 2]), "paper"))
+        for one, objective in ((assessment([3, 2]), "deviation"), (assessment([2, 2]), "paper"))
     )
-    both = Rating((deformed, paper), 1.0)
-    for number, what in enumerate((deformed, paper)):
+    both = Rating((deviating, paper), 1.0)
+    for number, what in enumerate((deviating, paper)):
         save_trajectories(tmp_path / f"{number}.png", both, what)
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)
         assert ("SKD" in titles, "planned " in titles) == ((False, True), (True, False))[number]

@@ -23,9 +23,7 @@ def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     begin = datetime.now(UTC).replace(microsecond=0)
     command = ["assess", *SMALL, "--curve", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
-    done = skd_here(
-        *command, "deformation", "--knowledge", "nothing", "--controller", "my_cars:Fine", "--out", "out dir"
-    )
+    done = skd_here(*command, "deviation", "--knowledge", "nothing", "--controller", "my_cars:Fine", "--out", "out dir")
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")
     assert_valid(result)
@@ -67,7 +65,7 @@ def test_every_part_of_a_sweep_is_an_assessment(skd_here, here):
     for change in ({"collision_rate": 1.2}, {"skd_ci95_pairs": [1.0]}, {"skd": "3"}, {"new": 1}, {"provenance": {}}):
         with pytest.raises(AssertionError):
             assert_valid({**result, **change})
-    for name in ("skd", "objectives", "provenance", "deformation_ci95"):
+    for name in ("skd", "objectives", "provenance", "deviation_ci95"):
         with pytest.raises(AssertionError):
             assert_valid({key: value for key, value in result.items() if key != name})
 

@@ -143,10 +143,10 @@ def of_a_car(
     groups = {
         "margin": tuple(margin + 0.1 * draws.random((phi, 20))),
         "risk_2": tuple(np.full(20, risks[index % 2]) for index in range(phi)),
-        **dict.fromkeys(("hit_rate", "collision_rate", "deformation", "skd", "skd_prefix"), planned),
+        **dict.fromkeys(("hit_rate", "collision_rate", "deviation", "skd", "skd_prefix"), planned),
     }
     safe = tuple(np.full((3, 2), float(index)) for index in range(phi))
-    return StoredResult(Path(name), figures, safe, None, "deformation", groups)
+    return StoredResult(Path(name), figures, safe, None, "deviation", groups)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from test_warnings import shown
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=4, collision_runs=6, seed=5, simulations=2)
-PAPER, FRECHET, DEFORMATION = Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION
+PAPER, FRECHET, DEVIATION = Objective.PAPER, Objective.FRECHET, Objective.DEVIATION
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +43,11 @@ def alone(objective: Objective, plan: Plan = PLAN) -> Rating:
 
 def test_runs_along_phi_are_run_once() -> None:
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, (PAPER, DEFORMATION), [straight()], runner, quiet)
+    found = rate(PLAN, (PAPER, DEVIATION), [straight()], runner, quiet)
     asked = [episode for batch in runner.batches for episode in batch]
     assert sum(episode.mode == Mode.REPLAY for episode in asked) == PLAN.collision_runs
     kamikazes = [(episode.objective, attempt(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
-    assert kamikazes == [(objective, k) for objective in (DEFORMATION, PAPER) for k in range(4)]
+    assert kamikazes == [(objective, k) for objective in (DEVIATION, PAPER) for k in range(4)]
     assert found.episodes == len(asked)
     assert (found.attempts, found.successes) == (8, 8)
 
@@ -62,22 +62,22 @@ def test_objectives_have_the_draws_that_they_have_alone(both: Rating) -> None:
 
 def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating) -> None:
     result = both.as_dict()
-    assert list(result["objectives"]) == ["deformation", "paper"]
-    of_deformation, of_paper = result["objectives"].values()
-    assert of_deformation["deformation"] != of_paper["deformation"]
-    for name in ("deformation", "deformation_ci95_attempts", "deformation_ci95", "deformation_of_successes"):
-        assert result[name] == of_deformation[name]
-    assert result["deformation_success_rate"] == of_deformation["success_rate"]
+    assert list(result["objectives"]) == ["deviation", "paper"]
+    of_deviation, of_paper = result["objectives"].values()
+    assert of_deviation["deviation"] != of_paper["deviation"]
+    for name in ("deviation", "deviation_ci95_attempts", "deviation_ci95", "deviation_of_successes"):
+        assert result[name] == of_deviation[name]
+    assert result["deviation_success_rate"] == of_deviation["success_rate"]
     for name in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "probability_bound"):
         assert result[name] == of_paper[name]
     assert result["kamikaze_success_rate"] == of_paper["success_rate"]
     for row, ours, theirs in zip(
         result["per_safe_trajectory"],
-        of_deformation["per_safe_trajectory"],
+        of_deviation["per_safe_trajectory"],
         of_paper["per_safe_trajectory"],
         strict=True,
     ):
-        assert (row["deformation"], row["skd"]) == (ours["deformation"], theirs["skd"])
+        assert (row["deviation"], row["skd"]) == (ours["deviation"], theirs["skd"])
     json.dumps(result, allow_nan=False)
 
 
@@ -86,23 +86,23 @@ def test_the_only_one_gives_every_figure(objective: Objective) -> None:
     found = rate(PLAN, [objective], [straight()], StubRunner(lambda _episode: Outcome.COLLISION), quiet).as_dict()
     (figures,) = found["objectives"].values()
     assert found["skd"] == figures["skd"] is not None
-    assert found["deformation"] == figures["deformation"] is not None
+    assert found["deviation"] == figures["deviation"] is not None
 
 
-def test_of_frechet_and_deformation_each_is_first_in_its_own() -> None:
+def test_of_frechet_and_deviation_each_is_first_in_its_own() -> None:
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, [FRECHET, DEFORMATION], [straight()], runner, quiet)
-    assert (found.for_skd.plan.objective, found.for_deformation.plan.objective) == (FRECHET, DEFORMATION)
-    assert in_order([FRECHET, PAPER, DEFORMATION, PAPER]) == (DEFORMATION, PAPER, FRECHET)
+    found = rate(PLAN, [FRECHET, DEVIATION], [straight()], runner, quiet)
+    assert (found.for_skd.plan.objective, found.for_deviation.plan.objective) == (FRECHET, DEVIATION)
+    assert in_order([FRECHET, PAPER, DEVIATION, PAPER]) == (DEVIATION, PAPER, FRECHET)
     assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
 
 
 def test_names_of_objectives() -> None:
-    assert objectives_named("both") == (DEFORMATION, PAPER)
+    assert objectives_named("both") == (DEVIATION, PAPER)
     assert [objectives_named(str(one)) for one in Objective] == [(one,) for one in Objective]
 
 
-def test_the_mean_deformation_is_recomputable_from_disk(both: Rating, tmp_path) -> None:
+def test_the_mean_deviation_is_recomputable_from_disk(both: Rating, tmp_path) -> None:
     """By numpy alone: interpolation in time, at ten times in each tick and at the contact."""
     write_assessment(tmp_path, both)
     result = json.loads((tmp_path / "assessment.json").read_text())
@@ -129,32 +129,32 @@ def test_the_mean_deformation_is_recomputable_from_disk(both: Rating, tmp_path) 
                 for axis in range(2)
             ]
             counts.append(min(5.0, np.hypot(*apart).max()))
-        reached = hit if objective == "deformation" else data["outcome"] == Outcome.COLLISION
+        reached = hit if objective == "deviation" else data["outcome"] == Outcome.COLLISION
         assert figures["failed"] == sum(~reached[tried])
-        assert figures["deformation"] == pytest.approx(np.mean(counts), abs=1e-9)
+        assert figures["deviation"] == pytest.approx(np.mean(counts), abs=1e-9)
     assert any(figures["failed"] for figures in result["objectives"].values())
 
 
 def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
-    """The stub's ψ is one of deformation 1.8 m and of another Fréchet distance."""
+    """The stub's ψ is one of deviation 1.8 m and of another Fréchet distance."""
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    free = rate(PLAN, (DEFORMATION, PAPER), [straight()], runner, quiet)
-    needed = free.for_deformation.deformation.distances.max()
+    free = rate(PLAN, (DEVIATION, PAPER), [straight()], runner, quiet)
+    needed = free.for_deviation.deviation.distances.max()
     distance = free.for_skd.skd.distances.max()
     assert needed < distance
     between = 0.5 * (needed + distance)
-    found = rate(replace(PLAN, maximum_distance=between), (DEFORMATION, PAPER), [straight()], runner, quiet)
+    found = rate(replace(PLAN, maximum_distance=between), (DEVIATION, PAPER), [straight()], runner, quiet)
     figures = found.as_dict()["objectives"]
-    assert figures["deformation"]["discarded_by_distance"] == 0
+    assert figures["deviation"]["discarded_by_distance"] == 0
     assert figures["paper"]["discarded_by_distance"] == 4
     # What an attempt needed does not depend on what is kept.
-    assert figures["paper"]["deformation"] == free.as_dict()["objectives"]["paper"]["deformation"]
+    assert figures["paper"]["deviation"] == free.as_dict()["objectives"]["paper"]["deviation"]
 
 
 def test_eta_max_is_the_scenario_s() -> None:
     plan = replace(PLAN, scenario=replace(CROSSING, eta_max=2.5))
-    found = rate(plan, [DEFORMATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED), quiet).as_dict()
-    assert (found["deformation"], found["eta_max"], found["objectives"]["deformation"]["failed"]) == (2.5, 2.5, 8)
+    found = rate(plan, [DEVIATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED), quiet).as_dict()
+    assert (found["deviation"], found["eta_max"], found["objectives"]["deviation"]["failed"]) == (2.5, 2.5, 8)
 
 
 def impacts(*speeds: float) -> list[EpisodeLog]:
@@ -174,7 +174,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
                 slow = number < (1 if stage == Stage.KAMIKAZE else 2)
                 yield replace(log, impact_speed=0.05) if slow else log
 
-    found = rate(PLAN, (DEFORMATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION), quiet)
+    found = rate(PLAN, (DEVIATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION), quiet)
     result = found.as_dict()
     assert [figures["standing_contacts"] for figures in result["objectives"].values()] == [1, 1]
     assert result["collision_standing_contacts"] == 2

@@ -117,15 +117,15 @@ def its_source(figure: str, said: dict[str, Any]) -> str:
     if figure.startswith(OF_THE_CAR):
         return figure
     within = re.sub(r"^clustering\.", "", figure)
-    for head, objective in (("deformation_success_rate", "deformation"), ("kamikaze_", "paper")):
+    for head, objective in (("deviation_success_rate", "deviation"), ("kamikaze_", "paper")):
         if within.startswith(head):
-            rest = within.removeprefix(head if head.endswith("_") else "deformation_")
+            rest = within.removeprefix(head if head.endswith("_") else "deviation_")
             return f"objectives.{objective}.{'clustering.' * (within != figure)}{rest}"
-    objective = "deformation" if within.startswith(("deformation", "measures")) else "paper"
+    objective = "deviation" if within.startswith(("deviation", "measures")) else "paper"
     if match := re.match(r"per_safe_trajectory\.\d+\.(\w+)$", figure):
         if match[1].startswith("collision"):
             return figure
-        objective = "deformation" if match[1].startswith("deformation") else "paper"
+        objective = "deviation" if match[1].startswith("deviation") else "paper"
     return f"objectives.{objective}.{figure}"
 
 
@@ -173,12 +173,12 @@ def test_the_scripts_give_every_figure(results, recomputed):
     for figure in (
         "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
         "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
-        "skd", "skd_ci95", "deformation_ci95", "deformation_ci95_attempts",
+        "skd", "skd_ci95", "deviation_ci95", "deviation_ci95_attempts",
         "measures.warped.ci95", "measures.required_deceleration_at_entry.ci95", "clustering.skd.variance_between",
         "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
         "objectives.paper.probability_bound_ci95.1",
-        "per_safe_trajectory.collision_rate", "deformation_success_rate_ci95_attempts",
+        "per_safe_trajectory.collision_rate", "deviation_success_rate_ci95_attempts",
         "surrogate_measures.along_phi.clearance.median", "surrogate_measures.along_phi.post_encroachment_time.median",
         "surrogate_measures.kamikazes.paper.fatality_risk.worst",
         "kamikaze_success_rate_ci95", "mean_impact_speed", "mean_closing_speed", "objectives.paper.standing_contacts",
@@ -188,14 +188,14 @@ def test_the_scripts_give_every_figure(results, recomputed):
 
 
 def test_the_top_repeats_what_stands_under_objectives(results):
-    """So that nothing else needs to be computed: `deformation…` of its own objective, the rest of the paper's."""
+    """So that nothing else needs to be computed: `deviation…` of its own objective, the rest of the paper's."""
     said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
     of = said["objectives"]
-    sources = {"deformation_success_rate": of["deformation"]["success_rate"], "measures": of["deformation"]["measures"]}
+    sources = {"deviation_success_rate": of["deviation"]["success_rate"], "measures": of["deviation"]["measures"]}
     sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "attempts", "aborted")}
     for name, value in of["paper"].items():
         if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):
-            sources[name] = of["deformation" if name.startswith("deformation") else "paper"][name]
+            sources[name] = of["deviation" if name.startswith("deviation") else "paper"][name]
             assert value is not None or sources[name] is None
     assert {name: said[name] for name in sources} == sources
     assert len(sources) > 20

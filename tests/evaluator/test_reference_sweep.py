@@ -11,7 +11,7 @@ from skd_evaluator.assessment.stages.library import assess
 from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.margin.reference import asked_of_result, equivalent_in, reference_sweep
 
-SIZES = {"collision_runs": 1, "simulations": 20, "behaviour": "none", "objective": "deformation", "workers": 1}
+SIZES = {"collision_runs": 1, "simulations": 20, "behaviour": "none", "objective": "deviation", "workers": 1}
 
 
 def silent(*_told: object) -> None:

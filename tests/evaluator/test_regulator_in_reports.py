@@ -28,7 +28,7 @@ SCHEMA = Path(__file__).parents[2] / "ros_ws/src/skd_evaluator/skd_evaluator/ass
 def subject(tmp_path_factory) -> Subject:
     """A small assessment on three of the seven places of a protocol."""
     out = tmp_path_factory.mktemp("regulator") / "out"
-    assess(scenario="cpna", multiplier=1.25, safe="regulatory", safe_count=3, objective="deformation", margin_limit=0,
+    assess(scenario="cpna", multiplier=1.25, safe="regulatory", safe_count=3, objective="deviation", margin_limit=0,
            kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", workers=1, out=out)  # fmt: skip
     (found,) = read_subjects([out])
     return found
@@ -66,7 +66,7 @@ def found(
     }
     figures = {
         "static_tests": [test],
-        "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deformation": 2.0}],
+        "per_safe_trajectory": [{"name": f"regulatory/{place:g}", "deviation": 2.0}],
         "controller": car,
         "multiplier": 1.0,
         "eta_max": 5.0,
@@ -162,7 +162,7 @@ def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeyp
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deformation", margin_limit=0,
+    rating = assess("fails_alone:Car", scenario="cpna-50", safe="regulatory", objective="deviation", margin_limit=0,
                     kamikaze_count=1, simulations=20, collision_runs=1, behaviour="none", knowledge="nothing",
                     workers=1)  # fmt: skip
     (test,) = rating.static_tests

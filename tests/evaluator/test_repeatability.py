@@ -326,7 +326,7 @@ SMALL = (
 )
 def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str, said: list[str]) -> None:
     done = skd(
-        "assess", "--controller", f"some_cars:{name}", *SMALL, "--fail-below", "deformation=0", "--out", "out", cwd=cars
+        "assess", "--controller", f"some_cars:{name}", *SMALL, "--fail-below", "deviation=0", "--out", "out", cwd=cars
     )
     lines = json.loads((cars / "out" / "assessment.json").read_text())["warnings"]
     found = [line for line in lines if line.startswith(NOT_CREDIBLE)]
@@ -334,7 +334,7 @@ def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str
     for line, part in zip(found[-1:], said, strict=True):
         assert part in line
         assert line in done.stderr
-        assert "deformation ≥ 0: error, not judged" in done.stderr
+        assert "deviation ≥ 0: error, not judged" in done.stderr
 
 
 def test_a_campaign_fails_by_such_a_car_and_again_when_it_is_read_back(cars: Path) -> None:

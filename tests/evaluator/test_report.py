@@ -98,7 +98,7 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
         low, high = figures["margin_ci95"]
         assert headline(figures) in report.text
         for text in (
-            f"{figures['margin']:.3f}", f"{figures['deformation']:.3f}",
+            f"{figures['margin']:.3f}", f"{figures['deviation']:.3f}",
             f"{100 * figures['hit_rate']:.1f} %",
             f"{figures['closeness']:.2f}", f"{figures['impact_speed']['mean']:.1f}",
             f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
@@ -106,7 +106,7 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
         ):  # fmt: skip
             assert text in report.text
         for row in figures["per_safe_trajectory"]:
-            assert f"{row['deformation']:.3f}" in report.text
+            assert f"{row['deviation']:.3f}" in report.text
     lower, higher = sorted(subjects, key=lambda one: one.figures["margin"])
     assert f"{higher.label} is the safest by margin" in report.text
     assert f"{lower.label} the most vulnerable" in report.text
@@ -179,8 +179,8 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
     speeds, touched = columns["impact_speed"], columns["outcome"] == Outcome.COLLISION
     np.testing.assert_array_equal(hit, touched & (speeds >= 0.556))
     assert not hit[int(hit.sum()) :].any()
-    deformations = columns["deformation"][hit]
-    assert (np.diff(deformations) >= -1e-6).all()
+    deviations = columns["deviation"][hit]
+    assert (np.diff(deviations) >= -1e-6).all()
 
 
 def test_means_of_the_episodes_are_the_figures(report, subjects):
@@ -188,11 +188,11 @@ def test_means_of_the_episodes_are_the_figures(report, subjects):
     for index, one in enumerate(subjects):
         for number, row in enumerate(one.figures["per_safe_trajectory"]):
             for name, objective, stated in (
-                ("deformation", "deformation", row["deformation_of_successes"]), ("frechet", "paper", row["skd"]),
+                ("deviation", "deviation", row["deviation_of_successes"]), ("frechet", "paper", row["skd"]),
             ):  # fmt: skip
                 mine = (columns["subject"] == index) & (columns["safe_index"] == number)
                 mine &= columns["objective"] == content["objectives"].index(objective)
-                if objective == "deformation":
+                if objective == "deviation":
                     mine &= columns["hit"] == 1
                 assert np.nanmean(columns[name][mine].astype(float)) == pytest.approx(stated, abs=1e-5)
 
@@ -206,7 +206,7 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     with np.load(one.folder / "episodes.npz") as stored:
         margins = np.where(np.isfinite(stored["margin"]), stored["margin"], stored["eta_max"])
     planned, main = (layer["data"]["values"] for layer in lines)
-    for values, attempts in ((main, margins), (planned, np.concatenate(one.episodes.deformations_of("deformation")))):
+    for values, attempts in ((main, margins), (planned, np.concatenate(one.episodes.deviations_of("deviation")))):
         for at in values[:-1]:
             low, high = (100.0 * np.mean(attempts <= at["eta"] + error) for error in (-1e-4, 1e-4))
             assert low - 0.01 <= at["rate"] <= high + 0.01
@@ -222,12 +222,12 @@ def test_ways_of_the_margin_are_in_the_page_the_least_first(report, subjects):
         for index, ways in enumerate(said["ways"]):
             mine = np.flatnonzero((arrays["margin_safe_index"] == index) & np.isfinite(arrays["margin"]))
             assert len(ways) == min(len(mine), 40)
-            assert [way["deformation"] for way in ways] == sorted(way["deformation"] for way in ways)
+            assert [way["deviation"] for way in ways] == sorted(way["deviation"] for way in ways)
             for way in ways:
                 (row,) = mine[arrays["margin_attempt"][mine] == way["attempt"]]
                 low, high = arrays["margin_offsets"][row : row + 2]
                 np.testing.assert_allclose(way["points"], arrays["margin_positions"][low:high], atol=0.0051)
-                assert way["deformation"] == pytest.approx(arrays["margin"][row], abs=6e-4)
+                assert way["deviation"] == pytest.approx(arrays["margin"][row], abs=6e-4)
             every = arrays["margin"][arrays["margin_safe_index"] == index]
             assert said["margins"][index] == pytest.approx(np.fmin(every, arrays["eta_max"]).tolist(), abs=6e-4)
 
@@ -263,7 +263,7 @@ def test_nobody_is_ranked_by_what_was_planned_with_unlike_knowledge(subjects, tm
     assert [note for note in ranking_notes(unlike) if "the safest" in note] == []
     (note,) = [note for note in ranking_notes(alike) if "the safest" in note]
     assert note.startswith("Of 2 assessments over the same φ")
-    assert "by planned deformation" in note
+    assert "by planned deviation" in note
 
 
 def test_each_command_repeats_its_episode(subjects):
@@ -272,7 +272,7 @@ def test_each_command_repeats_its_episode(subjects):
         episodes = subject.episodes
         picked = [
             int(np.flatnonzero((episodes.objective == kind) & (episodes.safe_index == 1))[-1])
-            for kind in ("", "deformation", "paper")
+            for kind in ("", "deviation", "paper")
         ]
         for number in picked:
             words = repeat_command(
@@ -321,7 +321,7 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     assert " warning" in text
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
-    nothing = dict.fromkeys(("deformation", "deformation_ci95_attempts", "deformation_ci95", "skd", "skd_ci95_pairs"))
+    nothing = dict.fromkeys(("deviation", "deviation_ci95_attempts", "deviation_ci95", "skd", "skd_ci95_pairs"))
     nothing |= dict.fromkeys((*NO_MARGIN, "closeness", "closeness_ci95", "vulnerability_curve"))
     objectives = {
         name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
@@ -385,7 +385,7 @@ def test_report_and_show_as_commands(skd_here, here, sweep):
     one_line(skd_here("report", str(sweep), str(sweep), "--out", "s.html"), 2, "twice")
     one_line(skd_here("report", ".", "--out", "s.html"), 2, "assessment.json")
     one_line(skd_here("report", str(sweep), "--out", "s.pdf"), 2, ".html")
-    for name in ("deformation", "margin"):
+    for name in ("deviation", "margin"):
         other = edited(sweep / "synthetic" / "C_1", here / name, **{name: 0.0})
         one_line(skd_here("report", str(other), "--out", "s.html"), 2, "not of one assessment")
     (other / "assessment.json").write_text("{}")

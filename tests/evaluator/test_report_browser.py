@@ -59,15 +59,15 @@ def test_figures_are_drawn(opened, subjects, file):
         assert chart.locator("svg .mark-symbol path, svg .mark-line path, svg .mark-rect path").count() >= 2
     shown = subjects[0].episodes
     assert opened.count("#maps svg") == len(shown.safe)
-    mine = shown.collided & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deformation")
+    mine = shown.collided & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deviation")
     assert opened.count("#contact .touch") == mine.sum()
     assert opened.count("#maps .psi.least") == opened.count("#maps .psi") == sum(map(len, shown.margin_ways))
-    opened.page.select_option("#map-objective", "deformation")
+    opened.page.select_option("#map-objective", "deviation")
     assert opened.count("#maps .psi") == mine.sum()
     assert opened.count("#maps .psi.least") == 0
     opened.page.select_option("#subject", "1")
     other = subjects[1].episodes
-    mine = other.collided & (other.mode == Mode.KAMIKAZE) & (other.objective == "deformation")
+    mine = other.collided & (other.mode == Mode.KAMIKAZE) & (other.objective == "deviation")
     assert opened.count("#contact .touch") == mine.sum()
     assert opened.page.locator(".of-subject:visible").count() == 2  # failures, and each φ
     assert opened.page.locator(".of-subject[data-subject='1']:visible").count() == 2

@@ -217,7 +217,7 @@ def test_uniform_draws_of_the_car_come_from_its_normals(safe):
 def ratings(safe) -> dict[str, Rating]:
     plans = {"basic": replace(PLAN, multiplier=1.5), "carla": replace(PLAN, controller="carla")}
     with InProcessRunner(1) as runner:
-        return {name: rate(plan, [Objective.DEFORMATION], list(safe), runner, quiet) for name, plan in plans.items()}
+        return {name: rate(plan, [Objective.DEVIATION], list(safe), runner, quiet) for name, plan in plans.items()}
 
 
 @pytest.mark.parametrize("name", ["basic", "carla"])

@@ -42,7 +42,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StoredResult]
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
         for name, multiplier, behaviour in (("A", 0.6, WALKERS), ("B", 1.4, WALKERS), ("C", 1.4, OTHERS)):
-            rating = rate(replace(PLAN, multiplier=multiplier), [Objective.DEFORMATION], safe, runner, quiet)
+            rating = rate(replace(PLAN, multiplier=multiplier), [Objective.DEVIATION], safe, runner, quiet)
             rating = with_margins(rating, runner, quiet, 50)
             rating = with_risks(rating, RiskAsked(behaviour, runs=400), runner, quiet)
             folder = tmp_path_factory.mktemp("risks") / name

@@ -52,8 +52,8 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert size["width"] <= 0.1
     assert "assumed" in found["source"]
     assert found["figure"] == "margin"
-    assert main(["plan", "--width", "0.1", "--figure", "deformation"]) == 0
-    assert capsys.readouterr().out.startswith("deformation: ")
+    assert main(["plan", "--width", "0.1", "--figure", "deviation"]) == 0
+    assert capsys.readouterr().out.startswith("deviation: ")
     assert main(["plan", "--difference", "0.1", "--power", "0.9"]) == 0
     shown = capsys.readouterr().out
     assert "on the same φ" in shown

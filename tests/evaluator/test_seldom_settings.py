@@ -24,7 +24,7 @@ def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
     encounter = ("--scenario", tmp_path / "near.yaml")
     assert run_skd("assess", *searched, *encounter, *SMALL, "--out", tmp_path / "near") == 0
     figures = json.loads((tmp_path / "near" / "assessment.json").read_text())
-    assert figures["deformation_of_successes"] > figures["eta_max"] == figures["margin"] == 0.3
+    assert figures["deviation_of_successes"] > figures["eta_max"] == figures["margin"] == 0.3
     assert figures["margin_beyond"] == figures["margin_attempts"] == 4
     assert not_credible(figures["warnings"]) == []
     assert "or take more than η_max" in capsys.readouterr().err

@@ -39,19 +39,17 @@ def subject(result):
     return one
 
 
-def test_the_worst_are_those_with_the_least_deformation(skd_here, here, result, subject):
-    done = skd_here("show", str(result), "--worst", "2", "--objective", "deformation", "--out", "shown", "--json")
+def test_the_worst_are_those_with_the_least_deviation(skd_here, here, result, subject):
+    done = skd_here("show", str(result), "--worst", "2", "--objective", "deviation", "--out", "shown", "--json")
     assert done.returncode == 0, done.stderr
     assert names(here / "shown") == ["1.png", "2.png", "manifest.sha256", "show.json"]
     assert all(imread(here / "shown" / name).shape[1] > 500 for name in ("1.png", "2.png"))
     content = json.loads(done.stdout)
     assert content == json.loads((here / "shown" / "show.json").read_text())
     episodes = subject.episodes
-    least = np.sort(episodes.deformation[(episodes.objective == "deformation") & episodes.hit])[:2]
-    assert [one["deformation"] for one in content["episodes"]] == pytest.approx(least.tolist(), abs=1e-9)
-    assert all(
-        f"deformation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True)
-    )
+    least = np.sort(episodes.deviation[(episodes.objective == "deviation") & episodes.hit])[:2]
+    assert [one["deviation"] for one in content["episodes"]] == pytest.approx(least.tolist(), abs=1e-9)
+    assert all(f"deviation {one:.2f} m" in said["title"] for one, said in zip(least, content["episodes"], strict=True))
 
 
 @pytest.mark.parametrize("words", [("show", "--worst", "1"), ("export", "--format", "csv", "--json")])
@@ -122,4 +120,4 @@ def test_at_its_end_car_and_adversary_touch(subject):
         assert gaps[0] == pytest.approx(apart, abs=1e-9)
         assert Polygon(picture._user.get_xy()).centroid.distance(Point(place)) < 1e-9
     assert gaps[0] < 1e-6
-    assert away[0] <= subject.episodes.deformation[number] + 1e-9
+    assert away[0] <= subject.episodes.deviation[number] + 1e-9

@@ -198,7 +198,7 @@ def draw(**changes: object) -> dict[str, Any]:
     """The content of assessment.json of a draw of which nothing is to be said, but for changes."""
     known = {"warnings": [], "margin": 1.8, "margin_note": "", "risk_1": 0.0, "risk_note": "", "eta_max": 5.0}
     search = {"margin_converged": True, "margin_budget": 64, "margin_how": "whole", "margin_beyond": 0}
-    ran = {"margin_attempts": 12, "collision_runs": 125, "objectives": {"deformation": {"attempts": 12}}, "aborted": 0}
+    ran = {"margin_attempts": 12, "collision_runs": 125, "objectives": {"deviation": {"attempts": 12}}, "aborted": 0}
     return {**known, **search, **ran, "aborted_reasons": {}, **changes}
 
 

@@ -42,9 +42,7 @@ def ratings() -> dict[float, Rating]:
         found = {}
         for multiplier in (0.5, 1.15):
             plan = replace(PLAN, multiplier=multiplier)
-            found[multiplier] = with_margins(
-                rate(plan, [Objective.DEFORMATION], safe, runner, quiet), runner, quiet, 50
-            )
+            found[multiplier] = with_margins(rate(plan, [Objective.DEVIATION], safe, runner, quiet), runner, quiet, 50)
         return found
 
 
@@ -92,7 +90,7 @@ def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_p
     """The margin is of no kamikaze: a car is judged where none ran."""
     found = {}
     for multiplier, folder in folders.items():
-        changes = {"deformation": None}
+        changes = {"deviation": None}
         found[multiplier] = edited(folder, tmp_path / f"{multiplier}", **changes)
         with np.load(folder / "episodes.npz") as arrays:
             aborted = dict(arrays)
@@ -102,7 +100,7 @@ def test_a_result_whose_kamikazes_were_all_aborted_has_its_margin(folders, tmp_p
     assert first.curve is None
     held = compare(first, second)
     assert (held.verdict, held.judged_by) == ("safer", "margin")
-    assert "deformation" not in held.differences
+    assert "deviation" not in held.differences
 
 
 def test_the_gate_goes_by_the_margin(folders, tmp_path):
@@ -133,10 +131,10 @@ def test_plan_goes_by_the_margin_and_refuses_unlike_kamikazes(skd_here, here, fo
     margins = [np.array(read_result(folder).groups["margin"]) for folder in (one, two)]
     within = (margins[1] - margins[0]).var(axis=1, ddof=1).mean()
     assert found["variance_within"] == pytest.approx(within)
-    refused = skd_here("plan", str(one), str(two), "--difference", "0.3", "--figure", "deformation")
+    refused = skd_here("plan", str(one), str(two), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "knowledge of the car known and nothing")
     limited = edited(folders[1.15], tmp_path / "limited", maximum_distance=2.0)
-    refused = skd_here("plan", str(one), str(limited), "--difference", "0.3", "--figure", "deformation")
+    refused = skd_here("plan", str(one), str(limited), "--difference", "0.3", "--figure", "deviation")
     one_line(refused, 2, "planned figures are not compared", "maximum distance (m) none and 2")
 
 
@@ -160,6 +158,6 @@ def test_compare_shows_the_bracket_and_warns_once(skd_here, here, folders, tmp_p
     )  # the safer one has an upper bound alone
     assert set(held["differences"]) == {"margin", "hit_rate", "collision_rate"}
     row = content["rows"][0]
-    assert f"[{row['margin']:.2f}, {row['deformation']:.2f}]" in done.stdout
-    order = [done.stdout.index(f"[{row['margin']:.2f}, {row['deformation']:.2f}]") for row in content["rows"]]
+    assert f"[{row['margin']:.2f}, {row['deviation']:.2f}]" in done.stdout
+    order = [done.stdout.index(f"[{row['margin']:.2f}, {row['deviation']:.2f}]") for row in content["rows"]]
     assert order == sorted(order)

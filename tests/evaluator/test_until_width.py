@@ -29,7 +29,7 @@ def silent(_label: str, _done: int, _total: int) -> None:
 
 def until(wanted: float, plan: Plan = PLAN) -> tuple[Rating, list[Trajectory]]:
     safe: list[Trajectory] = []
-    return rate_until_width(plan, [Objective.DEFORMATION], wanted, safe, InProcessRunner(1), silent), safe
+    return rate_until_width(plan, [Objective.DEVIATION], wanted, safe, InProcessRunner(1), silent), safe
 
 
 def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
@@ -39,7 +39,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     assert (len(safe), len(stop.looks), stop.reached) == (2 * LOOKS, LOOKS, False)
     assert [count for count, _ in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
     plan = replace(PLAN, safe_count=2 * LOOKS, collision_runs=2 * 2 * LOOKS)  # two runs along each, rounded up
-    at_once = rate(plan, [Objective.DEFORMATION], safe, InProcessRunner(1), silent)
+    at_once = rate(plan, [Objective.DEVIATION], safe, InProcessRunner(1), silent)
     contents = []
     for name, rating in (("one", found), ("other", at_once)):
         write_episodes(tmp_path / name, rating)
@@ -49,15 +49,15 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     assert sum(runs for _, runs in found.hits()) == plan.collision_runs
     # The figures are the same; only the confidence of the intervals by φ is higher, and at each look.
     one, other = found.as_dict(), at_once.as_dict()
-    for name in ("deformation", "deformation_ci95_attempts", "collision_rate", "collision_rate_ci95_runs", "safe"):
+    for name in ("deviation", "deviation_ci95_attempts", "collision_rate", "collision_rate_ci95_runs", "safe"):
         assert one[name] == other[name]
-    groups = [row.restricted for row in found.for_deformation.deformation.per_safe_trajectory]
+    groups = [row.restricted for row in found.for_deviation.deviation.per_safe_trajectory]
     for count, at_look in stop.looks:
         expected = clustered_mean(groups[:count], nominal_confidence(LOOKS), prior=DISTANCES, limits=(0.0, 5.0))
         assert at_look == expected
-    assert one["deformation_ci95"] == stop.looks[-1][1].interval
-    low, high = one["deformation_ci95"]
-    inner = other["deformation_ci95"]
+    assert one["deviation_ci95"] == stop.looks[-1][1].interval
+    low, high = one["deviation_ci95"]
+    inner = other["deviation_ci95"]
     assert low < inner[0] < inner[1] < high
     assert json.loads(json.dumps(one["until_width"]))["reached"] is False
 

@@ -61,7 +61,7 @@ def test_one_of_each(package: Path, tmp_path: Path):
     assert (result["scenario"]["name"], result["scenario"]["horizon"]) == ("quiet", 12.0)
     assert list(result["objectives"]) == ["near"]
     assert result["options"] == {"simulator": "ice"}
-    assert result["deformation"] == result["objectives"]["near"]["deformation"]
+    assert result["deviation"] == result["objectives"]["near"]["deviation"]
     # The measure's mean is that of the file's impact times.
     with np.load(tmp_path / "out" / "episodes.npz") as found:
         hits = (found["mode"] == 1) & (found["outcome"] == 1)

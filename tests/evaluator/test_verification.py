@@ -153,8 +153,8 @@ def test_results_are_read_with_and_without_a_manifest(result: Path, sweep: Path,
         (result / MANIFEST).unlink(missing_ok=True)
 
 
-def test_margin_and_deformation_are_held_against_the_trajectories_wherever_a_result_is_read(result: Path) -> None:
-    edit(result, lambda figures: figures.update(deformation=4.9), "rewritten")
+def test_margin_and_deviation_are_held_against_the_trajectories_wherever_a_result_is_read(result: Path) -> None:
+    edit(result, lambda figures: figures.update(deviation=4.9), "rewritten")
     for read in (read_result, lambda folder: read_subjects([folder])):
         with pytest.raises(UsageError, match="they are not of one assessment"):
             read(result)

@@ -56,7 +56,7 @@ def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) ->
 
 
 @pytest.mark.parametrize("best", CHOICES)
-def test_the_least_mean_deformation_is_chosen_and_a_miss_counts_as_the_greatest(best: float) -> None:
+def test_the_least_mean_deviation_is_chosen_and_a_miss_counts_as_the_greatest(best: float) -> None:
     """A miss in ten counts 0.1 · η_max = 0.5 m; that and 0.9 · 1 m are more than 1.3 m in all attempts."""
     reward, runner = chosen({one: [1.3] if one == best else [1.0] * 9 + [0.0] for one in CHOICES})
     if best == USUAL:  # all hit: what the others do is not asked
@@ -72,7 +72,7 @@ def test_all_have_the_same_draws_and_none_of_those_that_the_car_was_learned_from
     assert ids[0] == ids[1] == ids[2]
     assert len(ids[0]) == TRIALS
     assert min(split_episode_id(one)[2] for one in ids[0]) >= 100
-    assert all(one.objective == Objective.DEFORMATION for _, episodes in runner.asked for one in episodes)
+    assert all(one.objective == Objective.DEVIATION for _, episodes in runner.asked for one in episodes)
 
 
 def test_what_a_law_has_by_itself_is_tried_first() -> None:

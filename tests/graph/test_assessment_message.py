@@ -59,10 +59,10 @@ def test_every_field_is_the_figure_of_that_name(outcome: Outcome) -> None:
         else:
             assert said == figure, name
     if outcome == Outcome.COLLISION:
-        assert message.deformation < message.eta_max == 5.0
+        assert message.deviation < message.eta_max == 5.0
         assert (message.collision_runs, message.collision_standing_contacts) == (8, 4)
     else:
-        assert (message.deformation, message.deformation_success_rate) == (5.0, 0.0)
+        assert (message.deviation, message.deviation_success_rate) == (5.0, 0.0)
         assert math.isnan(message.skd)
 
 
@@ -89,7 +89,7 @@ def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
 
 def test_figures_that_are_not_credible_are_not_told_to_who_sees_no_warning() -> None:
     found = replace(rated(Outcome.COLLISION), warnings=("something else",))
-    assert assessment_to_message(found, "", 0).deformation > 0.0
+    assert assessment_to_message(found, "", 0).deviation > 0.0
     message = assessment_to_message(replace(found, warnings=(f"{NOT_CREDIBLE}it stands",)), "", 0)
     for name, kind in message.get_fields_and_field_types().items():
         if kind.startswith("double") and name not in {"multiplier", "eta_max"}:

@@ -10,7 +10,7 @@ from common import wait_until
 from graph_support import Skd, assert_same_results, skd
 from skd_evaluator.extensions.campaign.store import FILE_NAME
 
-SIZES = {"safe_count": 1, "kamikaze_count": 40, "collision_runs": 4, "simulations": 1500, "objective": "deformation"}
+SIZES = {"safe_count": 1, "kamikaze_count": 40, "collision_runs": 4, "simulations": 1500, "objective": "deviation"}
 SIZES |= {"behaviour": "none", "margin_limit": 0}
 EPISODES = 40 + 4
 BATCH = 20_000  # bytes, with some episodes in them

@@ -66,7 +66,7 @@ def same_through_the_graph(evaluator: Evaluator, wanted: list[Episode]) -> list[
 
 @pytest.mark.parametrize(
     ("scenario", "objectives"),
-    [("crossing", (Objective.PAPER, Objective.DEFORMATION)), ("crossing_multi_body", (Objective.PAPER,))],
+    [("crossing", (Objective.PAPER, Objective.DEVIATION)), ("crossing_multi_body", (Objective.PAPER,))],
 )
 def test_episodes_are_the_same_to_the_last_bit(
     evaluator: Evaluator, scenario: str, objectives: tuple[Objective, ...]

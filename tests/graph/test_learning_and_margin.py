@@ -31,7 +31,7 @@ BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p"
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
 RUNS = 6
 COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)
-PLANNED = ("deformation", "deformation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
+PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
 
 
 def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,7 +47,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     assert walked["margin_attempts"] == exact["margin_attempts"] == 4
     assert walked["margin"] >= exact["margin"] - exact["margin_gap"] - 1e-9
     assert walked["margin"] <= 1.1 * exact["margin"]
-    assert walked["margin"] < walked["deformation"]  # they knew nothing of the car; the ways are planned
+    assert walked["margin"] < walked["deviation"]  # they knew nothing of the car; the ways are planned
     assert "4 of 4 hits came again" in walked["margin_how"]  # in lockstep it repeats itself
     assert not not_credible(walked["warnings"])  # also where it is run again, through another graph
 

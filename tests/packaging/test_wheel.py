@@ -72,7 +72,7 @@ def test_it_assesses_and_reports(environment: Path, tmp_path: Path) -> None:
         assert Path(place).is_relative_to(environment)
     assert "Assessment: basic" in run(skd, "assess", *SMALL, "--out", "out", folder=tmp_path)
     figures = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
-    assert figures["deformation"] is not None
+    assert figures["deviation"] is not None
     assert figures["provenance"]["git"] is None
     run(skd, "report", "out", "--out", "report.html", folder=tmp_path)
     assert "vega" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -31,7 +31,7 @@ def _trials(log: EpisodeLog) -> list[Episode]:
     return [
         one
         for model in models
-        for one in own_attempts(plan, model, [phi], 2, begin=100, objectives=(Objective.DEFORMATION,))
+        for one in own_attempts(plan, model, [phi], 2, begin=100, objectives=(Objective.DEVIATION,))
     ]
 
 

@@ -66,7 +66,7 @@ def test_a_recording_of_both_gives_the_same_assessment(
     assert (done.code, done.err) == (0, "")
     assert_valid(done.result)
     assert figures(done.result) == figures(json.loads(json.dumps(live.as_dict())))
-    assert list(done.result["objectives"]) == ["deformation", "paper"]
+    assert list(done.result["objectives"]) == ["deviation", "paper"]
     write_assessment(tmp_path, live)
     assert_same_episodes((tmp_path / "episodes.npz").read_bytes(), done.episodes)
     # The same episodes share all draws, and yet no one is taken for another's double.
@@ -94,7 +94,7 @@ def test_what_is_missing_is_said_with_its_objective(
     assert done.code == 0
     said = "\n".join(done.result["warnings"])
     assert "no recording has kamikaze attempts of objective paper 0 of safe trajectory 1" in said
-    assert "of objective deformation" not in said
+    assert "of objective deviation" not in said
 
 
 def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from skd_evaluator.assessment.stages.library import assess as assess
     from skd_evaluator.assessment.stages.library import load_result as load_result
     from skd_evaluator.errors import AssessmentError as AssessmentError
-    from skd_evaluator.metrics.distances.deformation import deformation as deformation
+    from skd_evaluator.metrics.distances.deviation import deviation as deviation
     from skd_evaluator.metrics.distances.frechet import discrete_frechet as discrete_frechet
     from skd_evaluator.metrics.distances.measures import Measure as Measure
     from skd_evaluator.metrics.statistics.clustered import clustered_mean as clustered_mean
@@ -31,7 +31,7 @@ __all__ = [
     "assess",
     "clustered_mean",
     "clustered_rate",
-    "deformation",
+    "deviation",
     "difference",
     "discrete_frechet",
     "load_result",
@@ -46,7 +46,7 @@ _WHERE = {
     "assess": "skd_evaluator.assessment.stages.library",
     "clustered_mean": "skd_evaluator.metrics.statistics.clustered",
     "clustered_rate": "skd_evaluator.metrics.statistics.clustered_rate",
-    "deformation": "skd_evaluator.metrics.distances.deformation",
+    "deviation": "skd_evaluator.metrics.distances.deviation",
     "difference": "skd_evaluator.metrics.statistics.difference",
     "discrete_frechet": "skd_evaluator.metrics.distances.frechet",
     "load_result": "skd_evaluator.assessment.stages.library",

@@ -159,7 +159,7 @@ class FittedCar:
         rear: rear bumper behind the reference point, m; None where it was not written down.
         forest: forest that predicts the car, where no law does it as well; None: the law does.
         predictions: how well law and forest predict held-out ticks, if there are enough logs to compare them.
-        waiting_reward: m of deformation, at most 0, that each step after φ's end costs who waits for this car, by what
+        waiting_reward: m of deviation, at most 0, that each step after φ's end costs who waits for this car, by what
             kamikazes came to with it; none: nobody has tried, and the kind of model says it.
     """
 

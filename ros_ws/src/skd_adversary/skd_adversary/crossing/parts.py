@@ -110,7 +110,7 @@ class ObjectiveModel:
         chosen: interface; by default that of the road user, for an objective without *as φ*.
         sensible: interface; by default all makes sense.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
-        plans_deformation: the distance that it plans for, and that a maximum distance limits, is the deformation; else
+        plans_deviation: the distance that it plans for, and that a maximum distance limits, is the deviation; else
             the discrete Fréchet distance.
     """
 
@@ -126,7 +126,7 @@ class ObjectiveModel:
     chosen: Any = None
     sensible: Any = _always
     follows_phi: bool = False
-    plans_deformation: bool = False
+    plans_deviation: bool = False
 
 
 @dataclass(frozen=True)
@@ -307,5 +307,5 @@ class CarPrediction(Protocol):
     def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return numbers and arrays for the kernels, by name.
 
-        Among them `waiting_reward`, m of deformation (at most 0) that each step after φ's end costs who waits for it.
+        Among them `waiting_reward`, m of deviation (at most 0) that each step after φ's end costs who waits for it.
         """

@@ -60,7 +60,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "--until-width",
         type=positive_number,
         metavar="W",
-        help="add safe trajectories until the 95 %% interval of the planned deformation is at most W metres wide: "
+        help="add safe trajectories until the 95 %% interval of the planned deviation is at most W metres wide: "
         "--safe-count of them at a time, each time with --collision-runs, and at most 10 times. The intervals allow "
         "for being looked at repeatedly",
     )
@@ -152,7 +152,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "default": str(CampaignOptions.objective),
         "choices": OBJECTIVES,
         "metavar": "NAME",
-        "help": "what the kamikaze is rewarded for: deformation (bending the safe trajectory φ as little as possible), "
+        "help": "what the kamikaze is rewarded for: deviation (bending the safe trajectory φ as little as possible), "
         "paper (colliding as soon as possible), or frechet (a small Fréchet distance to φ) (default: %(default)s)",
     }
     add_options(episode, "episode", "campaign", objective=single)
@@ -264,9 +264,9 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
-        choices=("margin", "deformation", "skd", "collision_rate", "clearance", "required_deceleration", "hit"),
+        choices=("margin", "deviation", "skd", "collision_rate", "clearance", "required_deceleration", "hit"),
         default="margin",
-        help="the figure that is asked about: margin, deformation or skd (both of planned kamikazes), or "
+        help="the figure that is asked about: margin, deviation or skd (both of planned kamikazes), or "
         "collision_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
         "required_deceleration, hit or margin (default: margin)",
     )

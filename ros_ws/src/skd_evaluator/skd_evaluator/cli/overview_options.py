@@ -50,7 +50,7 @@ def add_overview_commands(commands: Any) -> None:
     _add_car(trend)
     trend.add_argument(
         "--figure",
-        choices=("margin", "deformation", "skd", "hit_rate", "risk_1"),
+        choices=("margin", "deviation", "skd", "hit_rate", "risk_1"),
         default="margin",
         help="the figure that is followed (default: margin)",
     )

@@ -53,7 +53,7 @@ def add_regulator_command(commands: Any) -> None:
     margins.add_argument(
         "--planned",
         action="store_true",
-        help="also plan kamikazes in each cell, and print the deformation that they needed behind the margin; this "
+        help="also plan kamikazes in each cell, and print the deviation that they needed behind the margin; this "
         "takes longer",
     )
     margins.add_argument(

@@ -11,7 +11,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.state import CarState, RoadUserState
 
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.surrogate.clearance import clearance_at, clearances
 from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
 
@@ -98,7 +98,7 @@ class Onlooker:
         if period == 0 and tick == len(self._walked):
             self._walked.append((adversary.x, adversary.y))
         walked = np.array(self._walked or [adversary[:2]])
-        strayed = math.nan if self._phi is None else deformation(self._phi, walked, len(walked) - 1)
+        strayed = math.nan if self._phi is None else deviation(self._phi, walked, len(walked) - 1)
         time = (tick + period / self._scenario.control_periods) * self._scenario.time_step
         apart = clearance_at(self._scenario, car, adversary)
         return Situation(
@@ -107,7 +107,7 @@ class Onlooker:
 
 
 def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
-    """Return clearance and deformation so far at each tick of an episode, m; of the last one at the contact.
+    """Return clearance and deviation so far at each tick of an episode, m; of the last one at the contact.
 
     Without φ, or where the car was not seen, there are none.
     """
@@ -122,4 +122,4 @@ def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
     whole = [float(count) for count in range(len(psi))]
     if ended is not None:
         whole[-1] = log.impact_time / scenario.time_step
-    return apart, [deformation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]
+    return apart, [deviation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]

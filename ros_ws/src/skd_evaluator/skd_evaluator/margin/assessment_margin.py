@@ -29,7 +29,7 @@ from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.searching import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Excess, Margins
@@ -179,7 +179,7 @@ def with_planned_hits(
             if not log.hit or episode.safe_trajectory is None:
                 continue
             duration = log.impact_time / episode.scenario.time_step
-            distance = deformation(episode.safe_trajectory.positions, log.trajectory.positions, duration)
+            distance = deviation(episode.safe_trajectory.positions, log.trajectory.positions, duration)
             least = found[index]
             if distance >= episode.scenario.eta_max:  # nothing is looked for that far away
                 continue
@@ -246,7 +246,7 @@ def with_margins(
             SKD's own world; None: such a car has no margin.
     """
     begin = time.perf_counter()
-    plan = rating.for_deformation.plan
+    plan = rating.for_deviation.plan
     per_phi = attempts_of(plan, rating)
     walks = graph is not None and (plan.car.is_external or not is_own_world(plan.simulator))
     why = why_no_margin(plan, limit, per_phi[0][0] if walks else None)

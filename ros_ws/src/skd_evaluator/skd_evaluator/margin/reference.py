@@ -56,7 +56,7 @@ def asked_of_result(result: StoredResult) -> Asked:
         raise UsageError(f"{result.folder}: has no margin to compare with those of basic cars")
     scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {result.folder / ASSESSMENT}")
     count = min(len(one) for one in groups)
-    plan = Plan(scenario, objective=Objective.DEFORMATION, seed=int(result.figures["seed"]), kamikaze_count=count)
+    plan = Plan(scenario, objective=Objective.DEVIATION, seed=int(result.figures["seed"]), kamikaze_count=count)
     safe = [Trajectory(one, scenario.time_step, f"φ {number}") for number, one in enumerate(result.safe)]
     return Asked(str(result.folder), plan, safe, result)
 

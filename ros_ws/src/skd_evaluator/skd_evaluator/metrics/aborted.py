@@ -15,8 +15,8 @@ from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_
 
 _TOTAL: Final = "episodes"
 _ALONG: Final = ("collision_rate", "hit_rate")
-_SHARES: Final = ("success_rate", "kamikaze_success_rate", "deformation_success_rate")
-_OF_RANKING: Final = ("deformation", "deformation_of_successes", "deformation_success_rate")
+_SHARES: Final = ("success_rate", "kamikaze_success_rate", "deviation_success_rate")
+_OF_RANKING: Final = ("deviation", "deviation_of_successes", "deviation_success_rate")
 
 Figures = Mapping[str, Any]
 """Content of assessment.json."""
@@ -71,7 +71,7 @@ def lost_in(figures: Figures) -> list[Lost]:
     """Return of which figures episodes were aborted, and how many; empty where none was."""
     found = []
     for name, one in (figures.get("objectives") or {}).items():
-        key, label = ("deformation", "the planned deformation") if one.get("plans_deformation") else ("skd", "SKD")
+        key, label = ("deviation", "the planned deviation") if one.get("plans_deviation") else ("skd", "SKD")
         what, lost, figure = f"kamikazes of objective {name}", one.get("aborted", 0), f"objectives.{name}.{key}"
         found.append(Lost(what, lost, one.get("attempts", 0) + lost, figure, label))
     along = _lost_along(figures)
@@ -109,7 +109,7 @@ def _lines(figures: Figures) -> Iterator[str]:
         else:
             shown = _metres if one.figure.startswith("objectives.") else _percent
             how = "hit in it" if one.aborted == 1 else "hit in all of them"
-            where = " without any deformation" if shown is _metres else ""
+            where = " without any deviation" if shown is _metres else ""
             yield (
                 f"{said}; if the car had {how}{where}, {one.label} would be {shown(worst.value)} in place of "
                 f"{shown(value)}"
@@ -143,7 +143,7 @@ def too_many_aborted(figures: Figures, maximum: float) -> str | None:
 def at_worst(figures: Figures, name: str) -> Worst | None:
     """Return what a figure would be if the car had hit in every aborted episode; None where it would be the same.
 
-    Kamikazes would have hit without any deformation. Nobody knows what figures of other kinds would have been, as
+    Kamikazes would have hit without any deviation. Nobody knows what figures of other kinds would have been, as
     impact speeds; nor do aborted kamikazes change a margin, which is searched for.
 
     Args:
@@ -196,9 +196,9 @@ def _counts(figures: Figures, words: Sequence[str]) -> _Counts | None:
                 one.get("attempts", 0), one.get("aborted", 0), f"kamikazes held to η = {one['eta']:g} m", True
             )
         case ["vulnerability_curve", "kamikazes", "points", _, "probability"]:
-            return _counts(figures, ["deformation_success_rate"])
+            return _counts(figures, ["deviation_success_rate"])
         case ["vulnerability_curve", "kamikazes", "area_above"]:
-            return _counts(figures, ["deformation"])
+            return _counts(figures, ["deviation"])
         case [key]:
             return _counts(figures, ["objectives", _objective(figures, key), key])
     return None
@@ -207,8 +207,8 @@ def _counts(figures: Figures, words: Sequence[str]) -> _Counts | None:
 def _of_kamikazes(entry: Figures, attempts: int, key: str) -> _Counts | None:
     """Return the same of a figure of kamikazes, from an entry that has their counts."""
     counts = {
-        **dict.fromkeys(("deformation", *_SHARES), attempts),
-        "deformation_of_successes": attempts - entry.get("failed", 0),
+        **dict.fromkeys(("deviation", *_SHARES), attempts),
+        "deviation_of_successes": attempts - entry.get("failed", 0),
         **dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0)),
     }
     return _Counts(counts[key], entry.get("aborted", 0), "kamikazes", key in _SHARES) if key in counts else None

@@ -1,8 +1,8 @@
 """The margin of a car and what is reported with it, from the margins of its attempts.
 
-The margin of an attempt is the least deformation with which anybody could have been hit by the moving car; an attempt
+The margin of an attempt is the least deviation with which anybody could have been hit by the moving car; an attempt
 in which nobody could within η_max counts as η_max. Their mean over all attempts is the margin of the car: the
-restricted mean, as that of the planned deformation (`mean_deformation`), and the area above the curve of P(η), the
+restricted mean, as that of the planned deviation (`mean_deviation`), and the area above the curve of P(η), the
 share of attempts whose margin is at most η.
 """
 

@@ -1,8 +1,8 @@
-"""The margin of a car: the least deformation with which anybody could have been hit by the moving car, on average.
+"""The margin of a car: the least deviation with which anybody could have been hit by the moving car, on average.
 
-Each attempt, a safe trajectory φ and one set of draws, has a least deformation of its own. It is clairvoyant: who walks
+Each attempt, a safe trajectory φ and one set of draws, has a least deviation of its own. It is clairvoyant: who walks
 that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often somebody
-is hit. An attempt in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deformation`).
+is hit. An attempt in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`).
 """
 
 from __future__ import annotations

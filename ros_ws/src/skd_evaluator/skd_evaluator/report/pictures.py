@@ -48,7 +48,7 @@ def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return f", {pairs[0]} pairs a C" if len(pairs) == 1 else f", {pairs[0]} to {pairs[-1]} pairs a C"
 
 
-_INDEPENDENT = {"deformation": "attempts", "collision_rate": "runs", "skd": "pairs"}
+_INDEPENDENT = {"deviation": "attempts", "collision_rate": "runs", "skd": "pairs"}
 
 
 def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str | None:
@@ -82,12 +82,12 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Save margin, planned deformation, SKD and collision rate against C; the paper's figure has the last two."""
+    """Save margin, planned deviation, SKD and collision rate against C; the paper's figure has the last two."""
     figure = Figure(figsize=(PAGE, 6.4), layout="constrained")
     panels = figure.subplots(2, 2).ravel()
     shown = (
         ("margin", "(a) Margin", "", "margin (m)"),
-        ("deformation", "(b) Planned deformation", "over attempts", "planned deformation (m)"),
+        ("deviation", "(b) Planned deviation", "over attempts", "planned deviation (m)"),
         ("skd", "(c) SKD", "over pairs", "SKD (m)"),
         ("collision_rate", "(d) Collision rate", "over runs (Wilson)", "collisions along φ, any touch (%)"),
     )
@@ -129,20 +129,20 @@ def _broken(text: str, length: int) -> str:
 
 def _ranks(rating: Rating, assessment: Assessment) -> bool:
     """Return whether an assessment is the one that is ranked by; its picture has the ways of the margin too."""
-    return assessment is rating.for_deformation
+    return assessment is rating.for_deviation
 
 
 def _figures(
-    rating: Rating, assessment: Assessment, deformation: float | None, skd: float | None, margin: float | None
+    rating: Rating, assessment: Assessment, deviation: float | None, skd: float | None, margin: float | None
 ) -> str:
     """Return those of three means (m) that are the car's own in this picture; others are of no use beside these."""
     alone = len(rating.assessments) == 1
     shown = []
     if margin is not None and _ranks(rating, assessment):
         shown.append(f"margin {margin:.2f} m")
-    if deformation is not None and (alone or assessment is not rating.for_skd):
-        shown.append(f"planned {deformation:.2f} m")
-    if skd is not None and (alone or assessment is not rating.for_deformation):
+    if deviation is not None and (alone or assessment is not rating.for_skd):
+        shown.append(f"planned {deviation:.2f} m")
+    if skd is not None and (alone or assessment is not rating.for_deviation):
         shown.append(f"SKD {skd:.2f} m")
     return ", ".join(shown)
 
@@ -155,9 +155,9 @@ def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
     if not group.logs:
         lost = f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
         return ", ".join(filter(None, [_figures(rating, assessment, None, None, margin), lost]))
-    deformation = assessment.deformation.per_safe_trajectory[number].mean
+    deviation = assessment.deviation.per_safe_trajectory[number].mean
     skd = assessment.skd.per_safe_trajectory[number].mean_distance
-    figures = _figures(rating, assessment, deformation, skd, margin)
+    figures = _figures(rating, assessment, deviation, skd, margin)
     failed = group.attempts - group.aborted - assessment.successes_by_phi[number]
     return f"{figures}, {failed} failed" if failed else figures
 
@@ -167,8 +167,8 @@ def _heading(rating: Rating, assessment: Assessment) -> str:
     plan = assessment.plan
     car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
     margin = None if rating.margins is None else rating.margins.mean
-    figures = _figures(rating, assessment, assessment.deformation.mean, assessment.skd.skd, margin)
-    explained = figures.replace("planned ", "planned deformation ", 1)
+    figures = _figures(rating, assessment, assessment.deviation.mean, assessment.skd.skd, margin)
+    explained = figures.replace("planned ", "planned deviation ", 1)
     found = f"{car}: {explained or 'no kamikaze'} (kamikazes of objective {plan.objective})"
     return f"{found}\n{_intervals(rating, assessment)}" if figures else found
 
@@ -178,12 +178,12 @@ def _intervals(rating: Rating, assessment: Assessment) -> str:
     own = _figures(rating, assessment, 0.0, 0.0, 0.0)
     known = (
         ("margin", None if rating.margins is None else rating.margins.ci95),
-        ("planned", assessment.deformation.ci95_clustered),
+        ("planned", assessment.deviation.ci95_clustered),
         ("SKD", assessment.skd.skd_ci95),
     )
     parts = [f"{name} {ends[0]:.2f} to {ends[1]:.2f} m" for name, ends in known if name in own and ends is not None]
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""
-    reached = "were hit" if assessment.plan.limits_deformation else "collided"
+    reached = "were hit" if assessment.plan.limits_deviation else "collided"
     return f"{sure}{assessment.successes} of {assessment.attempts} attempts {reached}, {len(assessment.safe)} φ"
 
 

@@ -57,7 +57,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             interval(row["margin_ci95"]),
             bounded_cell(row, number(row["equivalent_multiplier"])),
             percent(row["hit_rate"]),
-            number(row["deformation"]),
+            number(row["deviation"]),
             str(row["knowledge"]),
             number(row["skd"]),
         )
@@ -74,8 +74,8 @@ def cell_line(row: Mapping[str, Any]) -> str:
     if row["margin_converged"] is False:
         figures[0] += " (not converged)"
     figures.append(f"hit along φ {TERMINAL.share(row['hit_rate'])}")
-    if row["deformation"] is not None:
-        figures.append(f"planned {number(row['deformation'])} m")
+    if row["deviation"] is not None:
+        figures.append(f"planned {number(row['deviation'])} m")
     said = _worth(row)
     return f"{row['name']}{f' ({said})' if said else ''}: {', '.join(figures)}"
 
@@ -128,7 +128,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             f"{escape(row['car'])}{_doubt(row)}",
             bounded_cell(row, _number(row["margin"])),
             _interval(row["margin_ci95"], 2),
-            escape(f"[{_number(row['margin'], 2)}, {_number(row['deformation'], 2)}]"),
+            escape(f"[{_number(row['margin'], 2)}, {_number(row['deviation'], 2)}]"),
             str(row["knowledge"]),
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
             TERMINAL.share(row["hit_rate"]),
@@ -137,7 +137,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     return table
 
 
-_RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deformation")}
+_RANKED = {key: AT_THE_TOP[key].label for key in ("margin", "deviation")}
 
 
 def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: float) -> Table:
@@ -169,7 +169,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
     return table
 
 
-_TELLING = ("margin", "deformation", "skd", "hit_rate")
+_TELLING = ("margin", "deviation", "skd", "hit_rate")
 """Figures that two cars do not share to the last digit unless they do the same."""
 
 
@@ -204,7 +204,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
     What follows ± takes pairs as independent, as the paper does.
     """
-    table = narrow_table("Margin, planned deformation, collision rate and SKD against the multiplier C")
+    table = narrow_table("Margin, planned deviation, collision rate and SKD against the multiplier C")
     table.add_column("φ, C")
     for name in (
         "margin\n(m)",
@@ -227,8 +227,8 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             f"  {row['multiplier']:.3f}",
             f"[bold]{_number(row['margin'], 3)}[/]",
             _interval(row["margin_ci95"], 2),
-            _number(row["deformation"], 3),
-            _interval(row["deformation_ci95"], 2),
+            _number(row["deviation"], 3),
+            _interval(row["deviation_ci95"], 2),
             BARE.share(row["collision_rate"]),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
             BARE.share(row["kamikaze_success_rate"]),

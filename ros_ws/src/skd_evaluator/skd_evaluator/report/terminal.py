@@ -153,7 +153,7 @@ def details_table(result: Mapping[str, Any]) -> Table:
     _add_margin(table, result)
     _add_further(table, result, Of.MARGIN)
     table.add_section()
-    _add_deformation(table, result)
+    _add_deviation(table, result)
     _add_further(table, result, Of.RANKING)
     table.add_row(
         f"collisions along φ, any touch ({counted(result['collision_runs'], 'run')})",
@@ -263,16 +263,16 @@ def _reached(figures: Mapping[str, Any]) -> int:
     return int(figures["attempts"]) - int(figures["failed"])
 
 
-def _add_deformation(table: Table, result: Mapping[str, Any]) -> None:
+def _add_deviation(table: Table, result: Mapping[str, Any]) -> None:
     objective, figures = _source(result, RANKING_OBJECTIVES)
-    if figures["deformation"] is None:
-        table.add_row("planned deformation (m)", "no kamikaze ran", "")
+    if figures["deviation"] is None:
+        table.add_row("planned deviation (m)", "no kamikaze ran", "")
         return
-    table.add_row("planned deformation (m)", _number(figures["deformation"]), _interval(figures["deformation_ci95"]))
-    table.add_row("  attempts taken as independent", "", _interval(figures["deformation_ci95_attempts"]))
+    table.add_row("planned deviation (m)", _number(figures["deviation"]), _interval(figures["deviation_ci95"]))
+    table.add_row("  attempts taken as independent", "", _interval(figures["deviation_ci95_attempts"]))
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
-        table.add_row("  of those that were hit alone (m)", _number(figures["deformation_of_successes"]), "")
+        table.add_row("  of those that were hit alone (m)", _number(figures["deviation_of_successes"]), "")
         table.add_row(f"  not hit, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
     for one in figures["measures"].values():
         _add_measure(table, one)
@@ -331,17 +331,17 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     """Return the table of the safe trajectories of one assessment, from the content of assessment.json."""
     table = narrow_table("Each safe trajectory φ")
     table.add_column("φ", overflow="fold")
-    for name in ("collision\nrate", "deformation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
+    for name in ("collision\nrate", "deviation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
         table.add_column(name, justify="right")
-    _, of_deformation = _source(result, RANKING_OBJECTIVES)
-    rows = zip(result["per_safe_trajectory"], of_deformation["per_safe_trajectory"], strict=True)
-    for row, deformations in rows:
+    _, of_deviation = _source(result, RANKING_OBJECTIVES)
+    rows = zip(result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], strict=True)
+    for row, deviations in rows:
         rate = _percent(row["collision_rate"])
         table.add_row(
             escape(row["name"]),
             rate if row["safe"] else f"[red]{rate}, not safe[/]",
-            _number(row["deformation"]),
-            f"{deformations['failed']} of {deformations['attempts'] - deformations['aborted']}",
+            _number(row["deviation"]),
+            f"{deviations['failed']} of {deviations['attempts'] - deviations['aborted']}",
             _number(row["skd"]),
             _number(row["skd_prefix"]),
         )

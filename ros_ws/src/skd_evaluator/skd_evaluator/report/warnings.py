@@ -31,7 +31,7 @@ def margin_warnings(result: Mapping[str, Any], touched: int, hit: int) -> list[s
     close = result["closeness"]
     if close is not None and close > CLOSENESS_WARNING and result["margin_attempts"] >= _FEWEST:
         found.append(
-            f"planned kamikazes needed {close:.2f} times the margin: the planned deformation and SKD say as much about "
+            f"planned kamikazes needed {close:.2f} times the margin: the planned deviation and SKD say as much about "
             "what they knew as about the car; judge it by the margin"
         )
     impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)

@@ -150,7 +150,7 @@ def with_risks(
         graph: runs episodes of a car that is a node of its own; None: such a car has no risk.
     """
     begin = time.perf_counter()
-    plan = rating.for_deformation.plan
+    plan = rating.for_deviation.plan
     why = why_no_risk(plan, asked.behaviour)
     external = plan.car.is_external
     if not why and external and graph is None:

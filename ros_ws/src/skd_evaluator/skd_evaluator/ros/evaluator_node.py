@@ -140,7 +140,7 @@ class EvaluatorProcess(Evaluator):
         result = rating.as_dict()
         figures = [
             f"{name} {result[key]:.3f} m, 95 % by φ [{low:.3f}, {high:.3f}]"
-            for name, key in (("deformation", "deformation"), ("SKD", "skd"))
+            for name, key in (("deviation", "deviation"), ("SKD", "skd"))
             for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
         ]
         rate = "unknown" if rating.collision_rate is None else f"{100 * rating.collision_rate:.1f} %"

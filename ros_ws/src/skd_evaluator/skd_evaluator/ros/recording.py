@@ -20,7 +20,7 @@ from skd_sim.ros.support import (
     ADVERSARY_ODOMETRY,
     CLEARANCE,
     CLOCK,
-    DEFORMATION,
+    DEVIATION,
     EGO_ODOMETRY,
     EPISODE,
     EPISODE_RESULT,
@@ -205,7 +205,7 @@ class BagRecorder:
         name = bag_name(log.episode)
         self._written.add(name)
         start = self._key.start
-        figures = {topic: self._node.resolve_topic_name(topic) for topic in (CLEARANCE, DEFORMATION)}
+        figures = {topic: self._node.resolve_topic_name(topic) for topic in (CLEARANCE, DEVIATION)}
         latched = [self._own(EPISODE, specification, start, latched=True)]
         if self._fixed:
             fixed = TFMessage(transforms=list(self._fixed.values()))

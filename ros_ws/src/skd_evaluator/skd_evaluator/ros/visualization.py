@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from skd_sim.options.frames import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
-from skd_sim.ros.support import CLEARANCE, DEFORMATION, STREAM
+from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.scenario.kinds import height_of
 from skd_sim.scenario.road import Road, road_pose, road_position
@@ -175,7 +175,7 @@ class LiveFigures:
     def __init__(self, node: Node) -> None:
         """Make the topics; `node` publishes on them."""
         self._clearance = node.create_publisher(Float64, CLEARANCE, STREAM)
-        self._deformation = node.create_publisher(Float64, DEFORMATION, STREAM)
+        self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
         self._onlooker: Onlooker | None = None
 
     def begin(self, episode: Episode, start: int) -> None:
@@ -185,7 +185,7 @@ class LiveFigures:
             episode: what is run.
             start: stamp of its tick 0, ns.
         """
-        listeners = self._clearance.get_subscription_count() + self._deformation.get_subscription_count()
+        listeners = self._clearance.get_subscription_count() + self._deviation.get_subscription_count()
         self._onlooker = Onlooker(episode) if listeners else None
         self._scenario, self._start = episode.scenario, start
         self._cars: dict[int, CarState] = {}
@@ -211,7 +211,7 @@ class LiveFigures:
         seen = self._onlooker.see(*place, self._cars.pop(stamp), self._adversaries.pop(stamp), math.nan, math.nan)
         self._clearance.publish(Float64(data=seen.clearance))
         if not math.isnan(seen.strayed):
-            self._deformation.publish(Float64(data=seen.strayed))
+            self._deviation.publish(Float64(data=seen.strayed))
 
 
 def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> list[RecordedMessage]:
@@ -225,6 +225,6 @@ def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> l
     step = log.episode.scenario.time_step
     return [
         RecordedMessage(names[topic], Float64, tick_stamp(start, tick, step), serialize_message(Float64(data=value)))
-        for topic, values in zip((CLEARANCE, DEFORMATION), figures_of(log), strict=True)
+        for topic, values in zip((CLEARANCE, DEVIATION), figures_of(log), strict=True)
         for tick, value in enumerate(values)
     ]

@@ -16,7 +16,7 @@ class Objective(StrEnum):
     """What a kamikaze's plan is rewarded for: a member is one of SKD's own; others are registered, by their name."""
 
     PAPER = "paper"  # to collide as fast as possible, less each step's distance to φ
-    DEFORMATION = "deformation"  # to collide, less the greatest distance from where φ is at the same time
+    DEVIATION = "deviation"  # to collide, less the greatest distance from where φ is at the same time
     FRECHET = "frechet"  # to collide, less the discrete Fréchet distance of the whole of ψ to φ
 
     def __reduce_ex__(self, protocol: object) -> tuple[type[Objective], tuple[str]]:
@@ -42,11 +42,11 @@ OBJECTIVES: Final = Registry(
 """Where the model of each is made: above this package, which knows of it by name only."""
 
 
-DEFAULT_OBJECTIVES: Final = (Objective.DEFORMATION, Objective.PAPER)
+DEFAULT_OBJECTIVES: Final = (Objective.DEVIATION, Objective.PAPER)
 """Of an assessment, in this order: the one that ranks cars, and the paper's own."""
-RANKING_OBJECTIVES: Final = (Objective.DEFORMATION, Objective.FRECHET, Objective.PAPER)
-SKD_OBJECTIVES: Final = (Objective.PAPER, Objective.FRECHET, Objective.DEFORMATION)
-"""Whose kamikazes the deformation and the SKD that are reported first are of: the first of these that ran."""
+RANKING_OBJECTIVES: Final = (Objective.DEVIATION, Objective.FRECHET, Objective.PAPER)
+SKD_OBJECTIVES: Final = (Objective.PAPER, Objective.FRECHET, Objective.DEVIATION)
+"""Whose kamikazes the deviation and the SKD that are reported first are of: the first of these that ran."""
 BOTH: Final = "both"
 """What the default objectives are called where one is chosen by name."""
 

@@ -230,9 +230,9 @@ class EpisodeOptions:
     )
     objective: Objective = option(
         Objective.PAPER,
-        "what kamikazes are rewarded for: deformation (bending the safe trajectory φ as little as possible: this one "
+        "what kamikazes are rewarded for: deviation (bending the safe trajectory φ as little as possible: this one "
         "ranks cars), paper (colliding as soon as possible), frechet (a small Fréchet distance to φ), or both "
-        "(deformation and then paper; where only a single episode is run, paper)",
+        "(deviation and then paper; where only a single episode is run, paper)",
         choices=Names((BOTH,), OBJECTIVES),
         asked=BOTH,
     )

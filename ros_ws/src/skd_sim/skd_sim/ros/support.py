@@ -42,7 +42,7 @@ EPISODE_RESULT = "skd/episode_result"
 ASSESSMENT = "skd/assessment"
 MARKERS = "skd/markers"
 CLEARANCE = "skd/clearance"
-DEFORMATION = "skd/deformation"
+DEVIATION = "skd/deviation"
 BELIEVED_CAR = "skd/believed_car"
 
 STREAM = QoSProfile(depth=4000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)

@@ -50,7 +50,7 @@ class Episode(EpisodeOptions):
             None: the same.
 
     Its options are those of `EpisodeOptions`, each of which is described there. A car model is the JSON text of
-    `skd_adversary.car_models.car_model_file`; `frechet` and `deformation` plan for the maximum distance.
+    `skd_adversary.car_models.car_model_file`; `frechet` and `deviation` plan for the maximum distance.
     """
 
     scenario: Scenario

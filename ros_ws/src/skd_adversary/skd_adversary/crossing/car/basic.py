@@ -92,7 +92,7 @@ def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
 KERNELS = CarKernels("basic", 0, start_car, advance_car, foreseen_acceleration, resume_car, redraw_policy, last_changes)
 
 WAITING_REWARD: Final = -0.08
-"""m of deformation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
+"""m of deviation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
 come any more, though to look at it once more always seems to pay a little."""
 
 

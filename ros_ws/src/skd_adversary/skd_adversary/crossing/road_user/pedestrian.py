@@ -20,7 +20,7 @@ NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
 ACTION_COUNT = 6
 LATE, EARLY = (STAY, SOUTH, SOUTH_EAST), (EAST, NORTH_EAST, NORTH)
 AS_PHI = ACTION_COUNT
-"""As φ (objective `deformation` only): the displacement that φ makes in the present tick, none after its end."""
+"""As φ (objective `deviation` only): the displacement that φ makes in the present tick, none after its end."""
 _DIAGONAL = math.sqrt(0.5)
 DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
 DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)

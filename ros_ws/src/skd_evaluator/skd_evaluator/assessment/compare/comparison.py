@@ -4,7 +4,7 @@ Margin and risk decide, for they depend on the car alone: a car is safer if the 
 so or tie, and one of them says so; and if the estimate of neither the margin nor R(2), the risk that ranks, points the
 other way: what is no longer a tie need not be told apart to raise a doubt. Figures of planned kamikazes depend on car
 and adversary: they are compared only if the kamikazes had the same knowledge and the same objective. Then they may
-object: if planned deformations surely say the opposite of the margins, the cars are not told apart.
+object: if planned deviations surely say the opposite of the margins, the cars are not told apart.
 
 A margin whose search has not converged is an upper bound: a car of which no more is known is never the safer one. What
 a search may have missed is part of the interval of the difference.
@@ -36,10 +36,10 @@ from skd_evaluator.metrics.statistics.difference import Difference, difference
 from skd_evaluator.metrics.statistics.statistics import mean
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
-MARGIN, DEFORMATION = "margin", "deformation"
+MARGIN, DEVIATION = "margin", "deviation"
 RANKING_RISK = f"risk_{RANKS:g}"
 RISKS = tuple(one.key for one in AT_THE_TOP.values() if one.of is Of.RISK and one.difference)
-_SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEFORMATION, *RISKS)}
+_SIGNS = {name: 1 if AT_THE_TOP[name].better is Better.MORE else -1 for name in (MARGIN, DEVIATION, *RISKS)}
 _VERDICTS = {1: SAFER, 0: NOT_TOLD_APART, -1: LESS_SAFE}
 
 
@@ -67,16 +67,16 @@ class Comparison:
 
     @property
     def judged_by(self) -> str | None:
-        """Figure by which the verdict is made: the margin, else the planned deformation; None without a verdict."""
-        for name in (MARGIN, DEFORMATION):
+        """Figure by which the verdict is made: the margin, else the planned deviation; None without a verdict."""
+        for name in (MARGIN, DEVIATION):
             if name in self.differences:
                 return name if self.differences[name].interval is not None else None
         return None
 
     @property
     def disagree(self) -> bool:
-        """Whether margins and planned deformations say the opposite of each other, both for sure."""
-        both = [self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences]
+        """Whether margins and planned deviations say the opposite of each other, both for sure."""
+        both = [self.differences[name] for name in (MARGIN, DEVIATION) if name in self.differences]
         return len(both) == 2 and both[0].direction * both[1].direction < 0
 
     @property
@@ -147,7 +147,7 @@ class Comparison:
     @property
     def design(self) -> str:
         """How the cars were compared, in a few words."""
-        judge = next((self.differences[name] for name in (MARGIN, DEFORMATION) if name in self.differences), None)
+        judge = next((self.differences[name] for name in (MARGIN, DEVIATION) if name in self.differences), None)
         if judge is None:
             return NOT_COMPARED
         if not judge.paired:
@@ -300,15 +300,15 @@ def _of_the_judge(held: Comparison) -> list[str]:
             )
         if held.disagree:
             found.append(
-                f"{held.first.folder} and {held.second.folder} are not told apart: margins and planned deformations "
+                f"{held.first.folder} and {held.second.folder} are not told apart: margins and planned deviations "
                 "say the opposite of each other"
             )
         return found
     unknown = [(one.folder, one.figures["margin_note"]) for one in both if MARGIN not in one.groups]
     without = [f"{folder} ({note})" if note else str(folder) for folder, note in unknown]
     judged = (
-        "judged by planned deformations, which are of car and adversary, with like knowledge"
-        if held.differences.get(DEFORMATION) is not None
+        "judged by planned deviations, which are of car and adversary, with like knowledge"
+        if held.differences.get(DEVIATION) is not None
         else "not judged"
     )
     return [f"no margin of {' and of '.join(without)}: {judged}"]
@@ -319,18 +319,18 @@ def _of(result: StoredResult, name: str, rows: Sequence[int]) -> list[FloatArray
 
 
 def ranking_figure(results: Sequence[StoredResult]) -> str | None:
-    """Return the figure by which results can be ranked: the margin, else the planned deformation; None: neither.
+    """Return the figure by which results can be ranked: the margin, else the planned deviation; None: neither.
 
     Neither, if one of them cannot be compared with the first. The margin, if each result has one; the planned
-    deformation, if not all have a margin and all planned figures can be compared.
+    deviation, if not all have a margin and all planned figures can be compared.
     """
     if any(refusals(results[0], other) for other in results[1:]):
         return None
     if all(MARGIN in one.groups for one in results):
         return MARGIN
     figures = [one.figures for one in results]
-    unknown = any(one["deformation"] is None for one in figures)
-    return None if unknown or unlike_plans(figures) else DEFORMATION
+    unknown = any(one["deviation"] is None for one in figures)
+    return None if unknown or unlike_plans(figures) else DEVIATION
 
 
 def planned_refusal(results: Sequence[StoredResult]) -> str:

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.plan.plan import (
     split_episode_id,
 )
 from skd_evaluator.metrics.distances.measures import (
-    DEFORMATION,
+    DEVIATION,
     FRECHET,
     PREFIX,
     Measured,
@@ -32,7 +32,7 @@ from skd_evaluator.metrics.distances.measures import (
     measure_pairs,
     pair_of,
 )
-from skd_evaluator.metrics.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.metrics.mean_deviation import Attempts, MeanDeviation, mean_deviation
 from skd_evaluator.metrics.skd import SkdResult, compute_skd
 from skd_evaluator.metrics.statistics.clustered import Clustered
 from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
@@ -65,9 +65,9 @@ class Assessment:
         kamikaze: Ψ(φ) per φ.
         replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
-        deformation: deformations of all attempts.
+        deviation: deviations of all attempts.
         seconds: wall-clock time it took.
-        attempt_deformations: for each φ, what each attempt counts as in the mean deformation, in the order of the
+        attempt_deviations: for each φ, what each attempt counts as in the mean deviation, in the order of the
             attempts, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
         confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
@@ -78,9 +78,9 @@ class Assessment:
     kamikaze: tuple[KamikazeSet, ...]
     replays: tuple[EpisodeLog, ...]
     skd: SkdResult
-    deformation: MeanDeformation
+    deviation: MeanDeviation
     seconds: float
-    attempt_deformations: tuple[FloatArray, ...] = ()
+    attempt_deviations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
 
@@ -129,7 +129,7 @@ class Assessment:
     def clustering(self) -> dict[str, Any]:
         """Return what is known of the error over φ of each figure, by its name."""
         found = {
-            "deformation": self.deformation.clustered,
+            "deviation": self.deviation.clustered,
             "skd": self.skd.clustered,
             "skd_prefix": self.skd.prefix_clustered,
             "success_rate": self.clustered_success_rate,
@@ -138,16 +138,16 @@ class Assessment:
 
     def figures(self) -> dict[str, Any]:
         """Return everything that is reported of these kamikazes: an entry under `objectives` of assessment.json."""
-        skd, deformation = self.skd, self.deformation
+        skd, deviation = self.skd, self.deviation
         success = self.clustered_success_rate
         speeds = [log.impact_speed for kamikaze in self.kamikaze for log in kamikaze.logs]
         closing = [closing_speed(log) for kamikaze in self.kamikaze for log in kamikaze.logs]
         return {
-            "deformation": deformation.mean,
-            "deformation_ci95_attempts": deformation.ci95,
-            "deformation_ci95": deformation.ci95_clustered,
-            "deformation_of_successes": deformation.of_successes,
-            "deformation_of_successes_ci95": deformation.of_successes_ci95,
+            "deviation": deviation.mean,
+            "deviation_ci95_attempts": deviation.ci95,
+            "deviation_ci95": deviation.ci95_clustered,
+            "deviation_of_successes": deviation.of_successes,
+            "deviation_of_successes_ci95": deviation.of_successes_ci95,
             "skd": skd.skd,
             "skd_ci95_pairs": skd.skd_ci95_pairs,
             "skd_ci95": skd.skd_ci95,
@@ -155,7 +155,7 @@ class Assessment:
             "skd_prefix_ci95_pairs": skd.skd_prefix_ci95_pairs,
             "skd_prefix_ci95": skd.prefix_clustered and skd.prefix_clustered.interval,
             "variance": skd.variance,
-            "plans_deformation": self.plan.limits_deformation,
+            "plans_deviation": self.plan.limits_deviation,
             "pairs": skd.pairs,
             "discarded_by_distance": skd.discarded_by_distance,
             "probability_bound": self.bounds(),
@@ -183,14 +183,14 @@ class Assessment:
             self.kamikaze,
             self.successes_by_phi,
             self.skd.per_safe_trajectory,
-            self.deformation.per_safe_trajectory,
+            self.deviation.per_safe_trajectory,
             strict=True,
         )
         return [
             {
                 "name": distances.name,
-                "deformation": deformations.mean,
-                "deformation_of_successes": deformations.mean_of_successes,
+                "deviation": deviations.mean,
+                "deviation_of_successes": deviations.mean_of_successes,
                 "skd": distances.mean_distance,
                 "skd_prefix": distances.mean_prefix_distance,
                 "pairs": distances.pairs,
@@ -198,7 +198,7 @@ class Assessment:
                 "failed": kamikaze.attempts - kamikaze.aborted - successes,
                 "aborted": kamikaze.aborted,
             }
-            for kamikaze, successes, distances, deformations in rows
+            for kamikaze, successes, distances, deviations in rows
         ]
 
 
@@ -212,24 +212,24 @@ def judge(
 ) -> Assessment:
     """Compute the assessment from episodes that have been run, now or long ago.
 
-    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deformation` are
-    discarded by their deformation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
-    deformation is over all attempts, each with the deformation that it needed. SKD counts all collisions, the
-    deformation only hits by the moving car.
+    A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
+    discarded by their deviation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
+    deviation is over all attempts, each with the deviation that it needed. SKD counts all collisions, the
+    deviation only hits by the moving car.
     """
     _check_numbers(kamikaze)
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
     attempts = [
         _attempts_of(group, phi, mine, distances)
-        for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEFORMATION].values, strict=True)
+        for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEVIATION].values, strict=True)
     ]
-    deformation = mean_deformation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
+    deviation = mean_deviation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
     result = compute_skd(
         [(phi, [one.psi for one in mine]) for phi, mine in pairs],
         confidence=confidence,
         maximum_distance=plan.maximum_distance,
-        limited=measured[DEFORMATION].values if plan.limits_deformation else None,
+        limited=measured[DEVIATION].values if plan.limits_deviation else None,
         measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
     )
     others = {name: one for name, one in measured.items() if not one.measure.headline}
@@ -239,13 +239,13 @@ def judge(
         tuple(kamikaze),
         tuple(replays),
         result,
-        deformation,
+        deviation,
         seconds,
         measured=others,
         confidence=confidence,
-        attempt_deformations=tuple(
+        attempt_deviations=tuple(
             _by_attempt(group, distances, plan.scenario.eta_max)
-            for group, distances in zip(kamikaze, measured[DEFORMATION].values, strict=True)
+            for group, distances in zip(kamikaze, measured[DEVIATION].values, strict=True)
         ),
     )
 
@@ -274,7 +274,7 @@ def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
 
 
 def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
-    """Return the deformation that each attempt on a φ counts as, by its number, m; nan: it was aborted, or not run."""
+    """Return the deviation that each attempt on a φ counts as, by its number, m; nan: it was aborted, or not run."""
     numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
     found = np.full(max(numbers, default=-1) + 1, np.nan)
     for log in group.misses:

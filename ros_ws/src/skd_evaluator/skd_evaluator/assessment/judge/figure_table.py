@@ -19,7 +19,7 @@ class Of(Enum):
     """Whose a figure is, which says where it stands and what computes it.
 
     At the top stand those of the margin (`Margins.figures`), of the risk (`Risks.figures`), of the car
-    (`Rating.as_dict`) and settings, which no gate may ask for. Those of the deformation, by which planned kamikazes
+    (`Rating.as_dict`) and settings, which no gate may ask for. Those of the deviation, by which planned kamikazes
     rank cars, and of SKD stand under each objective (`Assessment.figures`), and at the top those of the kamikazes that
     rank the car, or that SKD is of; those of an objective stand there alone. In the rows of each φ stand those of φ; of
     PHI_TOP at the top alone.
@@ -192,12 +192,12 @@ class Figure:
 _OF_INDEPENDENT = "95 % interval of it, attempts or pairs taken as independent"
 _OF_THESE_PHI = "95 % interval of the estimate, for these φ"
 _WILSON = "Wilson's 95 % interval, episodes taken as independent"
-_MARGIN, _DEFORMATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
+_MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
 _RISK = Of.RISK
 _MORE, _LESS = Better.MORE, Better.LESS
 
 FIGURES = (
-    Figure("margin", LENGTH, "mean over all attempts of the least deformation with which anybody could have been hit "
+    Figure("margin", LENGTH, "mean over all attempts of the least deviation with which anybody could have been hit "
            "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
            summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
     Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
@@ -228,17 +228,17 @@ FIGURES = (
     Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK),
     Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, campaign=29),
     Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
-    Figure("closeness", RATIO, "planned deformation over margin, in the same attempts",
+    Figure("closeness", RATIO, "planned deviation over margin, in the same attempts",
            label="closeness, planned / margin", better=Better.NEAR_1, by_phi=True,
            summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
-    Figure("deformation", LENGTH, "restricted mean deformation of planned kamikazes over all attempts; one that the "
-           "moving car does not hit counts as eta_max, m", _DEFORMATION, "planned deformation", _MORE, by_phi=True,
+    Figure("deviation", LENGTH, "restricted mean deviation of planned kamikazes over all attempts; one that the "
+           "moving car does not hit counts as eta_max, m", _DEVIATION, "planned deviation", _MORE, by_phi=True,
            independent="ci95_attempts", per_phi=True, clustered=True, planned=True,
            summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
-    Figure("deformation_of_successes", LENGTH, "mean deformation of the attempts that the moving car hit, m",
-           _DEFORMATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
-    Figure("deformation_success_rate", SHARE, "success rate of the kamikazes whose deformation is reported",
-           _DEFORMATION, better=_LESS, by_phi=True, independent="ci95_attempts", bare=True, source="success_rate",
+    Figure("deviation_of_successes", LENGTH, "mean deviation of the attempts that the moving car hit, m",
+           _DEVIATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
+    Figure("deviation_success_rate", SHARE, "success rate of the kamikazes whose deviation is reported",
+           _DEVIATION, better=_LESS, by_phi=True, independent="ci95_attempts", bare=True, source="success_rate",
            clustered=True, campaign=11, sweep=4, compare=16),
     Figure("equivalent_multiplier", NUMBER, "C of the basic car with the same margin on the same φ; null beyond those "
            "compared, or where it is not known", label="equivalent multiplier C", better=_MORE, spoken=True,
@@ -249,7 +249,7 @@ FIGURES = (
     Figure("equivalent_multiplier_ci95_these_phi", OPEN_INTERVAL, "95 % interval of it on these φ",
            told=Told.BASIC_CARS, campaign=13),
     Figure("equivalent_multiplier_ci95_these_phi_text", TEXT_OR_NULL, told=Told.BASIC_CARS),
-    Figure("measures", _each(ref("measure")), "further measures of the pairs, by name", _DEFORMATION),
+    Figure("measures", _each(ref("measure")), "further measures of the pairs, by name", _DEVIATION),
     Figure("equivalent_multiplier_note", TEXT, told=Told.BASIC_CARS),
     Figure("eta_max", Kind({"type": "number", "exclusiveMinimum": 0}, "m"), "η_max, m", _SETTING,
            campaign=23, compare=21),
@@ -261,7 +261,7 @@ FIGURES = (
            summary=10, difference=4, campaign=16, sweep=7),
     Figure("variance", Kind(ref("number_or_null"), "m²"), "sample variance of the Fréchet distance, m²", _SKD,
            campaign=17, sweep=8),
-    Figure("plans_deformation", FLAG, "whether these kamikazes plan for the deformation; else for the Fréchet distance",
+    Figure("plans_deviation", FLAG, "whether these kamikazes plan for the deviation; else for the Fréchet distance",
            _OBJECTIVE),
     Figure("pairs", COUNT, of=_SKD, per_phi=True, campaign=18, sweep=9),
     Figure("discarded_by_distance", COUNT, of=_SKD),

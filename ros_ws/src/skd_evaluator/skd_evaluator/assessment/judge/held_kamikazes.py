@@ -1,4 +1,4 @@
-"""Points of the vulnerability curve: kamikazes that may not stray further than a given deformation, their budget."""
+"""Points of the vulnerability curve: kamikazes that may not stray further than a given deviation, their budget."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_evaluator.assessment.judge.assessment import Assessment
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 
 BUDGETS = (0.25, 0.5, 1.0, 2.0)
@@ -25,7 +25,7 @@ def held_attempts(plan: Plan) -> int:
 
 
 def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> BudgetPoint:
-    """Run kamikazes that plan for a deformation of at most η; return how many were hit within it, and of how many.
+    """Run kamikazes that plan for a deviation of at most η; return how many were hit within it, and of how many.
 
     Their number is fixed beforehand: to go on until enough have collided would make the share too high.
     """
@@ -43,18 +43,18 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> Budget
             phi = log.episode.safe_trajectory
             assert phi is not None
             ticks = log.impact_time / plan.scenario.time_step
-            successes += deformation(phi.positions, log.trajectory.positions, ticks) <= eta
+            successes += deviation(phi.positions, log.trajectory.positions, ticks) <= eta
     return BudgetPoint(eta, successes, len(episodes) - aborted, aborted)
 
 
 def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
     """Run kamikazes that are held to a budget, for several budgets, and return the rating with these points.
 
-    Only kamikazes of objective `deformation` can be held to one.
+    Only kamikazes of objective `deviation` can be held to one.
     """
     begin = time.perf_counter()
-    assessment = rating.for_deformation
-    if not assessment.plan.limits_deformation or not assessment.attempts:
+    assessment = rating.for_deviation
+    if not assessment.plan.limits_deviation or not assessment.attempts:
         return rating
     points: list[BudgetPoint] = []
     for number, eta in enumerate(BUDGETS, start=1):

@@ -61,7 +61,7 @@ class Rating:
         risk_note: why the risk is not known; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: how it was found, or why there is none.
-        budgets: how often kamikazes were hit that were held to a largest deformation, if that was asked for.
+        budgets: how often kamikazes were hit that were held to a largest deviation, if that was asked for.
         left_out: what recordings held besides, and why it does not count, a line each.
         warnings: what a reader should know of the episodes that count, a line each.
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
@@ -107,8 +107,8 @@ class Rating:
         return self._first_of(SKD_OBJECTIVES)
 
     @property
-    def for_deformation(self) -> Assessment:
-        """The assessment whose deformation is reported first: by objective `deformation`, where that ran."""
+    def for_deviation(self) -> Assessment:
+        """The assessment whose deviation is reported first: by objective `deviation`, where that ran."""
         return self._first_of(RANKING_OBJECTIVES)
 
     def _first_of(self, preferred: Sequence[Objective]) -> Assessment:
@@ -187,9 +187,9 @@ class Rating:
         """Return how many times the margin the kamikazes that rank the car needed, in the same attempts."""
         if self.margins is None:
             return None, None
-        assessment = self.for_deformation
+        assessment = self.for_deviation
         planned = []
-        for mine, least in zip(assessment.attempt_deformations, self.margins.per_phi, strict=True):
+        for mine, least in zip(assessment.attempt_deviations, self.margins.per_phi, strict=True):
             same = np.full(least.size, np.nan)
             count = min(mine.size, least.size)
             same[:count] = mine[:count]
@@ -210,8 +210,8 @@ class Rating:
     @property
     def vulnerability(self) -> Vulnerability | None:
         """The vulnerability curves, of margins and of planned kamikazes; None without an attempt."""
-        deformation = self.for_deformation.deformation
-        planned = vulnerability_curve([row.restricted for row in deformation.per_safe_trajectory], deformation.eta_max)
+        deviation = self.for_deviation.deviation
+        planned = vulnerability_curve([row.restricted for row in deviation.per_safe_trajectory], deviation.eta_max)
         if planned is None:
             return None
         return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)
@@ -247,18 +247,18 @@ class Rating:
     def as_dict(self) -> dict[str, Any]:
         """Return the content of assessment.json.
 
-        At the top `skd` and what belongs to it are those of the paper's objective and `deformation` that of objective
-        `deformation`, or both of the only objective that ran; under `objectives` are all figures of each.
+        At the top `skd` and what belongs to it are those of the paper's objective and `deviation` that of objective
+        `deviation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
-        of_skd, of_deformation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deformation))
+        of_skd, of_deviation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deviation))
         close, close_interval = self.closeness()
         hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
         rate = self.collision_rate
         clustered = self.clustered_collision_rate
         clusterings: dict[Of, Mapping[str, Any]] = {
-            Of.RANKING: of_deformation["clustering"],
+            Of.RANKING: of_deviation["clustering"],
             Of.SKD: of_skd["clustering"],
             Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
         }
@@ -266,7 +266,7 @@ class Rating:
             **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
             **(dict.fromkeys(keys_of(Of.RISK)) if self.risks is None else self.risks.figures()),
             "risk_note": self.risk_note,
-            **taken(Of.RANKING, of_deformation),
+            **taken(Of.RANKING, of_deviation),
             **taken(Of.SKD, of_skd),
             "margin_note": self.margin_note,
             "closeness": close,
@@ -297,7 +297,7 @@ class Rating:
             "warnings": list(self.warnings),
             **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
             "distinct_safe_trajectories": len({one.positions.tobytes() for one in self.safe}),
-            "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deformation),
+            "per_safe_trajectory": self._per_safe_trajectory(of_skd, of_deviation),
             "objectives": objectives,
             "surrogate_measures": self.surrogates.as_dict(),
             "vulnerability_curve": self.vulnerability and self.vulnerability.as_dict(),
@@ -317,17 +317,17 @@ class Rating:
         }
         return ordered(found)
 
-    def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deformation: dict[str, Any]) -> list[dict[str, Any]]:
-        rows = zip(of_skd["per_safe_trajectory"], of_deformation["per_safe_trajectory"], self.hits(), strict=True)
+    def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deviation: dict[str, Any]) -> list[dict[str, Any]]:
+        rows = zip(of_skd["per_safe_trajectory"], of_deviation["per_safe_trajectory"], self.hits(), strict=True)
         return [
             {
                 **skd,
-                **{name: deformation[name] for name in ("deformation", "deformation_of_successes")},
+                **{name: deviation[name] for name in ("deviation", "deviation_of_successes")},
                 "collision_rate": hits / runs if runs else None,
                 "collision_runs": runs,
                 "safe": not hit_too_often(hits, runs),
             }
-            for skd, deformation, (hits, runs) in rows
+            for skd, deviation, (hits, runs) in rows
         ]
 
 
@@ -337,7 +337,7 @@ def hit_too_often(hits: float, runs: int) -> bool:
 
 
 def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
-    """Return objectives in the order in which they run and are reported: `deformation` first."""
+    """Return objectives in the order in which they run and are reported: `deviation` first."""
     order = [*DEFAULT_OBJECTIVES, *Objective, *sorted(objectives)]
     return tuple(sorted(set(objectives), key=order.index))
 

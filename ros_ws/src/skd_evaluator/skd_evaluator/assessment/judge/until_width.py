@@ -45,7 +45,7 @@ def rate_until_width(
     runner: EpisodeRunner,
     progress: Progress,
 ) -> Rating:
-    """Run batches of φ until the interval of the mean deformation is narrow enough, or there are no more looks.
+    """Run batches of φ until the interval of the mean deviation is narrow enough, or there are no more looks.
 
     Args:
         plan: the campaign; its number of φ, and of runs along them, is that of one batch.
@@ -82,7 +82,7 @@ def rate_until_width(
         replays = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
         seconds = time.perf_counter() - begin
         rating = judge_all(asked, safe, sets, replays, seconds, confidence)
-        found = rating.for_deformation.deformation.clustered
+        found = rating.for_deviation.deviation.clustered
         seen.append((count, found))
         if len(seen) == looks or narrow_enough(found, wanted):
             return replace(rating, until_width=UntilWidth(wanted, looks, confidence, tuple(seen)))

@@ -20,11 +20,11 @@ from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.assessment.learning.attempts import finished, own_attempts
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.measures import pair_of
 
 CHOICES: Final = (forest.WAITING_REWARD, basic.WAITING_REWARD, -0.4)
-"""m of deformation for each step after φ's end."""
+"""m of deviation for each step after φ's end."""
 TRIALS: Final = 60
 """Attempts with each choice, which have their draws in common."""
 _FIRST: Final = 100  # number of each φ's first attempt, beyond those that the car is learned from
@@ -56,9 +56,7 @@ def with_waiting_reward(
     best, least = usual, np.inf
     for choice in (usual, *(one for one in CHOICES if one != usual)):
         model = car_model_text(replace(car, waiting_reward=choice))
-        attempts = own_attempts(
-            plan, model, safe, TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEFORMATION,)
-        )
+        attempts = own_attempts(plan, model, safe, TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,))
         logs = finished(runner, attempts, f"attempts that wait at {-choice:g} m a step", progress)
         mean = float(np.mean([_strayed(log) for log in logs]))
         if mean < least:
@@ -69,11 +67,11 @@ def with_waiting_reward(
 
 
 def _strayed(log: EpisodeLog) -> float:
-    """Return the deformation of an attempt, m; η_max where it did not hit."""
+    """Return the deviation of an attempt, m; η_max where it did not hit."""
     episode = log.episode
     assert episode.safe_trajectory is not None
     if not log.hit:
         return episode.scenario.eta_max
     pair = pair_of(log)
-    found = deformation(episode.safe_trajectory.positions, pair.psi.positions, pair.duration)
+    found = deviation(episode.safe_trajectory.positions, pair.psi.positions, pair.duration)
     return min(found, episode.scenario.eta_max)

@@ -105,17 +105,17 @@ class Plan(CampaignOptions):
         return not (self.car.is_own and is_own_world(self.simulator))
 
     @property
-    def limits_deformation(self) -> bool:
-        """Whether the maximum distance applies to deformations: it applies to what the objective plans for."""
-        return objective_named(self.objective).plans_deformation
+    def limits_deviation(self) -> bool:
+        """Whether the maximum distance applies to deviations: it applies to what the objective plans for."""
+        return objective_named(self.objective).plans_deviation
 
     def succeeds(self, log: EpisodeLog) -> bool:
         """Tell whether a kamikaze reached what it planned for: a hit by the moving car, or any collision.
 
-        A kamikaze that plans for the deformation has to be hit; for the paper's kamikazes a collision is enough, as
+        A kamikaze that plans for the deviation has to be hit; for the paper's kamikazes a collision is enough, as
         published.
         """
-        return log.hit if self.limits_deformation else log.outcome == Outcome.COLLISION
+        return log.hit if self.limits_deviation else log.outcome == Outcome.COLLISION
 
     def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.

@@ -28,7 +28,7 @@ class Result(StoredResult):
         """Return a pandas.DataFrame with a row for each episode: what it was, how it ended, how far it strayed.
 
         Columns: `episode_id`, `mode`, `objective`, `safe_index`, `outcome`, `hit`, `impact_time` (s), `impact_speed`
-        (m/s), `deformation` (m; nan without a hit).
+        (m/s), `deviation` (m; nan without a hit).
 
         Raises:
             UsageError: pandas is not installed.
@@ -44,7 +44,7 @@ class Result(StoredResult):
                 "hit": episodes.hit,
                 "impact_time": episodes.impact_time,
                 "impact_speed": episodes.impact_speed,
-                "deformation": np.where(episodes.hit, episodes.deformation, np.nan),
+                "deviation": np.where(episodes.hit, episodes.deviation, np.nan),
             }
         )
 

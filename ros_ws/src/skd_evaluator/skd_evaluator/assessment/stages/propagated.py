@@ -92,7 +92,7 @@ def assessed_draws(
             safe_count=len(safe),
             kamikaze_count=ATTEMPTS,
             collision_runs=RUNS,
-            objective=Objective.DEFORMATION,
+            objective=Objective.DEVIATION,
             knowledge=None if car.is_own and car.has_multiplier else Knowledge.NOTHING,
         )
         runner = make_runner(None, workers, isolated=not car.is_own)

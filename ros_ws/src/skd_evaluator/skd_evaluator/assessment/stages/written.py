@@ -46,7 +46,7 @@ def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
 
 def picture_names(rating: Rating) -> dict[str, Assessment]:
     """Return the file of each picture of trajectories: `trajectories.png` shows the kamikazes that rank the car."""
-    first = rating.for_deformation
+    first = rating.for_deviation
     others = [one for one in rating.assessments if one is not first]
     return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
 

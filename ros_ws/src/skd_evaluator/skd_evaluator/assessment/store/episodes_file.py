@@ -45,7 +45,7 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
     different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
-    deformation, which nobody has planned.
+    deviation, which nobody has planned.
     """
     logs: list[EpisodeLog] = []
     rows: list[tuple[int, str]] = []  # number of φ, objective
@@ -150,7 +150,7 @@ def _settings(rating: Rating) -> Columns:
         "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
         "seed": np.array(plan.seed, np.int64),
         "objectives": _texts([str(one.plan.objective) for one in rating.assessments]),
-        "plans_deformation": np.array([one.plan.limits_deformation for one in rating.assessments]),
+        "plans_deviation": np.array([one.plan.limits_deviation for one in rating.assessments]),
     }
 
 

@@ -1,4 +1,4 @@
-"""Figures of assessment.json by name, as `deformation` or `objectives.paper.skd`: which there are, and their values."""
+"""Figures of assessment.json by name, as `deviation` or `objectives.paper.skd`: which there are, and their values."""
 
 from __future__ import annotations
 

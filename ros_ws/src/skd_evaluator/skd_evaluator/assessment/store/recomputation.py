@@ -38,7 +38,7 @@ class _StoredPlan(Plan):
         pass  # its scenario is as it was run, and its car is nobody's
 
     @property
-    def limits_deformation(self) -> bool:
+    def limits_deviation(self) -> bool:
         return self.plans[str(self.objective)]
 
 
@@ -68,7 +68,7 @@ def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
         safe_count=len(stored.safe),
         seed=int(further["seed"]),
         maximum_distance=None if math.isnan(limit) else limit,
-        plans=dict(zip(objectives, further["plans_deformation"].tolist(), strict=True)),
+        plans=dict(zip(objectives, further["plans_deviation"].tolist(), strict=True)),
     )
     safe = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
     logs = [_log(stored, number, scenario, safe) for number in range(len(stored))]

@@ -112,7 +112,7 @@ def _definitions() -> dict[str, Any]:
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": _object(
             wanted=_said(_NUMBER, "m"), reached=_FLAG, text=_TEXT, most_looks=_COUNT, confidence=_NUMBER,
-            looks=_list(_object(safe_count=_COUNT, deformation=_FIGURE, interval=_BETWEEN))),
+            looks=_list(_object(safe_count=_COUNT, deviation=_FIGURE, interval=_BETWEEN))),
         "static_test": _object(
             place=_said(_NUMBER, "% of the car's width"), touched=_FLAG,
             target=_said(_FLAG, "whether the target was touched, and nobody else"),

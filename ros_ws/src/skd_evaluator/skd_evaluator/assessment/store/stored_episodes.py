@@ -19,7 +19,7 @@ from skd_sim.world.episode import Mode, Outcome, until_contact
 from skd_evaluator.arrays import FARTHEST, Column, read_arrays, within_reach
 from skd_evaluator.assessment.plan.plan import Stage
 from skd_evaluator.metrics.contact_place import car_until_contact
-from skd_evaluator.metrics.distances.deformation import deformation_pairs
+from skd_evaluator.metrics.distances.deviation import deviation_pairs
 from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
 
 EPISODES = "episodes.npz"
@@ -42,7 +42,7 @@ _FURTHER = {
     "reason": Column("U", (-1,)),
     "safe_name": Column("U", (-1,)),
     "objectives": Column("U", (-1,)),
-    "plans_deformation": Column(np.bool_, (-1,)),
+    "plans_deviation": Column(np.bool_, (-1,)),
     "eta_max": Column(np.float64, ()),
     "maximum_distance": Column(np.float64, ()),
     "seed": Column(np.int64, ()),
@@ -85,11 +85,11 @@ _ROUNDING = 1e-9  # m
 
 @dataclass(frozen=True, eq=False)
 class StoredWay:
-    """The way of least deformation of an attempt.
+    """The way of least deviation of an attempt.
 
     Attributes:
         attempt: number of the attempt.
-        distance: deformation of the way, m.
+        distance: deviation of the way, m.
         positions: positions at ticks, n × 2, m; the last of them is at the contact.
         duration: time until the contact, in ticks.
         impact_speed: speed of the car at the contact, m/s.
@@ -123,7 +123,7 @@ class StoredEpisodes:
         hit_speed: speed of the car, m/s, from which on a collision is a hit.
         margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
             η_max. None where the file holds none.
-        margin_ways: per φ the ways of least deformation, of those attempts that have one.
+        margin_ways: per φ the ways of least deviation, of those attempts that have one.
         belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
@@ -180,13 +180,13 @@ class StoredEpisodes:
         return car_until_contact(scenario, self.car[number], ticks, impact, adversary)
 
     @cached_property
-    def deformation(self) -> FloatArray:
-        """Deformation of each episode that collided, m; nan for the others."""
+    def deviation(self) -> FloatArray:
+        """Deviation of each episode that collided, m; nan for the others."""
         found = np.full(len(self), np.nan)
         for index, phi in enumerate(self.safe):
             mine = np.flatnonzero(self.collided & (self.safe_index == index))
             psis = [self.until_contact(int(number)) for number in mine]
-            found[mine] = deformation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
+            found[mine] = deviation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
         return found
 
     @cached_property
@@ -204,9 +204,9 @@ class StoredEpisodes:
         tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
         return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
 
-    def deformations_of(self, objective: str) -> list[FloatArray]:
-        """Return per φ the deformation of each attempt of an objective, m; infinite where it failed."""
-        values = np.where(self.hit, self.deformation, np.inf)
+    def deviations_of(self, objective: str) -> list[FloatArray]:
+        """Return per φ the deviation of each attempt of an objective, m; infinite where it failed."""
+        values = np.where(self.hit, self.deviation, np.inf)
         return [values[mine] for mine in self.attempts(objective)]
 
     def worst_first(self) -> IntArray:
@@ -216,11 +216,11 @@ class StoredEpisodes:
     def badness(self, number: int) -> tuple[float, float, int]:
         """Return a key by which episodes stand in order, the worst for the car first.
 
-        Those that collided by their deformation, and of those hit on φ itself the fastest impact; then the others.
+        Those that collided by their deviation, and of those hit on φ itself the fastest impact; then the others.
         """
         hit = bool(self.hit[number])
-        deformation = round(float(self.deformation[number]), 9) if hit else np.inf
-        return deformation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
+        deviation = round(float(self.deviation[number]), 9) if hit else np.inf
+        return deviation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
 
 
 def read_episodes(folder: Path) -> StoredEpisodes:
@@ -265,7 +265,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         further=_further(arrays, rest),
     )
     try:
-        _ = stored.deformation  # a contact outside its last tick is found here
+        _ = stored.deviation  # a contact outside its last tick is found here
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {error}") from error
     return stored
@@ -283,7 +283,7 @@ def _margins(
     """Return per φ the margins, each computed anew from its way; None where there are none.
 
     Raises:
-        UsageError: the arrays do not go together, or a way has another deformation than is said.
+        UsageError: the arrays do not go together, or a way has another deviation than is said.
     """
     if "margin" not in arrays:
         return None
@@ -306,11 +306,11 @@ def _margins(
         known = np.flatnonzero(np.isfinite(said[mine]))
         ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
         try:
-            values[known] = deformation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
+            values[known] = deviation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
         except (ValueError, IndexError) as error:
             raise UsageError(f"{path}: a way of the margins: {error}") from error
         if (np.abs(values[known] - said[mine[known]]) > _ROUNDING).any():
-            raise UsageError(f"{path}: the way of a margin has another deformation than it says")
+            raise UsageError(f"{path}: the way of a margin has another deviation than it says")
         found.append(values)
     if sum(map(len, found)) != count:
         raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")

@@ -41,15 +41,15 @@ class StoredResult:
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
         objective: objective of these kamikazes.
         groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
-            hit, and not there where the margin is not known; `deformation`, what each attempt of the kamikazes counts
+            hit, and not there where the margin is not known; `deviation`, what each attempt of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
             SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
-            that the moving car hit; `deformation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
+            that the moving car hit; `deviation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
             both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
             simulation estimates, not there where the risk is not known.
         remarks: remarks on the assessment, and its own warnings, a line each.
-        worst: those of the groups of risk and deformation that would be others if the car had hit in every episode that
-            was aborted, kamikazes without any deformation.
+        worst: those of the groups of risk and deviation that would be others if the car had hit in every episode that
+            was aborted, kamikazes without any deviation.
     """
 
     folder: Path
@@ -95,7 +95,7 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
     Both are of the same moment: whoever reads them one after the other may have two results, one replaced meanwhile.
 
     Raises:
-        UsageError: it is none, was changed since it was written, or its trajectories give another margin, deformation
+        UsageError: it is none, was changed since it was written, or its trajectories give another margin, deviation
             or number of φ than it says.
     """
     known = check_unchanged(folder, (ASSESSMENT, EPISODES))
@@ -103,12 +103,12 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
     with understood(folder / ASSESSMENT):
         scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
         eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
-        attempts = stored.deformations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
+        attempts = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
         curve, margins = vulnerability_curve(attempts, eta_max), _margins(stored, eta_max)
         found = None if margins is None else mean(np.concatenate(margins))
         _check_same(folder, "margin", found, figures["margin"], eta_max)
         found = None if curve is None else curve.area_above
-        _check_same(folder, "mean deformation", found, figures["deformation"], eta_max)
+        _check_same(folder, "mean deviation", found, figures["deviation"], eta_max)
     if count != len(stored.safe):
         raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
     remark = f"{folder}: has no {MANIFEST}: that a file was changed cannot be told"
@@ -120,7 +120,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
 
     Raises:
         UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
-            or deformation than it says.
+            or deviation than it says.
     """
     path = folder / ASSESSMENT
     figures, stored, remarks = read_checked(folder)
@@ -129,8 +129,8 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
     margins = _margins(stored, eta_max)
-    deformations = stored.deformations_of(objective)
-    curve = vulnerability_curve(deformations, eta_max)
+    deviations = stored.deviations_of(objective)
+    curve = vulnerability_curve(deviations, eta_max)
     if curve is None and margins is None:
         raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
     of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
@@ -141,8 +141,8 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     runs = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED)
     groups = {
         **({} if margins is None else {"margin": margins}),
-        "deformation": tuple(np.minimum(group, eta_max) for group in deformations),
-        "deformation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deformations),
+        "deviation": tuple(np.minimum(group, eta_max) for group in deviations),
+        "deviation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deviations),
         "skd": distances,
         "skd_prefix": prefixes,
         "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
@@ -157,7 +157,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     lost = (stored.outcome == Outcome.ABORTED) & (stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)
     if lost.any():
         more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
-        worst["deformation"] = tuple(np.concatenate(pair) for pair in zip(groups["deformation"], more, strict=True))
+        worst["deviation"] = tuple(np.concatenate(pair) for pair in zip(groups["deviation"], more, strict=True))
     lines = (f"{folder}: {line}" for line in in_one_line(figures.get("warnings") or ()))
     return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *lines), worst), stored
 
@@ -173,7 +173,7 @@ def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
-    """Return per φ what the ways of least deformation give as the margin of each attempt, m; None without any."""
+    """Return per φ what the ways of least deviation give as the margin of each attempt, m; None without any."""
     if stored.margins is None or not sum(map(len, stored.margins)):
         return None
     return tuple(np.minimum(one, eta_max) for one in stored.margins)

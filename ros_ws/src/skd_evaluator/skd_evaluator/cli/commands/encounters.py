@@ -149,7 +149,7 @@ def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
         "defaults:",
         "  safe: regulatory",
         "  kamikaze_count: 20",
-        "  objective: deformation",
+        "  objective: deviation",
         "encounters:",
         *(f"  - scenario: {as_yaml(name)}" for name in names),
         "sweep:",

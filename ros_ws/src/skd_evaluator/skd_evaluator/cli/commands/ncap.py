@@ -112,7 +112,7 @@ def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
     source, matrix, cells = every[0]
     scenario = scenario_of(source, cells[0], matrix)
     unsaid = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
-    values = {**unsaid, **vars(arguments), "objective": "deformation", "safe": REGULATORY, "safe_count": 1}
+    values = {**unsaid, **vars(arguments), "objective": "deviation", "safe": REGULATORY, "safe_count": 1}
     checked = check_car(values, scenario, graph=False)
     period = None if checked.control_period == scenario.control_period else checked.control_period
     plan = Plan(scenario, **values_of(CampaignOptions, values))

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 _STATED = {
     "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
-    "deformation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
+    "deviation": (VarianceComponents(0.069**2, 0.41**2), VarianceComponents(0.022**2, 0.28**2)),
 }
 """By figure, variances (m²) of the basic car at C = 1 on synthetic φ, and of its difference to C = 1.05 on the same φ
 and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
 where no result is given."""
 _FEW = 10
-_SIMULATED = ("margin", "deformation", "skd", "collision_rate")
+_SIMULATED = ("margin", "deviation", "skd", "collision_rate")
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, pro
     regulatory = scenario.protocol is not None
     plan = Plan(
         scenario,
-        objective=Objective.DEFORMATION,
+        objective=Objective.DEVIATION,
         safe=REGULATORY if regulatory else SYNTHETIC,
         safe_count=count_safe_trajectories(REGULATORY, scenario) if regulatory else _SYNTHETIC,
         kamikaze_count=arguments.attempts,

@@ -188,7 +188,7 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
     skd = "" if figures["skd"] is None else f" (SKD {figures['skd']:.2f} m)"
     ended = Outcome(int(episodes.outcome[number])).name.lower()
     if episodes.collided[number]:
-        ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deformation {episodes.deformation[number]:.2f} m"
+        ended = f"hit at {episodes.impact_speed[number]:.1f} m/s, deviation {episodes.deviation[number]:.2f} m"
     ended = f"\n{kept[number].likely}, {ended}" if kept else f" {ended}"
     return f"{subject.label}{skd}\n{name}, {who}:{ended}"
 
@@ -208,7 +208,7 @@ def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]
         "mode": mode.name.lower(),
         "objective": objective,
         "outcome": Outcome(int(episodes.outcome[number])).name.lower(),
-        "deformation": float(episodes.deformation[number]) if hit else None,
+        "deviation": float(episodes.deviation[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
         **({"failure": asdict(kept[number])} if kept else {}),
     }

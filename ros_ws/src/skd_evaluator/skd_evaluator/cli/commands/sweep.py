@@ -38,7 +38,7 @@ from skd_evaluator.risk.assessment_risk import warm_up_risk
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
     "margin": "margin",
-    "deformation": "deformation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
+    "deviation": "deviation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
 }  # fmt: skip
 
 

@@ -37,7 +37,7 @@ class Cell:
         objectives: objectives of its kamikazes.
         graph: how to run the node graph; None: its episodes run in process.
         margin_limit: how many candidates the search for the margin may drive in each trial; 0: there is no margin.
-        curve: whether kamikazes are held to largest deformations.
+        curve: whether kamikazes are held to largest deviations.
         risk: what is asked of the risk.
         answer_limit: how long a call of a user's controller may take, s.
         swept: the values that the campaign sweeps, by key.

@@ -78,7 +78,7 @@ def done_row(
         "state": DONE,
         **{name: figures[name] for name in FIGURES},
         "knowledge": str(figures["knowledge"]),
-        "ranking_objective": str(rating.for_deformation.plan.objective),
+        "ranking_objective": str(rating.for_deviation.plan.objective),
         "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
         "episodes": rating.episodes,
         "problems": why_failed(rating, maximum_aborted, figures),

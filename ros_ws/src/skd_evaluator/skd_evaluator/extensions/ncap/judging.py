@@ -163,7 +163,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
             sets = kamikaze_sets(plan, [phi], runner)
             logs = sets[0].in_order
             seen.kamikazes += logs
-            cell = replace(cell, deformation=judge(plan, [phi], sets, (), 0.0).deformation.mean)
+            cell = replace(cell, deviation=judge(plan, [phi], sets, (), 0.0).deviation.mean)
         if why := why_no_margin(plan, asked.margin_limit):
             return replace(cell, margin_why=why)
         episodes = [plan.episode(Mode.KAMIKAZE, 0, attempt, phi) for attempt in range(plan.kamikaze_count)]

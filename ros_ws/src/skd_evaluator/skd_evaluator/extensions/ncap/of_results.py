@@ -147,7 +147,7 @@ def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
 def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
     """Return a cell with what kamikazes around its φ can do."""
     margins, figures = one.margins[index], one.figures
-    cell = replace(cell, deformation=figures["per_safe_trajectory"][index]["deformation"])
+    cell = replace(cell, deviation=figures["per_safe_trajectory"][index]["deviation"])
     if not margins.size:
         return replace(cell, margin_why=str(figures["margin_note"]) or "no attempt of it has one")
     return replace(
@@ -162,14 +162,14 @@ def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
 def _joined(first: Cell, second: Cell) -> Cell:
     """Return a cell with the attempts of two, which differ in their seed."""
     margins = (*first.margins, *second.margins)
-    planned = [one for one in (first.deformation, second.deformation) if one is not None]
+    planned = [one for one in (first.deviation, second.deviation) if one is not None]
     return replace(
         first,
         margins=margins,
         margin=mean(np.array(margins)) if margins else None,
         beyond=first.beyond + second.beyond,
         converged=first.converged and second.converged,
-        deformation=mean(np.array(planned)) if planned else None,
+        deviation=mean(np.array(planned)) if planned else None,
     )
 
 

@@ -57,8 +57,8 @@ def details(cell: Cell) -> str:
         )
     if not cell.converged:
         said.append("they are upper bounds")
-    if cell.deformation is not None:
-        said.append(f"planned deformation {cell.deformation:.2f} m")
+    if cell.deviation is not None:
+        said.append(f"planned deviation {cell.deviation:.2f} m")
     if cell.equivalent_text:
         said.append(f"equivalent multiplier {bounded({'margin_converged': cell.converged}, cell.equivalent_text)}")
     said += [why for why in dict.fromkeys((cell.why, cell.margin_why)) if why]

@@ -46,14 +46,14 @@ class Cell(Frozen):
         value: of the criterion, km/h.
         colour: of 2026.
         why: why it has no colour.
-        margin: mean over the attempts of the least deformation with which anybody could have been hit, m.
+        margin: mean over the attempts of the least deviation with which anybody could have been hit, m.
         margins: that of each attempt, m; η_max where nobody could have been.
         beyond: attempts in which nobody could have been hit within η_max, as far as was found.
         converged: whether the search for the margin has converged.
         margin_is: `at least` where attempts without a hit count as η_max in the margin, `at most` where the search has
             not converged; empty: neither.
         margin_why: why there is no margin.
-        deformation: mean deformation of planned kamikazes, m; an attempt that failed counts as η_max.
+        deviation: mean deviation of planned kamikazes, m; an attempt that failed counts as η_max.
         equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.
         equivalent_text: the same as people read it, `below 0.5` or `above 1.5` where it is beyond.
     """
@@ -74,7 +74,7 @@ class Cell(Frozen):
     converged: YesNo = True
     margin_is: Annotated[str, OneOf(("", AT_LEAST, AT_MOST))] = ""
     margin_why: str = ""
-    deformation: Metres | None = None
+    deviation: Metres | None = None
     equivalent: Annotated[float, limits(0.0, 100.0, "times the braking distance")] | None = None
     equivalent_text: str = ""
 

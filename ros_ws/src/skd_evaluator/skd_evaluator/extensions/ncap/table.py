@@ -54,7 +54,7 @@ def grid_table(grid: Grid, room: float) -> Table:
 def cell_text(cell: Cell, room: float) -> str:
     """Return a cell in few letters; one that is passed with little room is bold and has an exclamation mark."""
     mark = letter_of(cell)
-    planned = "" if cell.deformation is None else f"/{cell.deformation:.2f}"
+    planned = "" if cell.deviation is None else f"/{cell.deviation:.2f}"
     text = f"{impact_text(cell):>3} {margin_text(cell):>5}{planned}"
     if same := equivalent_text(cell):
         text = f"{text} {same}"

@@ -1,4 +1,4 @@
-"""The exact margin of the basic car: the least deformation with which anybody could have been hit in an attempt.
+"""The exact margin of the basic car: the least deviation with which anybody could have been hit in an attempt.
 
 An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
 known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,
@@ -20,7 +20,7 @@ from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_foretold
 from skd_evaluator.margin.exact.course import make_course
 from skd_evaluator.margin.exact.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
 from skd_evaluator.margin.exact.foresight import make_foresight
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
@@ -30,14 +30,14 @@ TOLERANCE = 1e-9
 
 
 def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> LeastWay | None:
-    """Return the way of least deformation that ends in a hit, under an episode's draws.
+    """Return the way of least deviation that ends in a hit, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
     a way without a hit; one below `collision.minimum_impact_speed` does not end it.
 
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
-        upper_bound: only ways of at most this deformation (m) are looked for; the scenario's `eta_max` by default.
+        upper_bound: only ways of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
         half_speed: whether directions at half speed are among the ways; without, it is no margin, for comparison.
 
     Returns:
@@ -64,7 +64,7 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         return None
     trajectory, duration, contact = _walk(episode, ways[:length])
     assert episode.safe_trajectory is not None
-    exact = deformation(episode.safe_trajectory.positions, trajectory.positions, duration)
+    exact = deviation(episode.safe_trajectory.positions, trajectory.positions, duration)
     assert abs(exact - distance) <= TOLERANCE, f"world {exact!r}, search {distance!r}"
     return LeastWay(exact, trajectory, duration, contact.speed, gap)
 

@@ -1,6 +1,6 @@
 """Kernels behind the exact margin: tick by tick, all places that the adversary can reach within a limit.
 
-A node is a place, a state of the car, and the least deformation of a way that leads there. A node is left out if the
+A node is a place, a state of the car, and the least deviation of a way that leads there. A node is left out if the
 foresight shows that no hit can follow. Sequences that come to the same place merge: a place is the sum of moves,
 whatever their order.
 """
@@ -30,9 +30,9 @@ _NEAR_ENOUGH = 1e-4  # m
 _WIDER, _MORE = 1.15, 0.03  # from what is possible to a limit within which something is likely found: a ratio, and m
 _CELL, _CELL_SHARE = 0.02, 0.1  # m, and share of the limit: side of cells at first
 _FINER, _TIMES = 0.4, 4  # from one side to the next, and how often
-_WORTH = 5e-4  # share of the deformation: from one side to the next, for another
+_WORTH = 5e-4  # share of the deviation: from one side to the next, for another
 _LEAST_SHARE = 0.05  # of a gap: what is worth while to prove
-_ENOUGH, _ENOUGH_SHARE = 1e-3, 0.002  # m, and share of the deformation: a gap that will do where there is no room
+_ENOUGH, _ENOUGH_SHARE = 1e-3, 0.002  # m, and share of the deviation: a gap that will do where there is no room
 _FINE, _FINE_SHARE = 0.05, 0.1  # m, and share of the limit: parts of the car's motion in which contacts are looked at
 
 
@@ -79,7 +79,7 @@ def _hash(i: int, j: int, history: int, mask: int) -> int:
 def _visit(
     q: Nodes, x: float, y: float, history: int, strayed: float, origin: int, way: int, stamp: int, cell: float
 ) -> bool:
-    """Add a node to a layer, unless the place was reached with less deformation; False: there is no room."""
+    """Add a node to a layer, unless the place was reached with less deviation; False: there is no room."""
     mask = q.slot.shape[0] - 1
     i, j = int(np.floor(x / cell + _SHIFT)), int(np.floor(y / cell + _SHIFT))
     slot = _hash(i, j, history, mask)
@@ -112,18 +112,18 @@ def _visit(
 
 @kernel
 def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
-    """Search for the hit of least deformation below a limit for which the foresight was made.
+    """Search for the hit of least deviation below a limit for which the foresight was made.
 
     Args:
         c: what is known of the episode beforehand.
         f: the foresight, with its sets.
         q: memory of the search.
-        limit: only hits with less deformation than this are found, m.
-        cell: side of the cells, m; in each cell the place with the least deformation stands for all. SAME: all places
+        limit: only hits with less deviation than this are found, m.
+        cell: side of the cells, m; in each cell the place with the least deviation stands for all. SAME: all places
             count.
 
     Returns:
-        (FOUND, node before the last way, last way, deformation in m), or (NOTHING or FULL, −1, −1, infinity).
+        (FOUND, node before the last way, last way, deviation in m), or (NOTHING or FULL, −1, −1, infinity).
     """
     ticks = c.noise.shape[0]
     best, best_node, best_way = np.inf, -1, -1
@@ -246,7 +246,7 @@ def _search(c: Course, f: Foresight, q: Nodes, limit: float, cell: float, ways: 
 def search_least_way(
     c: Course, f: Foresight, q: Nodes, upper: float, loose: bool, ways: IntArray
 ) -> tuple[int, float, float, int]:
-    """Search for the hit of least deformation.
+    """Search for the hit of least deviation.
 
     First, by the foresight alone, a limit within which nothing is possible; then, in cells, a hit not far above; last
     all that there is below that. Where there is no room for all, finer cells and limits in between narrow the gap.
@@ -255,12 +255,12 @@ def search_least_way(
         c: what is known of the episode beforehand.
         f: memory for the foresight.
         q: memory of the search.
-        upper: only hits with less deformation than this are looked for, m.
+        upper: only hits with less deviation than this are looked for, m.
         loose: whether a gap is accepted if there is no room for all nodes.
         ways: room for one way for each tick; receives those of the hit.
 
     Returns:
-        (FOUND, deformation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or
+        (FOUND, deviation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or
         CROWDED, infinity, 0, 0).
     """
     fill_ways(c, f)

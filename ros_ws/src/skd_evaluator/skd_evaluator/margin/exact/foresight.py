@@ -133,7 +133,7 @@ def contact_set(
         tick: number of the tick in which the hit is.
         before: state of the car when it begins.
         after: state of the car when it ends.
-        limit: greatest deformation, m.
+        limit: greatest deviation, m.
         planes: half-planes that bound the set.
         plane_count: how many half-planes there are.
         box: around the set: low x, high x, low y, high y, m.
@@ -226,7 +226,7 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
     Args:
         c: what is known of the episode beforehand.
         f: memory, with its ways; its other content is overwritten.
-        limit: greatest deformation, m.
+        limit: greatest deviation, m.
         fine: how finely places are told apart, as in `contact_set`.
         only_whether: stop at the first hit that is possible.
 

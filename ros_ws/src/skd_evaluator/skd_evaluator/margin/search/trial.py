@@ -21,7 +21,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.margin.actions import velocities
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 
 ENOUGH = 1e-9
@@ -221,7 +221,7 @@ class Trial:
         if log.hit:
             duration = log.impact_time / self.episode.scenario.time_step
             path = log.trajectory
-            distance = deformation(self.space.path, path.positions, duration)
+            distance = deviation(self.space.path, path.positions, duration)
             if distance >= self.least - ENOUGH:
                 return False
             gap = 0.0 if distance <= ENOUGH else math.inf

@@ -1,4 +1,4 @@
-"""The way of least deformation on which the moving car hits, in one attempt."""
+"""The way of least deviation on which the moving car hits, in one attempt."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from skd_sim.world.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class LeastWay:
-    """The way of least deformation that ends in a hit, under the draws of one attempt.
+    """The way of least deviation that ends in a hit, under the draws of one attempt.
 
     Attributes:
-        distance: deformation of the way, m.
+        distance: deviation of the way, m.
         trajectory: the adversary's positions per tick, the last of them at the contact, m.
         duration: time until the contact, ticks.
         impact_speed: speed of the car at the contact, m/s; at least the scenario's `collision.hit_speed`.
-        gap: the least deformation of all is no more than this below `distance`, m; 0: up to rounding it is `distance`;
+        gap: the least deviation of all is no more than this below `distance`, m; 0: up to rounding it is `distance`;
             infinity: that is not known, for the way was found by search.
     """
 

@@ -22,14 +22,14 @@ from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import Prior
 from skd_evaluator.metrics.statistics.statistics import mean, normal_interval
 
-FRECHET, PREFIX, DEFORMATION = "frechet", "prefix", "deformation"
+FRECHET, PREFIX, DEVIATION = "frechet", "prefix", "deviation"
 MEASURES = Registry(
     "measure",
     "skd.measures",
     {
         FRECHET: "skd_evaluator.metrics.skd:FRECHET",
         PREFIX: "skd_evaluator.metrics.skd:PREFIX",
-        DEFORMATION: "skd_evaluator.metrics.mean_deformation:DEFORMATION",
+        DEVIATION: "skd_evaluator.metrics.mean_deviation:DEVIATION",
         "warped": "skd_evaluator.metrics.distances.time_warping:WARPED",
         "required_deceleration_at_entry": "skd_evaluator.metrics.entry_deceleration:DECELERATION_AT_ENTRY",
     },

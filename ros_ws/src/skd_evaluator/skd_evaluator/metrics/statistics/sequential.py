@@ -81,10 +81,10 @@ class UntilWidth:
     """When an assessment stopped, and why.
 
     Attributes:
-        wanted: width of the interval of the mean deformation, m.
+        wanted: width of the interval of the mean deviation, m.
         most_looks: greatest number of looks.
         confidence: confidence of each look's interval, such that all together hold with 95 %.
-        looks: number of φ, mean deformation and its interval (m) at each.
+        looks: number of φ, mean deviation and its interval (m) at each.
     """
 
     wanted: float
@@ -109,7 +109,7 @@ class UntilWidth:
         now = "there is none" if width is None else f"it is {width:.3f} m wide"
         end = "" if self.reached else f", not {self.wanted:g} m as wanted: give more φ a batch (--safe-count)"
         return (
-            f"after {count} φ the interval of the deformation: {now}{end}; intervals by φ hold at all "
+            f"after {count} φ the interval of the deviation: {now}{end}; intervals by φ hold at all "
             f"{self.most_looks} looks together"
         )
 
@@ -122,7 +122,7 @@ class UntilWidth:
             "most_looks": self.most_looks,
             "confidence": self.confidence,
             "looks": [
-                {"safe_count": count, "deformation": found and found.value, "interval": found and found.interval}
+                {"safe_count": count, "deviation": found and found.value, "interval": found and found.interval}
                 for count, found in self.looks
             ],
         }

@@ -70,7 +70,7 @@ class Run:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
-        keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deformation", "skd", "risk_1", "seed", "safe")
+        keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deviation", "skd", "risk_1", "seed", "safe")
         return {
             "folder": str(self.folder),
             "car": self.car,

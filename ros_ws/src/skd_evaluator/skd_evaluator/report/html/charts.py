@@ -184,7 +184,7 @@ def against_multiplier(subjects: Sequence[Subject]) -> bool:
 
 
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
-    """Return margin, hits along φ, planned deformation and SKD of several cars: against C where all have one."""
+    """Return margin, hits along φ, planned deviation and SKD of several cars: against C where all have one."""
     if len(subjects) < 2:
         return []
     return [
@@ -250,7 +250,7 @@ def _comparison(subjects: Sequence[Subject], figure: Figure, rows: Sequence[Mapp
 
 def per_safe_chart() -> Spec:
     """Return the chart of distances per φ; the page puts in its height, and `pairs` and `means` of the chosen car."""
-    what = ["margin", "planned deformation", "Fréchet distance"]
+    what = ["margin", "planned deviation", "Fréchet distance"]
     colours = alt.Color("what:N", legend=alt.Legend(title=None))
     colours = colours.scale(domain=what, range=[palette.MARGIN, palette.VERMILLION, palette.BLUE])
     placed: Spec = {

@@ -26,7 +26,7 @@ _FILES = 10  # of a car, whose digests are shown
 def state_of(subject: Subject) -> str:
     """Return whether a rating can be believed: `failed` (there is none), `doubtful` (read the warnings) or `fine`."""
     figures = subject.figures
-    if figures["margin"] is None and figures["deformation"] is None:
+    if figures["margin"] is None and figures["deviation"] is None:
         return "failed"
     return "doubtful" if warnings_of(subject) else "fine"
 
@@ -39,13 +39,13 @@ def sentences_of(subject: Subject) -> list[str]:
         why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no attempt ran"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
     first = headline(figures)
-    if figures["deformation"] is None:
+    if figures["deviation"] is None:
         return [first, "No planned kamikaze ran to its end."]
     knowledge = figures.get("knowledge")
     known = f" (knowledge of the car: {knowledge})" if knowledge else ""
     hit = ranking["attempts"] - ranking["failed"]
     planned = (
-        f"Planned kamikazes{known} needed {number(figures['deformation'], 2, 'm')} on average; {hit} of "
+        f"Planned kamikazes{known} needed {number(figures['deviation'], 2, 'm')} on average; {hit} of "
         f"{counted(ranking['attempts'], 'attempt')} were hit"
     )
     counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
@@ -92,10 +92,10 @@ def warnings_of(subject: Subject) -> list[str]:
 def ranking_notes(subjects: Sequence[Subject]) -> list[str]:
     """Return who is safer than whom, for each set of φ; where φ differ metres do not compare.
 
-    It is by the margin. Where nobody has one it is by the planned deformation, of one knowledge and one objective
+    It is by the margin. Where nobody has one it is by the planned deviation, of one knowledge and one objective
     alone: what was planned with unlike knowledge says who knew more.
     """
-    key = "margin" if any(one.figures["margin"] is not None for one in subjects) else "deformation"
+    key = "margin" if any(one.figures["margin"] is not None for one in subjects) else "deviation"
     groups: dict[tuple[object, ...], list[Subject]] = {}
     for one in subjects:
         if one.figures[key] is not None:
@@ -170,7 +170,7 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
             "margin": number(mean(margins) if margins.size else None),
             "collision_rate": percent(row["collision_rate"]),
             "collision_runs": str(row["collision_runs"]),
-            "deformation": number(row["deformation"]),
+            "deviation": number(row["deviation"]),
             "attempts": f"{mine['failed']} of {mine['attempts'] - mine['aborted']}",
             "aborted": str(mine["aborted"]),
             "skd": number(row["skd"]),

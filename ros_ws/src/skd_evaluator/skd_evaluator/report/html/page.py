@@ -183,7 +183,7 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
                 "perSafe": [
                     {
                         "margin": mean(margins) if margins.size else None,
-                        "deformation": ranked["deformation_of_successes"],
+                        "deviation": ranked["deviation_of_successes"],
                         "skd": row["skd"],
                     }
                     for row, ranked, margins in zip(

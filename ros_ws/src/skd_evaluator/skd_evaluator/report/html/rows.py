@@ -94,7 +94,7 @@ def _first_rows(subject: Subject) -> list[Row]:
         },
         "hit_rate": {"basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"},
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the ways of the margin" if speed else ""},
-        "deformation": {
+        "deviation": {
             "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['attempts'], 'attempt')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
         },
@@ -161,9 +161,9 @@ def _margin_details(subject: Subject) -> list[Row]:
 def _planned_details(subject: Subject) -> list[Row]:
     figures, ranking = subject.figures, subject.ranking
     rows = []
-    if ranking["failed"] and figures["deformation"] is not None:
+    if ranking["failed"] and figures["deviation"] is not None:
         rows.append(
-            Row("planned deformation of those that were hit alone (m)", number(figures["deformation_of_successes"]))
+            Row("planned deviation of those that were hit alone (m)", number(figures["deviation_of_successes"]))
         )
     for name, found in figures["objectives"].items():
         tried = f"{found['attempts'] - found['failed']} of {counted(found['attempts'], 'attempt')}"
@@ -174,7 +174,7 @@ def _planned_details(subject: Subject) -> list[Row]:
                 percent(found["success_rate"]),
                 percent_interval(found.get("success_rate_ci95")),
                 percent_interval(found.get("success_rate_ci95_attempts")),
-                f"{tried} {'were hit' if found['plans_deformation'] else 'collided'}{walked}",
+                f"{tried} {'were hit' if found['plans_deviation'] else 'collided'}{walked}",
             )
         )
     for one in figures["measures"].values():
@@ -205,7 +205,7 @@ class Bound:
     """What mean and variance alone say of a point of the vulnerability curve, beside what was found.
 
     Attributes:
-        eta: deformation η, m.
+        eta: deviation η, m.
         found: share P(η) of attempts that needed at most η.
         theorem: upper bound of P(η) by Theorem 1.
         cantelli: upper bound of P(η) by Cantelli's inequality.

@@ -58,7 +58,7 @@ def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
         [
             {
                 "points": _rounded(way.positions),
-                "deformation": round(way.distance, 3),
+                "deviation": round(way.distance, 3),
                 "impactSpeed": round(way.impact_speed, 2),
                 "attempt": way.attempt,
             }

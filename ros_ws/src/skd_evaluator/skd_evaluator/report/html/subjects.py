@@ -78,7 +78,7 @@ class Subject:
         stored = self.figures["vulnerability_curve"]
         if stored is not None:
             return dict(stored)
-        groups = self.episodes.deformations_of(self.ranking_objective)
+        groups = self.episodes.deviations_of(self.ranking_objective)
         found = vulnerability_curve(groups, float(self.figures["eta_max"]))
         return None if found is None else {"kamikazes": found.as_dict(), "budgets": [], "margins": None}
 

@@ -139,7 +139,7 @@ def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool
         "impact_time": float(episodes.impact_time[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,
         "contact": episodes.until_contact(number)[-1].tolist() if hit else None,
-        "deformation": float(episodes.deformation[number]) if hit else None,
+        "deviation": float(episodes.deviation[number]) if hit else None,
     }
     return Going(recorded, entry)
 

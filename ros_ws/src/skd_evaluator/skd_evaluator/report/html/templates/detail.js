@@ -40,7 +40,7 @@ class Detail {
       for (const value of margins) pairs.push({ name: phi.name, what: "margin", value });
       if (margins.length) means.push({ name: phi.name, what: "margin", value: this.subject.perSafe[index].margin, count: margins.length });
       const kinds = [
-        ["planned deformation", columns.deformation, objectives[this.subject.ranking], "deformation", (k) => this.episodes.isHit(k)],
+        ["planned deviation", columns.deviation, objectives[this.subject.ranking], "deviation", (k) => this.episodes.isHit(k)],
         ["Fréchet distance", columns.frechet, objectives[this.subject.skd], "skd", (k) => this.episodes.touched(k)],
       ];
       for (const [what, values, objective, key, counts] of kinds) {

@@ -20,7 +20,7 @@ class Player {
     this.stop();
     this.k = k;
     const { episodes } = this;
-    const figures = episodes.touched(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deformation ${fixed(episodes.columns.deformation[k], 3)} m` : "";
+    const figures = episodes.touched(k) ? ` at ${fixed(episodes.columns.impact_speed[k], 1)} m/s after ${fixed(episodes.columns.impact_time[k], 2)} s, deviation ${fixed(episodes.columns.deviation[k], 3)} m` : "";
     this.playing.textContent = `${episodes.subject(k).label}: ${episodes.phi(k).name}, ${episodes.adversary(k)}, ${episodes.outcome(k)}${figures}`;
     this.command.textContent = episodes.command(k);
     this.way = episodes.way(k);

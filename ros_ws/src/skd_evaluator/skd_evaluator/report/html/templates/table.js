@@ -15,7 +15,7 @@ class Table {
       { title: "φ", ...named((k) => episodes.phi(k).name) },
       { title: "adversary", ...named((k) => episodes.adversary(k)) },
       { title: "outcome", ...named((k) => episodes.outcome(k)) },
-      { title: "deformation (m)", ...number("deformation", 3) },
+      { title: "deviation (m)", ...number("deviation", 3) },
       { title: "Fréchet distance (m)", ...number("frechet", 3) },
       { title: "impact (m/s)", ...number("impact_speed", 2) },
       { title: "contact after (s)", ...number("impact_time", 2) },

@@ -1,4 +1,4 @@
-"""Deformation: how far ψ was, at worst, from where φ would have been at the same time.
+"""Deviation: how far ψ was, at worst, from where φ would have been at the same time.
 
 D(φ, ψ) = max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact, φ held at its last point after its end.
 
@@ -23,8 +23,8 @@ from skd_sim.kernels.compilation import kernel
 _ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
 
 
-def deformation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:
-    """Return the deformation of one pair, by the plain formula.
+def deviation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:
+    """Return the deviation of one pair, by the plain formula.
 
     Args:
         phi: n × d positions at ticks 0 … n − 1, m; n ≥ 1, finite.
@@ -48,19 +48,19 @@ def deformation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> floa
     return math.sqrt(float(np.max(squared)))
 
 
-def deformation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], durations: npt.ArrayLike) -> FloatArray:
-    """Return the deformations of many ψ of one φ, the same bits as `deformation` gives.
+def deviation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], durations: npt.ArrayLike) -> FloatArray:
+    """Return the deviations of many ψ of one φ, the same bits as `deviation` gives.
 
     Args:
         phi: n × d positions at ticks, m; n ≥ 1, finite.
-        psis: K arrays of m_k × d positions, m, each as in `deformation`; may be empty.
+        psis: K arrays of m_k × d positions, m, each as in `deviation`; may be empty.
         durations: K times of contact, in ticks.
 
     Returns:
         K values, in the unit of the positions.
 
     Raises:
-        ValueError: as `deformation`; the message says which ψ. Or there are not as many durations as ψ.
+        ValueError: as `deviation`; the message says which ψ. Or there are not as many durations as ψ.
     """
     first = _points(phi, "phi")
     curves = [_points(psi, f"psis[{index}]") for index, psi in enumerate(psis)]
@@ -78,7 +78,7 @@ def deformation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], duratio
 
 @kernel(allocates=False)
 def _measure(phi: FloatArray, psis: FloatArray, ends: IntArray, durations: FloatArray, out: FloatArray) -> None:
-    """Write the deformation of each ψ, rows ends[k − 1] … ends[k] − 1 of `psis`, into out[k]."""
+    """Write the deviation of each ψ, rows ends[k − 1] … ends[k] − 1 of `psis`, into out[k]."""
     last = phi.shape[0] - 1
     begin = 0
     for index in range(out.size):

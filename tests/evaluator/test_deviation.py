@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.distances.deformation import deformation, deformation_pairs
+from skd_evaluator.metrics.distances.deviation import deviation, deviation_pairs
 from skd_evaluator.metrics.distances.frechet import discrete_frechet
 
 # On a grid of 1/64 sums and products are exact: properties hold without tolerance.
@@ -58,17 +58,17 @@ def dense(phi: np.ndarray, psi: np.ndarray, duration: float, samples: int = 2001
         ([[0, 0], [0.25, 0]], 0.25, 0.0),
     ],
 )
-def test_pairs_whose_deformation_is_plain(psi: list[list[float]], duration: float, expected: float) -> None:
+def test_pairs_whose_deviation_is_plain(psi: list[list[float]], duration: float, expected: float) -> None:
     phi = [[0, 0], [1, 0], [2, 0], [3, 0]]
-    assert deformation(phi, psi, duration) == expected
-    assert deformation_pairs(phi, [psi], [duration]) == [expected]
+    assert deviation(phi, psi, duration) == expected
+    assert deviation_pairs(phi, [psi], [duration]) == [expected]
 
 
 @given(pairs())
 @settings(max_examples=200)
 def test_no_time_between_ticks_is_worse(pair: Pair) -> None:
     phi, psi, duration = pair
-    found = deformation(phi, psi, duration)
+    found = deviation(phi, psi, duration)
     # Knots of both curves are among so many times only by chance: a time off a knot loses at most its speed.
     fastest = max(
         (np.linalg.norm(np.diff(curve, axis=0), axis=1).max() for curve in (phi, psi) if len(curve) > 1), default=0
@@ -81,7 +81,7 @@ def test_no_time_between_ticks_is_worse(pair: Pair) -> None:
 @given(pairs())
 def test_it_is_no_less_than_any_single_time(pair: Pair) -> None:
     phi, psi, duration = pair
-    found = deformation(phi, psi, duration)
+    found = deviation(phi, psi, duration)
     assert found >= math.dist(phi[0], psi[0] if len(psi) > 1 or duration == 0.0 else phi[0])
     for tick in range(len(psi) - 1):
         assert found >= math.dist(psi[tick], phi[min(tick, len(phi) - 1)]) - 1e-12
@@ -91,26 +91,26 @@ def test_it_is_no_less_than_any_single_time(pair: Pair) -> None:
 def test_it_is_0_exactly_where_psi_walks_phi(phi: np.ndarray, count: int, share: int, data: st.DataObject) -> None:
     duration = count - 2 + share / 64.0
     psi = walked(phi, duration, count)
-    assert deformation(phi, psi, duration) == 0.0
+    assert deviation(phi, psi, duration) == 0.0
     row, axis = data.draw(st.integers(0, count - 1)), data.draw(st.integers(0, 1))
     psi[row, axis] += 1 / 64
-    assert deformation(phi, psi, duration) == 1 / 64
+    assert deviation(phi, psi, duration) == 1 / 64
 
 
 @given(pairs(), st.sampled_from([0.25, 0.5, 2.0, 8.0]), st.tuples(GRID, GRID))
 def test_lengths_scale_and_places_do_not_matter(pair: Pair, scale: float, shift: tuple[float, float]) -> None:
     phi, psi, duration = pair
-    found = deformation(phi, psi, duration)
-    assert deformation(scale * phi, scale * psi, duration) == scale * found
-    assert deformation(phi + shift, psi + shift, duration) == pytest.approx(found, abs=1e-12)
+    found = deviation(phi, psi, duration)
+    assert deviation(scale * phi, scale * psi, duration) == scale * found
+    assert deviation(phi + shift, psi + shift, duration) == pytest.approx(found, abs=1e-12)
 
 
 @given(pairs(), st.floats(-math.pi, math.pi))
 def test_turning_both_changes_nothing(pair: Pair, angle: float) -> None:
     phi, psi, duration = pair
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    found = deformation(phi, psi, duration)
-    assert deformation(phi @ turn.T, psi @ turn.T, duration) == pytest.approx(found, abs=1e-9)
+    found = deviation(phi, psi, duration)
+    assert deviation(phi @ turn.T, psi @ turn.T, duration) == pytest.approx(found, abs=1e-9)
 
 
 @given(
@@ -122,20 +122,20 @@ def test_the_way_over_a_third_is_no_shorter(curves: tuple[np.ndarray, ...], shar
     duration = len(a) - 2 + share / 64.0
     # As ψ, a curve ends at the contact.
     psi_b, psi_c = walked(b, duration, len(b)), walked(c, duration, len(c))
-    direct = deformation(a, psi_c, duration)
-    assert direct <= deformation(a, psi_b, duration) + deformation(b, psi_c, duration) + 1e-9
+    direct = deviation(a, psi_c, duration)
+    assert direct <= deviation(a, psi_b, duration) + deviation(b, psi_c, duration) + 1e-9
 
 
 @given(pairs())
 def test_no_coupling_of_the_places_is_worse_than_that_of_the_times(pair: Pair) -> None:
     phi, psi, duration = pair
-    assert discrete_frechet(walked(phi, duration, len(psi)), psi) <= deformation(phi, psi, duration) + 1e-12
+    assert discrete_frechet(walked(phi, duration, len(psi)), psi) <= deviation(phi, psi, duration) + 1e-12
 
 
 @given(paths(2), psis_of(2), st.integers(1, 5))
 def test_phi_stands_at_its_end(phi: np.ndarray, psi: tuple[np.ndarray, float], more: int) -> None:
     longer = np.vstack([phi, np.repeat(phi[-1:], more, axis=0)])
-    assert deformation(phi, *psi) == deformation(longer, *psi)
+    assert deviation(phi, *psi) == deviation(longer, *psi)
 
 
 @given(paths(2), psis_of(2), hnp.arrays(np.float64, (3, 2), elements=GRID))
@@ -145,20 +145,20 @@ def test_what_phi_does_after_the_contact_does_not_matter(
     positions, duration = psi
     padded = np.vstack([phi, np.repeat(phi[-1:], max(0, len(positions) - len(phi)), axis=0)])
     cut = padded[: len(positions)]
-    assert deformation(cut, positions, duration) == deformation(np.vstack([cut, more]), positions, duration)
+    assert deviation(cut, positions, duration) == deviation(np.vstack([cut, more]), positions, duration)
 
 
 @given(st.integers(1, 4).flatmap(lambda d: st.tuples(paths(d), st.lists(psis_of(d), max_size=6))))
 def test_a_batch_has_the_bits_of_singles(case: tuple[np.ndarray, list[tuple[np.ndarray, float]]]) -> None:
     phi, psis = case
     phi = phi * math.pi  # off the grid, so that roundings differ where operations do
-    batch = deformation_pairs(phi, [psi for psi, _ in psis], [duration for _, duration in psis])
-    assert batch.tolist() == [deformation(phi, psi, duration) for psi, duration in psis]
+    batch = deviation_pairs(phi, [psi for psi, _ in psis], [duration for _, duration in psis])
+    assert batch.tolist() == [deviation(phi, psi, duration) for psi, duration in psis]
 
 
 def test_a_duration_a_rounding_off_is_that_of_the_tick() -> None:
     phi, psi = [[0, 0], [1, 0], [2, 0]], [[0, 0], [1, 0], [2, 0]]
-    assert deformation(phi, psi, 2.0 + 4e-16) == deformation(phi, psi, 2.0) == 0.0
+    assert deviation(phi, psi, 2.0 + 4e-16) == deviation(phi, psi, 2.0) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -179,12 +179,12 @@ def test_a_duration_a_rounding_off_is_that_of_the_tick() -> None:
 )
 def test_what_is_no_pair_is_refused(phi: object, psi: object, duration: float, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        deformation(phi, psi, duration)  # type: ignore[arg-type]
+        deviation(phi, psi, duration)  # type: ignore[arg-type]
     name = said.replace("psi ", "psis\\[0\\] ")
     with pytest.raises(ValueError, match=name):
-        deformation_pairs(phi, [psi], [duration])  # type: ignore[arg-type,list-item]
+        deviation_pairs(phi, [psi], [duration])  # type: ignore[arg-type,list-item]
 
 
 def test_as_many_durations_as_curves() -> None:
     with pytest.raises(ValueError, match=r"1 psis, and durations of shape \(2,\)"):
-        deformation_pairs([[0, 0]], [[[0, 0]]], [0.0, 0.0])
+        deviation_pairs([[0, 0]], [[[0, 0]]], [0.0, 0.0])

@@ -1,14 +1,14 @@
-"""The kamikaze POMDP of the deformation: collide, having strayed as little as possible from where φ is at the time.
+"""The kamikaze POMDP of the deviation: collide, having strayed as little as possible from where φ is at the time.
 
 Until φ's end it moves on, and who waits strays; from then on waiting would be free, so each further step costs what the
 predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
 
 Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the way like a miss.
 
-The deformation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
+The deviation of a pair is max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact and φ held at its last
 point after its end. Both move uniformly within a tick, and the norm of a linear function is convex, so ticks and
 contact suffice. The state carries the greatest distance so far and the tick, so that the return of an episode that ends
-in a collision is the collision's reward less its deformation; and there is one more action, *as φ*, for φ has its own
+in a collision is the collision's reward less its deviation; and there is one more action, *as φ*, for φ has its own
 pace. A road user that cannot move so from its state comes as near to it as it can (interface `possible`).
 
 A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
@@ -244,7 +244,7 @@ def _foreseen(
         bound: squared distance (m²) from φ from which on the plan is of no interest.
 
     Returns:
-        Squared deformation at the contact (m²), infinity without one; how it ended; the tick in which it did.
+        Squared deviation at the contact (m²), infinity without one; how it ended; the tick in which it did.
     """
     p, kept, row = parameters, parameters.foreseen, switch - now
     x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
@@ -327,7 +327,7 @@ def _plan(
     now: int,
     rng: np.random.Generator,
 ) -> float:
-    """Choose when to leave φ's pace, and for what, so that the deformation is least; coded in a number.
+    """Choose when to leave φ's pace, and for what, so that the deviation is least; coded in a number.
 
     As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
     it failed are tried backwards, until it gets worse. Arguments as in `_foreseen` and `_foresee_from`.
@@ -388,7 +388,7 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
 
 
 def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
-    """Return φ's velocities, and the rewards: a miss counts as η_max in the mean deformation, which a hit saves."""
+    """Return φ's velocities, and the rewards: a miss counts as η_max in the mean deviation, which a hit saves."""
     pace = path_velocities(np.asarray(path, dtype=np.float64), len(path) - 1, scenario.time_step)
     return {
         "collision_reward": scenario.eta_max,
@@ -404,7 +404,7 @@ def own_dim(points: int) -> int:
 
 
 OBJECTIVE: Final = ObjectiveModel(
-    "deformation",
+    "deviation",
     DISCOUNT,
     replace(SEARCH, exploration=3.0, particles=1000),
     parameters_of,
@@ -416,5 +416,5 @@ OBJECTIVE: Final = ObjectiveModel(
     chosen=_chosen,
     sensible=_sensible,
     follows_phi=True,
-    plans_deformation=True,
+    plans_deviation=True,
 )

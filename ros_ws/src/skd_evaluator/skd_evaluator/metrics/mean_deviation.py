@@ -1,10 +1,10 @@
-"""The mean deformation of a car: what a kamikaze needed, over all attempts, those that failed included.
+"""The mean deviation of a car: what a kamikaze needed, over all attempts, those that failed included.
 
 A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
 the lucky attempts would count. So an attempt that fails counts as η_max, and so does one that needed more. That is the
 restricted mean of survival analysis (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013), with the
-deformation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of attempts that hit the car
-within a deformation of η.
+deviation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of attempts that hit the car
+within a deviation of η.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.metrics.distances.deformation import deformation_pairs
+from skd_evaluator.metrics.distances.deviation import deviation_pairs
 from skd_evaluator.metrics.distances.measures import Measure
 from skd_evaluator.metrics.statistics.clustered import Clustered, clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
@@ -32,7 +32,7 @@ class Attempts:
         psis: the trajectories ψ of the attempts that collided, each up to its contact.
         durations: times of the contacts, in ticks since the start, one for each ψ.
         failed: number of attempts that ran to their end and did not collide.
-        measured: deformation of each ψ, m, where it is known already.
+        measured: deviation of each ψ, m, where it is known already.
     """
 
     phi: Trajectory
@@ -42,19 +42,19 @@ class Attempts:
     measured: FloatArray | None = None
 
     def distances(self) -> FloatArray:
-        """Return the deformation of each ψ, m."""
+        """Return the deviation of each ψ, m."""
         if self.measured is not None:
             return self.measured
         return _distances(self.phi, self.psis, self.durations)
 
 
 @dataclass(frozen=True, eq=False)
-class SafeTrajectoryDeformation:
+class SafeTrajectoryDeviation:
     """What the attempts on one φ needed.
 
     Attributes:
         name: name of φ.
-        distances: deformation of each attempt that collided, in the order of the ψ given, m.
+        distances: deviation of each attempt that collided, in the order of the ψ given, m.
         failed: number of attempts that did not collide.
         eta_max: η_max, m: what an attempt counts as that failed.
     """
@@ -86,8 +86,8 @@ class SafeTrajectoryDeformation:
 
 
 @dataclass(frozen=True, eq=False)
-class MeanDeformation:
-    """The mean deformation and what is reported with it. What cannot be computed is None.
+class MeanDeviation:
+    """The mean deviation and what is reported with it. What cannot be computed is None.
 
     Attributes:
         mean: restricted mean over all attempts, m; None without an attempt.
@@ -105,7 +105,7 @@ class MeanDeformation:
     of_successes: float | None
     of_successes_ci95: Interval | None
     eta_max: float
-    per_safe_trajectory: tuple[SafeTrajectoryDeformation, ...]
+    per_safe_trajectory: tuple[SafeTrajectoryDeviation, ...]
 
     @property
     def ci95_clustered(self) -> Interval | None:
@@ -114,7 +114,7 @@ class MeanDeformation:
 
     @property
     def distances(self) -> FloatArray:
-        """Deformation of every attempt that collided, φ by φ, m."""
+        """Deviation of every attempt that collided, φ by φ, m."""
         return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
 
     @property
@@ -128,13 +128,13 @@ class MeanDeformation:
         return sum(entry.attempts for entry in self.per_safe_trajectory)
 
 
-def mean_deformation(
+def mean_deviation(
     attempts_by_phi: Iterable[Attempts],
     *,
     eta_max: float,
     confidence: float = 0.95,
-) -> MeanDeformation:
-    """Compute the mean deformation of attempts on safe trajectories.
+) -> MeanDeviation:
+    """Compute the mean deviation of attempts on safe trajectories.
 
     Args:
         attempts_by_phi: the attempts on each φ.
@@ -142,12 +142,12 @@ def mean_deformation(
         confidence: confidence of the interval over φ; intervals over attempts have 95 %.
 
     Raises:
-        ValueError: η_max is not positive; or as `deformation_pairs`.
+        ValueError: η_max is not positive; or as `deviation_pairs`.
     """
     if not eta_max > 0.0:
         raise ValueError(f"eta_max must be positive, got {eta_max}")
     entries = tuple(
-        SafeTrajectoryDeformation(
+        SafeTrajectoryDeviation(
             one.phi.name,
             one.distances(),
             one.failed,
@@ -158,7 +158,7 @@ def mean_deformation(
     groups = [entry.restricted for entry in entries]
     counting = np.concatenate([np.empty(0), *groups])
     collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
-    return MeanDeformation(
+    return MeanDeviation(
         mean=mean(counting) if counting.size else None,
         ci95=normal_interval(counting),
         clustered=clustered_mean(groups, confidence, prior=DISTANCES, limits=(0.0, eta_max)),
@@ -170,11 +170,11 @@ def mean_deformation(
 
 
 def _distances(phi: Trajectory, psis: Sequence[Trajectory], durations: Sequence[float]) -> FloatArray:
-    return deformation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
+    return deviation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
 
 
-DEFORMATION = Measure(
-    "deformation",
+DEVIATION = Measure(
+    "deviation",
     "m",
     lambda phi, pairs: _distances(phi, [pair.psi for pair in pairs], [pair.duration for pair in pairs]),
     shown=False,

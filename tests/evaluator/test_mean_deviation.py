@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from skd_evaluator.metrics.distances.deformation import deformation
-from skd_evaluator.metrics.mean_deformation import Attempts, MeanDeformation, mean_deformation
+from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.mean_deviation import Attempts, MeanDeviation, mean_deviation
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_sim.world.trajectory import Trajectory
@@ -26,12 +26,12 @@ def aside(by: float) -> Trajectory:
 PHI = walk(0.0, 1.0, 2.0)
 
 
-def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> MeanDeformation:
+def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> MeanDeviation:
     groups = [
         Attempts(PHI, [aside(one) for one in group], [1.0] * len(group), lost)
         for group, lost in zip(distances, failed, strict=True)
     ]
-    return mean_deformation(groups, eta_max=eta_max)
+    return mean_deviation(groups, eta_max=eta_max)
 
 
 def test_failed_attempts_and_far_ones_count_as_eta_max() -> None:
@@ -55,7 +55,7 @@ def test_a_car_that_nobody_hits_has_the_greatest_there_is() -> None:
 def test_without_an_attempt_there_is_no_figure() -> None:
     found = of([[], []], [0, 0])
     assert (found.mean, found.ci95, found.ci95_clustered, found.of_successes) == (None, None, None, None)
-    assert mean_deformation([], eta_max=5.0).mean is None
+    assert mean_deviation([], eta_max=5.0).mean is None
 
 
 def test_one_that_is_hardly_ever_hit_does_not_look_worse_than_one_that_always_is() -> None:
@@ -94,8 +94,8 @@ def test_order_does_not_matter(distances: list[float], failed: int, seed: int) -
 def test_each_pair_is_measured_as_alone() -> None:
     phi = walk(0.0, 1.0, 2.0, 3.0)
     psi = Trajectory(np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.2)]), STEP)
-    found = mean_deformation([Attempts(phi, [psi], [1.4], 0)], eta_max=5.0)
-    assert found.mean == deformation(phi.positions, psi.positions, 1.4)
+    found = mean_deviation([Attempts(phi, [psi], [1.4], 0)], eta_max=5.0)
+    assert found.mean == deviation(phi.positions, psi.positions, 1.4)
 
 
 def test_the_spread_between_trajectories_widens_the_clustered_interval() -> None:
@@ -108,15 +108,15 @@ def test_the_spread_between_trajectories_widens_the_clustered_interval() -> None
 @pytest.mark.parametrize("eta_max", [0.0, -1.0, float("nan")])
 def test_eta_max_must_be_positive(eta_max: float) -> None:
     with pytest.raises(ValueError, match="eta_max must be positive"):
-        mean_deformation([], eta_max=eta_max)
+        mean_deviation([], eta_max=eta_max)
 
 
-def test_the_interval_by_phi_allows_for_skewness_and_ends_where_deformations_do() -> None:
+def test_the_interval_by_phi_allows_for_skewness_and_ends_where_deviations_do() -> None:
     groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
-    found = mean_deformation(groups, eta_max=100.0)
+    found = mean_deviation(groups, eta_max=100.0)
     values = [entry.restricted for entry in found.per_safe_trajectory]
     assert found.clustered == clustered_mean(values, prior=DISTANCES, limits=(0.0, 100.0))
-    few = mean_deformation(groups[::4], eta_max=5.0).ci95_clustered
+    few = mean_deviation(groups[::4], eta_max=5.0).ci95_clustered
     assert few == (0.0, 5.0)
 
 

@@ -1,4 +1,4 @@
-"""The objective `deformation`: its rewards against the measure, its seventh action, its budget."""
+"""The objective `deviation`: its rewards against the measure, its seventh action, its budget."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from skd_adversary.crossing.car.basic import WAITING_REWARD, known_basic_car, un
 from skd_adversary.crossing.car.fitted import FITTED_STATE_DIM, LearnedCar
 from skd_adversary.crossing.composer import compose
 from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED, STATE_DIM
-from skd_adversary.crossing.objective.deformation import OBJECTIVE
+from skd_adversary.crossing.objective.deviation import OBJECTIVE
 from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, EAST, NORTH, STAY, action_velocity
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
-from skd_evaluator.metrics.distances.deformation import deformation
+from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.contact import first_contact
@@ -52,15 +52,15 @@ def a_model(limit: float | None = None, *, known: bool = True, fitted: bool = Fa
 
 
 def a_kamikaze(path: Trajectory, number: int, **fields: object) -> Episode:
-    fields = {"objective": Objective.DEFORMATION, "simulations": 200, **fields}
+    fields = {"objective": Objective.DEVIATION, "simulations": 200, **fields}
     return Episode(CROSSING, Mode.KAMIKAZE, 5, number, safe_trajectory=path, **fields)  # type: ignore[arg-type]
 
 
 def strayed(log: EpisodeLog) -> float:
-    """The deformation of an episode's ψ, by the measure."""
+    """The deviation of an episode's ψ, by the measure."""
     phi = log.episode.safe_trajectory
     assert phi is not None
-    return deformation(phi.positions, log.trajectory.positions, log.impact_time / log.episode.scenario.time_step)
+    return deviation(phi.positions, log.trajectory.positions, log.impact_time / log.episode.scenario.time_step)
 
 
 def by_hand(walked: np.ndarray, share: float) -> float:
@@ -78,7 +78,7 @@ def by_hand(walked: np.ndarray, share: float) -> float:
 
 @pytest.mark.parametrize("limit", [None, 1.0])
 @pytest.mark.parametrize(("known", "fitted"), [(True, False), (False, False), (True, True)])
-def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float | None, known: bool, fitted: bool):
+def test_return_of_a_collision_is_its_reward_less_the_deviation(limit: float | None, known: bool, fitted: bool):
     """Play the model with the default policy and with random actions; measure ψ at many times of each tick."""
     model = a_model(limit, known=known, fitted=fitted)
     p, rng = model.parameters, np.random.default_rng(1)
@@ -111,7 +111,7 @@ def test_return_of_a_collision_is_its_reward_less_the_deformation(limit: float |
             assert earned == pytest.approx(
                 spent + CROSSING.eta_max - distance, abs=0.02
             )  # what 1/200 of a tick changes
-            exact = deformation(BENT, np.array(walked), len(walked) - 2 + contact)
+            exact = deviation(BENT, np.array(walked), len(walked) - 2 + contact)
             assert earned == pytest.approx(spent + CROSSING.eta_max - exact, abs=1e-9)
         else:
             beyond += distance > (limit or math.inf)
@@ -301,5 +301,5 @@ def test_it_strays_less_than_the_other_objectives() -> None:
             assert log.outcome == Outcome.COLLISION
             values.append(strayed(log))
     for objective in (Objective.PAPER, Objective.FRECHET):
-        gains = np.array(apart[objective]) - np.array(apart[Objective.DEFORMATION])
+        gains = np.array(apart[objective]) - np.array(apart[Objective.DEVIATION])
         assert gains.mean() > 3.0 * gains.std(ddof=1) / math.sqrt(len(gains))
