@@ -20,7 +20,9 @@ from pathlib import Path
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
 from skd_evaluator.assessment.stages.graph_options import COMPOSED, SEPARATE, GraphOptions
+from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session, prepare_ros
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
 
@@ -42,13 +44,10 @@ def pace(nodes: str, batch: Sequence[Episode], *, recorded: bool = False) -> tup
     """Return episodes and ticks of the world a second, of a graph whose simulator and adversary run there."""
     with tempfile.TemporaryDirectory() as scratch:
         bags = Path(scratch) / "bags" if recorded else None
-        with graph_session(
-            GraphOptions(nodes=nodes),
-            controller="basic",
-            campaign="benchmark",
-            log_folder=Path(scratch),
-            record_to=bags,
-        ) as evaluator:
+        setting = GraphSetting(
+            options=GraphOptions(nodes=nodes), car=CarUnderTest("basic"), log_folder=Path(scratch), record_to=bags
+        )
+        with graph_session(setting) as evaluator:
             for episode in batch[:WARM_UP]:
                 evaluator.run_episode(episode)
             begin = time.perf_counter()

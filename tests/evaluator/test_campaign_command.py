@@ -240,9 +240,9 @@ def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):
     used = []
 
     @contextmanager
-    def session(options, *, log_folder, **_others):
-        (log_folder / "simulator.log").write_text("hello")
-        used.append((graphs[len(used)], options.graphs))
+    def session(setting):
+        (setting.log_folder / "simulator.log").write_text("hello")
+        used.append((graphs[len(used)], setting.options.graphs))
         yield used[-1][0]
 
     monkeypatch.setattr(session_module, "graphs_session", session)

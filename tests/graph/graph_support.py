@@ -22,7 +22,9 @@ from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_unt
 from forked_skd import TOKEN, ForkedSkd
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.report.progress import PREPARING
+from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graphs_session
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.world.episode import EpisodeLog
 
 HERE = Path(__file__).resolve().parent
@@ -254,7 +256,7 @@ def whole_graph(
     with (
         in_domain(domain, token),
         graphs_session(
-            options, controller=controller, campaign="test", log_folder=folder, record_to=record_to
+            GraphSetting(options=options, car=CarUnderTest(controller), log_folder=folder, record_to=record_to)
         ) as evaluator,
     ):
         yield evaluator, token

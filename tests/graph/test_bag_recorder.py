@@ -16,7 +16,7 @@ from skd_evaluator.assessment.plan.plan import Stage, episode_id
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg
-from skd_sim.ros.command_messages import message_class
+from skd_sim.ros.commands import message_class
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome

@@ -39,7 +39,7 @@ def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None
     wrong = skd(*run, *VENDOR, "--command-field", "longitudinal.brake", "--out", tmp_path / "wrong")
     assert wrong.code == 2
     assert wrong.lines[-1] == (
-        "skd episode: error: vendor_control_msgs/msg/Control has no field longitudinal.brake; the numbers there are "
+        "skd episode: error: there is no number longitudinal.brake in vendor_control_msgs/msg/Control; its numbers are "
         "longitudinal.velocity, longitudinal.acceleration, longitudinal.gains[0]"
     )
     field = ("--command-field", "longitudinal.acceleration")

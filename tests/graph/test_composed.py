@@ -30,7 +30,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.options.simulators import WORLD
 from skd_sim.ros import support
-from skd_sim.ros.command_messages import message_class
+from skd_sim.ros.commands import message_class
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.stamps import NANOSECONDS

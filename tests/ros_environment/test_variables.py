@@ -13,6 +13,7 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.ros import session
 from skd_evaluator.ros.processes import CONTROLLER, graph_programs
 from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.ros_environment import foreign_variables, is_sourced, message_variables, node_variables
 from skd_sim.ros_environment.variables import GUARD, library_folders
 
@@ -40,7 +41,7 @@ def test_a_sourced_ros_stays_as_it_is():
 def test_a_controller_that_is_not_ours_inherits_neither():
     options = GraphOptions(controller_command="my_stack --fast")
     programs = graph_programs(
-        options, "external", node_variables({"PATH": "/usr/bin", PATH: "/opt/stack/lib"}), composed=False
+        options, CarUnderTest("external"), node_variables({"PATH": "/usr/bin", PATH: "/opt/stack/lib"}), composed=False
     )
     theirs = programs[CONTROLLER].environment
     assert theirs[PATH] == "/opt/stack/lib"

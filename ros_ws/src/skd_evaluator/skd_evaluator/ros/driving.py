@@ -16,8 +16,7 @@ from rclpy.node import Node
 from skd_adversary.adversary import Adversary, make_adversary
 from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_sim.options.graph_options import CommandOptions
-from skd_sim.ros.command_messages import car_commands
-from skd_sim.ros.commands import Quantity
+from skd_sim.ros.commands import Quantity, car_commands
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, spin
 from skd_sim.world.command_ages import CommandAges

@@ -29,7 +29,7 @@ from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
 from skd_sim.options.graph_options import CommandOptions
 from skd_sim.options.simulators import is_own_world
-from skd_sim.ros.command_messages import car_commands
+from skd_sim.ros.commands import car_commands
 from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.simulator_node import GraphSimulator

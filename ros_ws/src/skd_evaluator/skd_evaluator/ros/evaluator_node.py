@@ -35,7 +35,7 @@ from skd_evaluator.assessment.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_evaluator.ros.session import campaign_name
+from skd_evaluator.ros.processes import campaign_name
 from skd_evaluator.ros.stack import resetting
 
 _INTERRUPTED = 130

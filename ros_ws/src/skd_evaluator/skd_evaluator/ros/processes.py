@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
 from skd_sim.inputs.printable import printable
 from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.simulators import WORLD
 from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
 from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
 from skd_sim.world.episode import EpisodeLog, Outcome
@@ -51,6 +53,48 @@ _LAST_LINES, _LONGEST_LINE, _LAST_BYTES = 5, 300, 10_000
 """How much is shown of what a process that has ended printed."""
 
 
+def say_to_user(line: str) -> None:
+    """Print a line for the user."""
+    print(f"skd: {line}", file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphSetting:
+    """What a graph, or a pool of them, runs.
+
+    Attributes:
+        options: how to run it.
+        car: the car under test.
+        log_folder: folder for the processes' output.
+        simulator: name of the simulator.
+        record_to: folder for one bag per episode; none: do not record.
+        say: called with each line for the user.
+        campaign: name of the campaign; by default one that no other has, and that does not tell the seed.
+    """
+
+    options: GraphOptions
+    car: CarUnderTest
+    log_folder: Path
+    simulator: str = WORLD
+    record_to: Path | None = None
+    say: Callable[[str], None] = say_to_user
+    campaign: str = ""
+
+    def __post_init__(self) -> None:
+        """Name the campaign."""
+        object.__setattr__(self, "campaign", self.campaign or campaign_name(self.car))
+
+    @property
+    def awaits_car(self) -> bool:
+        """Whether somebody else starts the car under test."""
+        return self.car.is_external and not self.options.controller_command
+
+
+def campaign_name(car: CarUnderTest) -> str:
+    """Return a name for a campaign that no other has."""
+    return f"{car.file_name}-{uuid.uuid4().hex[:8]}"
+
+
 class GraphError(AssessmentError):
     """The graph cannot go on; the message says which process and why."""
 
@@ -64,13 +108,13 @@ class Program:
 
 
 def graph_programs(
-    options: GraphOptions, controller: str, environment: Mapping[str, str], *, composed: bool
+    options: GraphOptions, car: CarUnderTest, environment: Mapping[str, str], *, composed: bool
 ) -> dict[str, Program]:
     """Return the graph's processes, beside the evaluator's own.
 
     Args:
         options: how to run the graph.
-        controller: name of the car under test.
+        car: the car under test.
         environment: variables that they inherit.
         composed: whether simulator and adversary are none of these processes.
 
@@ -83,7 +127,7 @@ def graph_programs(
         command = _python_node("skd_sim.start", SIMULATOR, *_ros_parameters(options.simulator_parameters()))
         programs[SIMULATOR] = Program(command, ours)
         programs[ADVERSARY] = Program(_python_node("skd_adversary.start", ADVERSARY), ours)
-    if not CarUnderTest(controller).is_external:
+    if not car.is_external:
         programs[CONTROLLER] = Program(_python_node("skd_sim.start", CONTROLLER), ours)
     elif options.controller_command:
         try:

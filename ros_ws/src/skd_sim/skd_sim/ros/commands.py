@@ -1,16 +1,24 @@
 """What a car under test may publish: which message, which number in it, and what that number means.
 
-Types with a name of their own stand in one table; others are described by ROS name, field and quantity.
+Types with a name of their own stand in one table; others are described by ROS name, field and quantity. Message types
+are imported by their names, so that nothing of ROS is needed until one is.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib
+import operator
 import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, cast
 
 from skd_sim.errors import UsageError
 from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.registry import reason_of
+from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.dynamics.limits import CommandLimits
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
@@ -96,3 +104,144 @@ def command_format(options: CommandOptions) -> CommandFormat:
             f"my_msgs/msg/Command; got {options.command_type!r:.80}"
         )
     return CommandFormat(options.command_type, options.command_field, Quantity(options.command_quantity))
+
+
+Reader = Callable[[Any], tuple[int | None, tuple[float, float]]]
+"""From a message to its stamp (ns; none where the type has none) and the command with its limit (0: none)."""
+
+_STEP = re.compile(r"([A-Za-z]\w*)(?:\[(\d+)\])?")
+_ARRAY = re.compile(r"sequence<([^,>]+).*>|(.+)\[(\d+)\]")  # of any length, or of a fixed one
+_NUMBER = re.compile(r"float|double|long double|u?int(8|16|32|64)")
+_MOST_NAMED = 24  # fields in one line of an error
+_HEADER, _TIME = "std_msgs/Header", "builtin_interfaces/Time"
+
+
+@dataclass(frozen=True)
+class CarCommands:
+    """The commands of a car under test: their message type, and where the number is in it.
+
+    Attributes:
+        format: format of the commands, as it was asked for.
+        kind: class of its messages.
+        stamped: whether the messages say for which time they are, in header.stamp or stamp.
+        read: takes one out of a message; raises `IndexError` where its array is too short.
+    """
+
+    format: CommandFormat
+    kind: type
+    stamped: bool
+    read: Reader
+
+
+def car_commands(options: CommandOptions) -> CarCommands:
+    """Find the message type and the field that the options name.
+
+    Raises:
+        UsageError: there is no such type, or no such number in it.
+    """
+    chosen = command_format(options)
+    kind = message_class(chosen.type)
+    take = _getter(chosen.field, kind, chosen.type)
+    limit = _getter(chosen.limit, kind, chosen.type) if chosen.limit else None
+    fields = _fields(kind)
+    stamp = operator.attrgetter("header.stamp") if fields.get("header") == _HEADER else None
+    if stamp is None and fields.get("stamp") == _TIME:
+        stamp = operator.attrgetter("stamp")
+
+    def read(message: Any) -> tuple[int | None, tuple[float, float]]:
+        said = from_stamp(stamp(message)) if stamp else None
+        return said, (float(take(message)), float(limit(message)) if limit else 0.0)
+
+    return CarCommands(chosen, kind, stamp is not None, read)
+
+
+def message_class(name: str) -> type:
+    """Return the class of a message type, as in geometry_msgs/msg/Twist.
+
+    Raises:
+        UsageError: there is no such package, no such message in it, or it cannot be loaded.
+    """
+    package, _, kind = name.split("/")
+    try:
+        module = importlib.import_module(f"{package}.msg")
+    except ModuleNotFoundError as error:
+        if error.name not in (package, f"{package}.msg"):
+            raise UsageError(f"{name} cannot be loaded: {reason_of(error)}") from error
+        raise UsageError(
+            f"--command-type {name}: there is no message package {package} here: source the workspace that has it, or "
+            "give the folder of its .msg files with --message-folder"
+        ) from error
+    except Exception as error:  # what a package does at its import is its own affair
+        raise UsageError(f"{name} cannot be loaded: {reason_of(error)}") from error
+    found: Any = getattr(module, kind, None)
+    if not hasattr(found, "get_fields_and_field_types"):
+        there = sorted(key for key, value in vars(module).items() if hasattr(value, "get_fields_and_field_types"))
+        raise UsageError(f"--command-type {name}: {package} has no such message; it has {_listed(there)}")
+    return cast("type", found)
+
+
+def _fields(kind: Any) -> dict[str, str]:
+    """Return the types of a message's fields by their names, as `double`, `float[9]` or `std_msgs/Header`."""
+    return dict(kind.get_fields_and_field_types())
+
+
+def _class_of(kind: str) -> type:
+    return message_class(kind.replace("/", "/msg/"))
+
+
+def number_paths(kind: type, before: str = "") -> Iterator[str]:
+    """Yield the paths of the numbers in a message class; for an array that of its first number.
+
+    Args:
+        kind: class of the message.
+        before: path of the message itself, with a full stop behind it; empty for a whole message.
+    """
+    for name, of in _fields(kind).items():
+        path = f"{before}{name}"
+        if array := _ARRAY.fullmatch(of):
+            of, path = array[1] or array[2], f"{path}[0]"
+        if _NUMBER.fullmatch(of):
+            yield path
+        elif "/" in of and of != _TIME:
+            yield from number_paths(_class_of(of), f"{path}.")
+
+
+def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
+    """Return a function that takes the number at a path out of a message.
+
+    Args:
+        field: path of the number in the message.
+        kind: class of the message.
+        name: ROS name of the message type, for error lines.
+
+    Raises:
+        UsageError: there is no number at this path; says which there are.
+    """
+    numbers = f"its numbers are {_listed(number_paths(kind))}"
+    if not field:
+        raise UsageError(f"--command-type {name} needs --command-field; {numbers}")
+    steps: list[Callable[[Any], Any]] = []
+    of, here = "", _fields(kind)
+    for part in field.split("."):
+        match = _STEP.fullmatch(part)
+        of = here.get(match[1], "") if match else ""
+        if match and match[2] is not None:
+            array, index = _ARRAY.fullmatch(of), int(match[2])
+            of = (array[1] or array[2]) if array and index < int(array[3] or index + 1) else ""
+        if not match or not of:
+            break
+        steps.append(operator.attrgetter(match[1]))
+        if match[2] is not None:
+            steps.append(operator.itemgetter(index))
+        here = _fields(_class_of(of)) if "/" in of and not _ARRAY.fullmatch(of) else {}
+    if not _NUMBER.fullmatch(of):
+        raise UsageError(f"there is no number {field} in {name}; {numbers}")
+    if all(isinstance(step, operator.attrgetter) for step in steps):
+        return operator.attrgetter(field)
+    return lambda message: functools.reduce(lambda value, step: step(value), steps, message)
+
+
+def _listed(names: Iterable[str]) -> str:
+    found = list(names)
+    more = f", … ({len(found)} in all)" if len(found) > _MOST_NAMED else ""
+    return ", ".join(found[:_MOST_NAMED]) + more if found else "none"

@@ -15,8 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
 from skd_sim.errors import UsageError
-from skd_sim.ros.command_messages import message_class, number_paths
-from skd_sim.ros.commands import NAMED_FORMATS
+from skd_sim.ros.commands import NAMED_FORMATS, message_class, number_paths
 from skd_sim.ros.support import EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND
 
 _FAST_DDS = (1, 15)  # vendor id of eProsima, with which its GUIDs begin

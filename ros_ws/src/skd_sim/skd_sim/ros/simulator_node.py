@@ -23,8 +23,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.frames import MAP_FRAME
 from skd_sim.options.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
 from skd_sim.options.options import values_of
-from skd_sim.ros.command_messages import car_commands
-from skd_sim.ros.commands import Quantity, follow_speed
+from skd_sim.ros.commands import Quantity, car_commands, follow_speed
 from skd_sim.ros.discovery import kind_name, living_publishers, publisher_names, why_no_command
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
 from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Repeat, Senders, Source, Start, Step, frame_stamp

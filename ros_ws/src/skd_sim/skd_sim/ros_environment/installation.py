@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import functools
+import graphlib
 import hashlib
 import importlib.util
 import os
@@ -324,14 +325,19 @@ def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[Mess
             raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a --message-folder")
         uses[name] = set(found[name].dependencies())
         ahead += [(other, name) for other in uses[name]]
+    sorter = graphlib.TopologicalSorter(uses)
+    try:
+        sorter.prepare()
+    except graphlib.CycleError as error:
+        raise UsageError(
+            f"packages of messages use each other in a circle: {', '.join(sorted(set(error.args[1])))}"
+        ) from error
     rounds = []
-    while uses:
-        ready = sorted(name for name, others in uses.items() if not others & set(uses))
-        if not ready:
-            raise UsageError(f"these packages of messages use each other in a circle: {', '.join(sorted(uses))}")
-        rounds.append([found[name] for name in ready])
-        for name in ready:
-            del uses[name]
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        sorter.done(*ready)
+        if ours := sorted(set(ready) & set(uses)):  # the others are installed
+            rounds.append([found[name] for name in ours])
     return rounds
 
 

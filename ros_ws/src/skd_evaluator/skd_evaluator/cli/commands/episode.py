@@ -21,8 +21,8 @@ from skd_evaluator.cli.commands.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.risk.asked import behaviour_asked
 from skd_evaluator.risk.single import single_crossing
-from skd_evaluator.ros.processes import log_of
-from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+from skd_evaluator.ros.processes import GraphSetting, log_of
+from skd_evaluator.ros.session import graph_session, prepare_ros
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -43,15 +43,14 @@ def run(arguments: argparse.Namespace) -> int:
         episode = single_episode(plan, Mode[arguments.mode.upper()], attempt, safe_number=number)
     compile_for_graph(plan, [plan.objective])
     with out.scratch() as scratch:
-        session = graph_session(
-            graph_options(arguments),
-            controller=plan.controller,
-            simulator=plan.simulator,
-            campaign=campaign_name(plan.car),
+        setting = GraphSetting(
+            options=graph_options(arguments),
+            car=plan.car,
             log_folder=scratch.logs,
+            simulator=plan.simulator,
             record_to=scratch.folder / "bags",
         )
-        with session as evaluator:
+        with graph_session(setting) as evaluator:
             if episode.mode == Mode.KAMIKAZE:  # nobody else plans against the car
                 graph = graph_options(arguments)
                 plan = learned_plan(plan, evaluator, lambda *_told: None, partial(say, arguments.command), graph)

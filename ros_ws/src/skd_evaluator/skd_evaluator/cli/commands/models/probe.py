@@ -30,7 +30,8 @@ from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, s
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.ros.session import campaign_name, fresh_graph, graphs_session, prepare_ros
+from skd_evaluator.ros.processes import GraphSetting
+from skd_evaluator.ros.session import fresh_graph, graphs_session, prepare_ros
 from skd_evaluator.version import version
 
 
@@ -110,22 +111,21 @@ def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progr
 def _through_graph(
     arguments: argparse.Namespace, episodes: Sequence[Episode], out: ResultFolder
 ) -> tuple[list[EpisodeLog], tuple[str, ...]]:
-    car, simulator, options = _car(arguments), arguments.simulator, graph_options(arguments)
+    car = _car(arguments)
     warnings: tuple[str, ...] = ()
     with out.scratch() as scratch, progress_bar(quiet=arguments.quiet) as progress:
-        session = graphs_session(
-            options,
-            controller=car.controller,
-            simulator=simulator,
-            campaign=f"probe-{campaign_name(car)}",
+        setting = GraphSetting(
+            options=graph_options(arguments),
+            car=car,
             log_folder=scratch.logs,
+            simulator=arguments.simulator,
             record_to=scratch.folder / "bags",
         )
-        with session as evaluator:
+        with graphs_session(setting) as evaluator:
             logs = _collect(evaluator, episodes, progress)
-            if (fresh := fresh_graph(evaluator, car, simulator, options, scratch.logs)) is not None:
+            if (fresh := fresh_graph(evaluator, setting)) is not None:
                 warnings = repeatability(car.controller, logs, fresh)
-        if (fresh := fresh_graph(None, car, simulator, options, scratch.logs)) is not None:
+        if (fresh := fresh_graph(None, setting)) is not None:
             warnings = repeatability(car.controller, logs, fresh)
         write_with_scratch(out, scratch.folder, lambda folder: _fill(folder, arguments, logs, warnings))
     return logs, warnings

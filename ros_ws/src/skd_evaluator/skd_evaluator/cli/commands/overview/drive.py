@@ -30,7 +30,8 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.driving.hand import Controls, Drive, Hand, LeftError, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.session import campaign_name, graph_session, prepare_ros
+from skd_evaluator.ros.processes import GraphSetting
+from skd_evaluator.ros.session import graph_session, prepare_ros
 
 _NAP = 0.05  # s between two looks at the keys
 _LENIENT = 3600.0  # s that the simulator may be late: nothing is rated here
@@ -183,16 +184,8 @@ def _driving(
 
     watched = Watched(options, hand_for, show, controls.look)
     with ResultFolder(default_folder("drive")).scratch() as scratch:
-        session = graph_session(
-            options,
-            controller=plan.controller,
-            campaign=campaign_name(plan.car),
-            log_folder=scratch.logs,
-            record_to=None,
-            say=said,
-            watched=watched,
-        )
-        with session as evaluator:
+        setting = GraphSetting(options=options, car=plan.car, log_folder=scratch.logs, say=said)
+        with graph_session(setting, watched) as evaluator:
             yield watched.driver(evaluator)
 
 
