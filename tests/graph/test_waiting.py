@@ -20,7 +20,6 @@ from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros import stack as stack_module
 from skd_evaluator.ros.stack import Awaited, FirstCommands
 
@@ -141,49 +140,6 @@ def test_another_stamp(graph: Any, stamp: int, told: str) -> None:
     assert f"(0.6 s): commands come, but their stamps are of no use: {told}" in line
 
 
-def waited(
-    graph: tuple[Node, Node, SingleThreadedExecutor], publisher: Any, message: Any, *, by_stamp: bool = True
-) -> None:
-    """A wait of a second, with a patience of a third of one with what waiting does not mend."""
-    watcher, _, executor = graph
-    awaited = [Awaited(COMMANDS, ACCELERATIONS)]
-    commands = FirstCommands(watcher, awaited, lambda _line: None, patience=0.3, by_stamp=by_stamp)
-    commands.begin(START)
-    latest = time.monotonic() + 1.0
-    while time.monotonic() < latest:
-        publisher.publish(message)
-        executor.spin_once(timeout_sec=0.02)
-        commands.look(state_came=True)
-
-
-@pytest.mark.parametrize(
-    ("kind", "topic", "stamp", "why"),
-    [
-        (AccelStamped, "/brake", START, "but messages of /stack arrive on /brake"),
-        (Twist, COMMANDS, None, f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}"),
-        (AccelStamped, COMMANDS, 0, "they are not set"),
-        (AccelStamped, COMMANDS, 1_700_000_000 * 10**9, "they are of the wall clock"),
-    ],
-)
-def test_what_waiting_does_not_mend_ends_the_wait(graph: Any, kind: type, topic: str, stamp: int, why: str) -> None:
-    publisher = graph[1].create_publisher(kind, topic, 10)
-    message = kind() if stamp is None else stamped(stamp)
-    with pytest.raises(AssessmentError, match=f"the car controller is not heard: .*{why}.*that is so since 0.3 s"):
-        waited(graph, publisher, message)
-
-
-def test_what_waiting_may_mend_does_not(graph: Any) -> None:
-    """A stamp of the episode before, a topic to which somebody listens, a node that has not published."""
-    _, stack, _ = graph
-    stack.create_subscription(AccelStamped, "/internal", lambda _: None, 10)
-    stack.create_publisher(Twist, "/cmd_vel", 10)
-    internal = stack.create_publisher(AccelStamped, "/internal", 10)
-    waited(graph, internal, stamped(START))
-    publisher = stack.create_publisher(AccelStamped, COMMANDS, 10)
-    waited(graph, publisher, stamped(START - 10**9))
-    waited(graph, publisher, stamped(0), by_stamp=False)  # as with a quiet time, where the simulator takes it
-
-
 def test_a_line_that_says_nothing_new_is_said_seldom(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stack_module, "_SAY_EVERY", 0.2)
     watcher, _, executor = graph
@@ -218,9 +174,7 @@ def test_the_terminal(tmp_path: Path, safe: Path) -> None:
         )
     )
     assert program.popen.stderr is not None
-    begin = time.monotonic()
-    line = next(one for one in program.popen.stderr if not one.startswith("skd: preparing"))  # the first run compiles
-    assert time.monotonic() - begin > 10.0
+    line = next(one for one in program.popen.stderr if "waiting for" in one)
     program.popen.send_signal(signal.SIGINT)
     assert program.finish().code == 130
     assert line == (

@@ -249,7 +249,6 @@ class Evaluator(GraphNode):
         answers_each_state: bool | None = None,
         say: Callable[[str], None] | None = None,
         log_folder: Path | None = None,
-        patience: float = math.inf,
     ) -> None:
         """Say how the episodes to come are run; to be called once, before the first.
 
@@ -267,8 +266,6 @@ class Evaluator(GraphNode):
                 else a command without a stamp is one as well. None: nobody knows.
             say: called with each line for the user; by default it is a warning of this node.
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
-            patience: s after which a stack that sends its commands elsewhere, or so that they are not taken, ends the
-                campaign; by default as long as somebody may mend it.
         """
         say = say or self._warn
         self.failures = Failures(say, log_folder)
@@ -276,7 +273,7 @@ class Evaluator(GraphNode):
         self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
         awaited = (Awaited(self._drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))
         self._first_commands = FirstCommands(
-            self, awaited[: 1 if self._composed else 2], say, patience, by_stamp=answers_each_state is not False
+            self, awaited[: 1 if self._composed else 2], say, by_stamp=answers_each_state is not False
         )
         self._campaign = campaign
         self._silence_limit = silence_limit

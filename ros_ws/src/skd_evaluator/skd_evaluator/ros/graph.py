@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import math
 import os
 import random
 import socket
@@ -49,9 +48,6 @@ from skd_evaluator.ros.processes import (
     graph_programs,
 )
 from skd_evaluator.ros.stack import resetting
-
-_CERTAIN = 1.0 / 3.0
-"""Share of the time that a stack has to start after which commands that come elsewhere will not come here."""
 
 
 @contextmanager
@@ -126,8 +122,6 @@ def running_graph(
             answers_each_state=options.answers_each_state,
             say=setting.say,
             log_folder=setting.log_folder,
-            # Who has not started the stack here may be mending it in another terminal.
-            patience=_CERTAIN * options.startup_timeout if options.controller_command else math.inf,
         )
         yield evaluator
 
