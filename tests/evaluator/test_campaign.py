@@ -12,9 +12,9 @@ import pytest
 import shapely
 from cli_support import skd
 from skd_evaluator.assessment.judge.rating import Rating, rate
+from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import (
     ATTEMPTS_PER_WANTED,
-    SYNTHETIC,
     EpisodeRunner,
     Plan,
     Stage,
@@ -169,6 +169,44 @@ def test_safe_trajectories_are_those_that_arrive():
     assert [phi.name for phi in safe_trajectories(SMALL, runner)] == ["synthetic/1", "synthetic/4"]
     with pytest.raises(UsageError, match="only 0 of 2 safe trajectories"):
         safe_trajectories(SMALL, StubRunner(lambda _episode: Outcome.COLLISION))
+
+
+@pytest.mark.parametrize("name", ["crossing", "cpna", "right_turn"])
+def test_walkers_are_as_many_different_safe_crossings_as_are_asked_for(name):
+    plan = Plan(load_scenario(name), safe="walkers", safe_count=30, seed=4)
+    runner = InProcessRunner(1)
+    safe, end = safe_trajectories(plan, runner), plan.scenario.end
+    assert len({phi.positions.tobytes() for phi in safe}) == len({phi.name for phi in safe}) == 30
+    for phi in safe:
+        arrived = [end.arrived(x, y) for x, y in phi.positions.tolist()]
+        assert arrived == [False] * (len(phi) - 1) + [True]
+    # nobody is hit by the paper's safest car under the draws with which the crossing was found
+    numbers = [episode_id(Stage.SAFE, 0, int(phi.name.removeprefix("walkers/"))) for phi in safe]
+    along = [
+        Episode(plan.scenario, Mode.REPLAY, 4, number, safe_trajectory=phi, multiplier=1.15)
+        for number, phi in zip(numbers, safe, strict=True)
+    ]
+    assert {log.outcome for log in runner.run(along)} == {Outcome.ARRIVED}
+    fewer = safe_trajectories(replace(plan, safe_count=7), runner)
+    assert [phi.positions.tobytes() for phi in fewer] == [phi.positions.tobytes() for phi in safe[:7]]
+    others = safe_trajectories(replace(plan, seed=5), runner)
+    assert not {phi.positions.tobytes() for phi in others} & {phi.positions.tobytes() for phi in safe}
+
+
+def test_walkers_differ_in_pace_start_and_drift():
+    safe = safe_trajectories(replace(SMALL, safe="walkers", safe_count=60), InProcessRunner(1))
+    durations = [(len(phi) - 1) * phi.time_step for phi in safe]
+    assert 2.0 <= np.median(durations) <= 2.7  # 5.5 m at 2.5 m/s, and some hesitate
+    assert max(durations) > 1.3 * min(durations)
+    assert np.std([phi.positions[0, 0] for phi in safe]) > 0.1
+    ends = [phi.positions[-1, 1] for phi in safe]
+    assert abs(np.mean(ends)) < 3.0 * np.std(ends) / 60**0.5
+    assert np.std(ends) > 0.2
+
+
+def test_walkers_are_pedestrians():
+    with pytest.raises(UsageError, match=r"--safe walkers .* pedestrian; that of cyclist is a cyclist"):
+        Plan(load_scenario("cyclist"), safe="walkers")
 
 
 def test_recorded_trajectory_that_starts_in_the_car_is_refused(tmp_path):

@@ -103,7 +103,10 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["episode", "--command-type", "twist"], ["--command-type goes with --controller external"]),
         (["probe", "--controller", "cal", "--multiplier", "0.5"], ["--multiplier", "basic controller", "cal has none"]),
         (["fit", "list.yaml"], ["list.yaml", "give episodes.npz"]),
-        (["assess", "--safe", "synthetik"], ["synthetik", "give synthetic, own, regulatory, or the path of one"]),
+        (
+            ["assess", "--safe", "synthetik"],
+            ["synthetik", "give synthetic, own, walkers, regulatory, or"],
+        ),
         (["sweep", "--safe", "own"], ["--safe own goes with skd assess"]),
         (["probe", "--scenario", "nowhere"], ["nowhere", "not a readable file"]),
     ],

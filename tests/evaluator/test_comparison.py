@@ -131,7 +131,7 @@ def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with
     ("changes", "why"),
     [
         ({"seed": 1}, "of different seeds: "),
-        ({"scenario": scenario_of(car={"width": 2.0})}, "planned where car.width is 1.8 and 2.0: "),
+        ({"scenario": scenario_of(car={"width": 2.0})}, "made where car.width is 1.8 and 2.0: "),
         ({"version": "2"}, "made by different versions of SKD: "),
         ({}, "though of one seed and one encounter: "),
     ],

@@ -91,7 +91,8 @@ def _selection(path: Path, scenario: Scenario) -> Selection:
         return Selection(ways, [])
     if not path.exists():  # a misspelt name of a kind looks like a path, too
         raise UsageError(
-            f"{path}: cannot be read: No such file or folder; give synthetic, own, regulatory, or the path of one"
+            f"{path}: cannot be read: No such file or folder; give synthetic, own, walkers, regulatory, or the path of "
+            "one"
         )
     try:
         return _select(path, scenario)

@@ -84,8 +84,8 @@ def _add_drive(commands: Any) -> None:
         "something: its logs. Without a terminal it prints one line a second and ends with the first episode.",
     )
     followed = (
-        "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, regulatory, or a path, as "
-        "skd assess takes them (default: it goes by keys)"
+        "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, walkers, regulatory, or a "
+        "path, as skd assess takes them (default: it goes by keys)"
     )
     add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
     add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")

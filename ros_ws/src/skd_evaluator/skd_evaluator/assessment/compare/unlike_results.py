@@ -14,7 +14,7 @@ from skd_evaluator.assessment.compare.encounter_difference import (
     phi_differences,
 )
 from skd_evaluator.assessment.judge.planned_figures import hit_speed
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.metrics.credibility import UNDISTURBED, in_one_line, not_credible
 
@@ -101,17 +101,19 @@ def different_phi(first: StoredResult, second: StoredResult) -> list[str]:
     kind = first.figures["safe"]
     if kind != second.figures["safe"] or len(shared(first, second)) == min(len(first.safe), len(second.safe)):
         return []
-    why = {OWN: "made against each car", SYNTHETIC: _why_synthetic(first, second)}.get(str(kind), "others of one set")
+    why = "made against each car" if kind == OWN else "others of one set"
+    if kind in (SYNTHETIC, WALKERS):
+        why = _why_generated(first, second)
     between = f"{first.folder} and {second.folder}"
     return [f"{between} are of different φ, {why}: compared as two samples, which takes more φ to tell apart"]
 
 
-def _why_synthetic(first: StoredResult, second: StoredResult) -> str:
-    """Return why two sets of synthetic φ are not the same: they follow from seed, scenario and version of SKD."""
+def _why_generated(first: StoredResult, second: StoredResult) -> str:
+    """Return why two sets of generated φ are not the same: they follow from seed, scenario and version of SKD."""
     if first.figures["seed"] != second.figures["seed"]:
         return "of different seeds"
     if differ := phi_differences(first.encounter, second.encounter):
-        return "planned where " + ", ".join(f"{key} is {here} and {there}" for key, here, there in differ)
+        return "made where " + ", ".join(f"{key} is {here} and {there}" for key, here, there in differ)
     if first.figures["version"] != second.figures["version"]:
         return "made by different versions of SKD"
     return "though of one seed and one encounter"

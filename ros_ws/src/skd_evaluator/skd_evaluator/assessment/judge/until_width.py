@@ -19,7 +19,7 @@ from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import GENERATED
 from skd_evaluator.assessment.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -93,7 +93,7 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
 
     In the order of their files neighbours are alike, so that a batch would have few people.
     """
-    if plan.safe in (SYNTHETIC, OWN):
+    if plan.safe in GENERATED:
         return [], LOOKS
     count = count_safe_trajectories(plan.safe, plan.scenario)
     if count < 2 * plan.safe_count:

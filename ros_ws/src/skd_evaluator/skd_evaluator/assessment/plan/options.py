@@ -19,6 +19,8 @@ MAXIMUM_ABORTED = 0.05
 MOST_WORKERS = 1024
 DEFAULT_MARGIN_LIMIT = 512
 WALKERS, NO_BEHAVIOUR = behaviour.WALKERS, behaviour.NO_BEHAVIOUR
+GENERATED = (SYNTHETIC, OWN, WALKERS)
+"""Sources of as many φ as are asked for."""
 _CAMPAIGN: Any = {"metavar": "N", "commands": ("assess", "sweep"), "launches": ("assessment",)}
 
 
@@ -29,10 +31,11 @@ class CampaignOptions(EpisodeOptions):
     safe: str = option(
         SYNTHETIC,
         "where the safe trajectories come from: synthetic (planned by an adversary that avoids a basic car), own (by "
-        "one that avoids the car under test), regulatory (what the scenario's section protocol prescribes for a test's "
-        "target), or a path of recorded ones: the folder of CITR's vci_lat_uni, a csv file with columns t, x, y, or a "
-        "folder of such files. If the car hits in more than 95 percent of the runs along a "
-        "trajectory, a warning names it: it is not safe with this car",
+        "one that avoids the car under test), walkers (drawn from the behaviour model walkers: straight crossings that "
+        "differ in pace, start, drift and hesitation, and that the same basic car does not hit), regulatory (what the "
+        "scenario's section protocol prescribes for a test's target), or a path of recorded ones: the folder of CITR's "
+        "vci_lat_uni, a csv file with columns t, x, y, or a folder of such files. If the car hits in more than 95 "
+        "percent of the runs along a trajectory, a warning names it: it is not safe with this car",
         metavar="SOURCE",
         group="car and test",
         commands=("assess", "episode", "drive"),

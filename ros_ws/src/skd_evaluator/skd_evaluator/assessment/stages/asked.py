@@ -18,7 +18,7 @@ from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.checks import check_control_period
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.workers import check_controller
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
@@ -36,7 +36,7 @@ def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None 
     Raises:
         UsageError: there is no such scenario, or with these values it is none.
     """
-    source = name or ("citr_crossing" if safe not in (SYNTHETIC, OWN) and is_citr(safe) else "crossing")
+    source = name or ("citr_crossing" if safe not in GENERATED and is_citr(safe) else "crossing")
     return changed_scenario(source, changes) if changes else load_scenario(source)
 
 

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.judge.repeatability import Fresh, driving, fresh_p
 from skd_evaluator.assessment.judge.static_tests import with_static_tests
 from skd_evaluator.assessment.judge.until_width import rate_until_width
 from skd_evaluator.assessment.learning.lesson import learned, needs_learning
-from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, GENERATED, OWN
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
 from skd_evaluator.assessment.stages.findings import aborted_lines
@@ -219,7 +219,7 @@ def assess_in_process(
         runners = replace(runners, ways=runner)
     with runner:
         # Recorded ones are read first: bad input is said before anything is compiled.
-        if plan.safe not in (SYNTHETIC, OWN) and not further.until_width:
+        if plan.safe not in GENERATED and not further.until_width:
             safe.extend(safe_trajectories(plan, runner))
         with margins_compiled_beside(wanted=further.margin_limit > 0) as load_margins:
             if further.risk.behaviour is not None:

@@ -12,7 +12,7 @@ from skd_sim.options.car_under_test import CONTROLLERS
 from skd_sim.options.registry import Registry
 from skd_sim.scenario.known_scenarios import REGULATORY, SCENARIOS
 
-from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import GENERATED, NO_BEHAVIOUR
 from skd_evaluator.cli.parser import commands_of, make_parser
 from skd_evaluator.extensions.ncap.matrices import known_encounters
 from skd_evaluator.metrics.behaviour import WALKERS
@@ -23,7 +23,7 @@ _NAMES: Final[Mapping[str, Callable[[], Iterable[str]]]] = {
     "controller": CONTROLLERS.names,
     "encounters": known_encounters,
     "names": SCENARIOS.names,
-    "safe": lambda: (SYNTHETIC, OWN, REGULATORY),
+    "safe": lambda: (*GENERATED, REGULATORY),
     "scenario": SCENARIOS.names,
 }
 """Options and arguments that take a name of these, or a file."""

@@ -16,7 +16,7 @@ from skd_sim.simulators.named_simulator import make_simulator
 from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.assessment.judge.held_kamikazes import BUDGETS, held_attempts
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
 from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
@@ -68,7 +68,7 @@ class Cell:
     def wanted(self) -> int:
         """How many episodes it has where every kamikaze collides, and every safe trajectory arrives."""
         plan = self.plan
-        generated = plan.safe_count if plan.safe in (SYNTHETIC, OWN) else 0
+        generated = plan.safe_count if plan.safe in GENERATED else 0
         return generated + self._kamikazes + plan.collision_runs + self._of_curve
 
     @property
@@ -123,7 +123,7 @@ def _cell(
     objectives = objectives_named(values["objective"])
     make_simulator(plan.simulator)
     safe: Sequence[Trajectory] | None = None
-    if plan.safe not in (SYNTHETIC, OWN):
+    if plan.safe not in GENERATED:
         source = (plan.safe, plan.safe_count, str(scenario.as_dict()))
         if source not in recorded:
             recorded[source] = safe_trajectories(plan, InProcessRunner(1))

@@ -9,14 +9,15 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
 from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
 
 _KMH = 3.6
 
 
 def sources_of(scenario: Scenario) -> list[str]:
     """Return where an encounter's safe trajectories can come from, beside files."""
-    return [SYNTHETIC, OWN, *([REGULATORY] if scenario.protocol is not None else [])]
+    walkers = [WALKERS] if scenario.adversary.kind == "pedestrian" else []
+    return [SYNTHETIC, OWN, *walkers, *([REGULATORY] if scenario.protocol is not None else [])]
 
 
 def places_of(scenario: Scenario) -> list[float]:

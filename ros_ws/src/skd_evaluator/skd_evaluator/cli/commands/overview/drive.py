@@ -19,7 +19,7 @@ from skd_sim.options.knowledge import Knowledge
 from skd_sim.options.options import options_of, values_of
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, CampaignOptions
+from skd_evaluator.assessment.plan.options import GENERATED, SYNTHETIC, CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.asked import check_car, default_folder, plan_of, scenario_for
@@ -134,7 +134,7 @@ def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
     values: dict[str, Any] = {one.name: one.unsaid for one in options_of(GraphOptions)}
     scenario = scenario_for(arguments.scenario, safe)
     count = CampaignOptions.safe_count
-    if safe not in (SYNTHETIC, OWN):
+    if safe not in GENERATED:
         count = max(1, min(count, count_safe_trajectories(safe, scenario)))
     values |= {**vars(arguments), **_NOBODY_PLANS, "safe": safe, "safe_count": count}
     plan = plan_of(values, scenario)
