@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 from cars.catalogue import CARS, Car, available
+from cars.memory import MEMORY_CARS
 from rich.console import Console
 from rich.table import Table
 from skd_evaluator.assessment.plan.options import SYNTHETIC
@@ -95,7 +96,7 @@ def row(car: Car, episodes: Sequence[Episode], workers: int, times: int) -> list
 
 def main() -> None:
     """Print the table."""
-    cars = [car for car in CARS if not car.is_basic]
+    cars = [car for car in (*CARS, *MEMORY_CARS) if not car.is_basic]
     labels = [car.label for car in cars]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cars", nargs="+", default=labels, choices=labels, metavar="NAME", help="as in the catalogue")
