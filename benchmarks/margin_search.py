@@ -25,8 +25,8 @@ from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.rounds import in_processes
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, Effort, SearchedMargins, search_margins
-from skd_evaluator.margin.searching import in_processes
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Episode, Mode

@@ -11,7 +11,7 @@ import pytest
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin import searching
+from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.any_car import AnyCar

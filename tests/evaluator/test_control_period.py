@@ -16,8 +16,8 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
 from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.margin.searching import one_by_one
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.controllers.user_controller import user_controller

@@ -18,9 +18,9 @@ from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
+from skd_evaluator.margin.search.rounds import in_processes, repeated
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
-from skd_evaluator.margin.searching import in_processes, repeated
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.options.knowledge import Knowledge
@@ -250,7 +250,7 @@ def test_a_cyclist_takes_its_own_actions():
 def test_where_nobody_can_be_hit_there_is_no_hit_and_the_mean_is_the_greatest():
     scenario = replace(CROSSING, collision=replace(CROSSING.collision, hit_speed=30.0))
     margins = searched([replace(one, scenario=scenario) for one in episodes(1.0)], LITTLE)
-    assert margins.without_hit == 3
+    assert margins.ways.count(None) == 3
     assert margins.means[-1][1] == scenario.eta_max
 
 
@@ -267,7 +267,7 @@ def test_a_car_that_does_not_repeat_itself_is_noticed():
     driver = Driver(Moody())
     margins = search_margins(episodes(1.0, 8), {}, driver.rounds, LITTLE)
     hits, again = repeated(margins, driver)
-    assert hits == 8 - margins.without_hit
+    assert hits == 8 - margins.ways.count(None)
     assert again < hits
     calm = Driver(BasicController(1.0))
     assert repeated(search_margins(episodes(1.0, 8), {}, calm.rounds, LITTLE), calm) == (8, 8)

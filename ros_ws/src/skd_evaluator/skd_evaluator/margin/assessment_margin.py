@@ -26,8 +26,8 @@ from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import foretold
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
-from skd_evaluator.margin.searching import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay

@@ -16,10 +16,9 @@ import numpy as np
 from skd_sim.arrays import IntArray
 from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.margin.search.moves import changed, excursion
 from skd_evaluator.margin.search.planner import Planner
 from skd_evaluator.margin.search.surrogate import Surrogate
-from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial
+from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial, changed, excursion
 
 Drive = Callable[[Sequence[Episode]], Iterable[EpisodeLog]]
 """Runs episodes and returns their logs in order."""
@@ -48,7 +47,6 @@ class Group:
         trials: in the order of the episodes.
         space: where sequences of actions lead.
         spent: candidates driven, and plans as what they take.
-        gained: metres by which each source has lowered the margins of trials, in all.
         reasons: why episodes were aborted, one each.
     """
 
@@ -66,7 +64,6 @@ class Group:
         self.trials = [Trial(episode, space) for episode in episodes]
         self.surrogate = Surrogate(first.scenario.control_periods > 1)
         self.spent = 0
-        self.gained = dict.fromkeys(SOURCES, 0.0)
         self.reasons: list[str] = []
         self._planners = [Planner(trial, self.surrogate) for trial in self.trials] if space.is_pedestrian else []
         self._plan_cost = 0.0 if free_plans else 1.0
@@ -163,7 +160,6 @@ class Group:
 
     def _reward(self, source: str, gain: float, offered: bool) -> None:
         self.spent += 1
-        self.gained[source] += gain
         for one in SOURCES:
             self._gain[one] *= _FORGETS
             self._cost[one] *= _FORGETS

@@ -312,7 +312,6 @@ def plan(
     room: Room,
     most: int,
     actions: IntArray,
-    foreseen: FloatArray,
 ) -> tuple[float, int, int, int]:
     """Find the planned hit of least deviation.
 
@@ -331,7 +330,6 @@ def plan(
         room: arrays to work in.
         most: greatest number of moments that may be planned.
         actions: receives the actions of the plan, one for each tick.
-        foreseen: receives path coordinate and speed of the car after each of them.
 
     Returns:
         Deviation (infinity: no plan), number of the simulated moment at which the plan begins, number of its actions,
@@ -462,10 +460,9 @@ def plan(
     while room.links[node, 1] >= 0:
         length, node = length + 1, room.links[node, 1]
     begin = -2 - room.links[node, 1]
-    actions[length - 1], foreseen[length - 1, 0], foreseen[length - 1, 1] = last_action, math.nan, math.nan
+    actions[length - 1] = last_action
     node = winner
     for index in range(length - 2, -1, -1):
         actions[index] = room.links[node, 2]
-        foreseen[index, 0], foreseen[index, 1] = room.states[node, _ALONG], room.states[node, _SPEED]
         node = room.links[node, 1]
     return least, begin, length, count

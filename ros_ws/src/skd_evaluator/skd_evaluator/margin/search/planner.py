@@ -60,7 +60,6 @@ class Planner:
         self._turns, self._mode, self._radius = 0, MODES - 1, RADIUS
         self._coarseness, self._greedy, self._most = 1.0, False, _LITTLE_ROOM[self.within]
         self._ways = np.empty(scenario.ticks + 1, np.int64)
-        self._foreseen = np.empty((scenario.ticks + 1, 2))
         self._failures: list[tuple[float, ...]] = []
         self._index: dict[bytes, int] = {}
         self._rows = np.empty((0, COLUMNS))
@@ -156,7 +155,6 @@ class Planner:
             _room(ROOM[self.within]),
             most,
             self._ways,
-            self._foreseen,
         )
         full = planned >= most
         self._greedy = full and begin < 0 and not self._greedy

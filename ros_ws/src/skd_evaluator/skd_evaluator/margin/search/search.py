@@ -77,11 +77,6 @@ class SearchedMargins:
     driven: int
     reasons: tuple[str, ...]
 
-    @property
-    def without_hit(self) -> int:
-        """Number of trials in which no hit was found."""
-        return sum(way is None for way in self.ways)
-
 
 Rounds = Callable[[Sequence[Group], int], list[Group]]
 """Searches groups until so many candidates a trial are spent, and returns them as they are then, in order."""
