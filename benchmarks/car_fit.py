@@ -28,7 +28,7 @@ from skd_evaluator.assessment.plan.plan import Plan, kamikaze_sets, safe_traject
 from skd_evaluator.assessment.plan.probe import probe_episodes
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.options.objective import Objective

@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.judge.until_width import LOOKS
-from skd_evaluator.assessment.store.stored_episodes import read_episodes
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.metrics.distances.time_warping import warped_distance
 from skd_evaluator.metrics.skd import bound_interval
 from skd_evaluator.metrics.statistics.clustered import clustered_mean, variance_components

@@ -33,10 +33,10 @@ import numpy as np
 import yaml
 from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.result_file import ASSESSMENT
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_sim.options.car_dynamics import BASIC, DYNAMICS

@@ -22,7 +22,7 @@ ORDERS = {  # from above to below: a folder imports from those behind it alone
     "skd_evaluator": (
         "cli ros driving assessment.stages assessment.learning risk margin report bags assessment metrics"
     ),
-    "skd_evaluator.assessment": "stages compare store judge run validation plan",
+    "skd_evaluator.assessment": "stages compare files judge run plan",
     "skd_evaluator.margin": "search exact",
     "skd_evaluator.metrics": "distances surrogate statistics",
 }

@@ -6,7 +6,7 @@ import numpy as np
 from skd_adversary.car_models import Observations, observe
 from skd_evaluator.assessment.plan.probe import probe_episodes
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.bags.car_logs import recording_of
 from skd_sim.controllers import BasicController, Controller, control_period_of, with_control_period
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skd_adversary.crossing.road_user.walker import nearest_walked
 from skd_adversary.crossing.road_users import check_kind
+from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_sim.errors import UsageError
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario

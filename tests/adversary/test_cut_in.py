@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.knowledge import Knowledge
 from skd_sim.options.objective import Objective

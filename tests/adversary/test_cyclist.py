@@ -26,8 +26,8 @@ from skd_adversary.crossing.road_user.wheeled import (
     RIGHT,
 )
 from skd_adversary.crossing.road_users import road_user_named
+from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_sim.errors import UsageError
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -19,8 +19,8 @@ from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, EA
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
+from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.world_step import ROUNDING, recompute
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario

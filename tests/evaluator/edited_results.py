@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 
 
 def edit(folder: Path, change: Callable[[dict[str, Any]], object], manifest: str = "kept") -> None:

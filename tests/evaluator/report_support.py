@@ -9,7 +9,7 @@ from typing import Any
 
 from cli_support import SMALL
 from common import run_skd
-from skd_evaluator.assessment.store.manifest import MANIFEST
+from skd_evaluator.assessment.files.result_folder import MANIFEST
 
 HOSTILE = "<script>alert(1)</script>"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_evaluator.bags.acceptance import Damage
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, load_behaviour
 from skd_evaluator.metrics.behaviour.walking import normals_of

@@ -7,10 +7,10 @@ import pytest
 from shapely import Polygon
 from skd_adversary.adversary import make_adversary
 from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.assessment.store.stored_episodes import read_episodes
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.report.believed_car import DEVIATIONS, believed_car
 from skd_evaluator.report.episode_picture import EpisodePicture

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
+from skd_evaluator.assessment.files.episodes_npz import write_episodes
+from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import (
@@ -24,9 +26,6 @@ from skd_evaluator.assessment.plan.plan import (
     safe_trajectories,
 )
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.episodes_file import write_episodes
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError

@@ -27,7 +27,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import pipeline
 from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.campaign.store import FILE_NAME, EpisodeStore
+from skd_evaluator.extensions.campaign.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.ros import session as session_module
 from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Mode

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from cli_support import one_line, skd
 from edited_results import edit
-from skd_evaluator.assessment.store.verification import verify
+from skd_evaluator.assessment.files.verification import verify
 
 CAMPAIGN = """
 cars: [{controller: basic, sweep: {multiplier: [0.5, 1.0]}}]

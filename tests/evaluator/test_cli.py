@@ -354,7 +354,7 @@ def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("skd_evaluator.assessment.store.episodes_file.np.savez_compressed", full)
+    monkeypatch.setattr("skd_evaluator.assessment.files.episodes_npz.np.savez_compressed", full)
     done = skd_here("assess", *SMALL, "--margin-limit", "0", "--out", "out", *extra)
     assert done.returncode == 1
     assert done.stderr == "skd assess: nothing was written: [Errno 28] No space left on device\n"

@@ -12,9 +12,9 @@ from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
 from skd_evaluator.assessment.plan.plan import OWN, Plan, safe_trajectories
 from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
-from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins

@@ -21,12 +21,12 @@ import numpy as np
 import pytest
 from skd_adversary.car_models.car_model_file import car_model_text
 from skd_adversary.car_models.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.judge.assessment import assess
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.episodes_file import write_episodes
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode, Outcome

@@ -14,9 +14,9 @@ from skd_evaluator.assessment.judge.assessment import judge
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, Stage, episode_id
 from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
+from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.episode_check import examine
-from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.margin.actions import foretold
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories

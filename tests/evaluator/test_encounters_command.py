@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cell import make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError
 from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.scenario import load_scenario

@@ -17,9 +17,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.extensions.campaign.episode_record import Specifications, from_bytes, to_bytes
-from skd_evaluator.extensions.campaign.store import FILE_NAME, CellStore, EpisodeStore, StoreError
-from skd_evaluator.extensions.campaign.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.extensions.campaign.episode_store import (
+    FILE_NAME,
+    CellStore,
+    EpisodeStore,
+    Specifications,
+    StoppedError,
+    StoreError,
+    StoringRunner,
+    from_bytes,
+    to_bytes,
+)
 from skd_sim.errors import UsageError
 from skd_sim.options.knowledge import Knowledge
 from skd_sim.options.objective import Objective

@@ -8,6 +8,8 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
+from skd_evaluator.assessment.files.assessment_json import as_text, assessment_schema
+from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.judge.figure_table import (
     AT_THE_TOP,
     FIGURES,
@@ -19,9 +21,6 @@ from skd_evaluator.assessment.judge.figure_table import (
 from skd_evaluator.assessment.judge.rating import rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.schema import as_text, assessment_schema
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks

@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line
 from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits, check_not_worse
+from skd_evaluator.assessment.files.assessment_json import check_figure, figure, scalar_figures
+from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.figure_names import check_figure, figure, scalar_figures
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.store.verification import Verified
+from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.layout import LEGEND
 from skd_evaluator.extensions.ncap.result import RESULT, TABLE, Cell, Grid, Ncap, as_data, checked, write_table
 from skd_evaluator.extensions.ncap.verification import with_regulator

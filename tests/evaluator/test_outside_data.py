@@ -21,9 +21,9 @@ from skd_adversary.car_models.car_model_file import car_model_for_scenario, car_
 from skd_adversary.car_models.fitted_car import Calibration
 from skd_adversary.safe_trajectories import table
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.assessment.store.verification import folders_below, verify
-from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
+from skd_evaluator.assessment.files.verification import folders_below, verify
+from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.report.history.runs import find_runs
 from skd_evaluator.risk.asked import risk_asked

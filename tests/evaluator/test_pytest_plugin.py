@@ -17,10 +17,10 @@ import pytest
 from comparison_support import FIGURES
 from skd_evaluator.assessment.compare import gate
 from skd_evaluator.assessment.compare.comparison import NOT_TOLD_APART, compare
+from skd_evaluator.assessment.files import results as stored_result
+from skd_evaluator.assessment.files.result_folder import MANIFEST
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.stages import library
-from skd_evaluator.assessment.store import stored_result
-from skd_evaluator.assessment.store.manifest import MANIFEST
-from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Skd

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skd_evaluator.cli.commands
+from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
 from skd_evaluator.assessment.stages.written import write_with_scratch
-from skd_evaluator.assessment.store.manifest import MANIFEST
-from skd_evaluator.assessment.store.results import ResultFolder, write_json
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 
@@ -253,7 +252,7 @@ def test_second_run_is_told_at_once(tmp_path, there):
 def test_run_that_was_killed_holds_nothing(tmp_path):
     script = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from skd_evaluator.assessment.store.results import ResultFolder\n"
+        "from skd_evaluator.assessment.files.result_folder import ResultFolder\n"
         "out = ResultFolder(Path(sys.argv[1])); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "out")], check=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cell import Cell, make_cells
+from skd_evaluator.extensions.campaign.cells import Cell, make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_sim.errors import UsageError
 
@@ -44,7 +44,7 @@ def test_another_car_behind_the_same_module_is_refused(
     cells = make_cells(combinations)
     CampaignFolder(here / "out", cells).close()
     CampaignFolder(here / "out", cells, resume=True).close()
-    monkeypatch.setattr("skd_evaluator.extensions.campaign.cell.check_car", lambda _values, scenario, **_how: scenario)
+    monkeypatch.setattr("skd_evaluator.extensions.campaign.cells.check_car", lambda _values, scenario, **_how: scenario)
     CampaignFolder(here / "out", make_cells(combinations), resume=True).close()  # what it has written is no other car
     if text is None:
         (here / name).unlink()

@@ -14,11 +14,10 @@ from skd_evaluator.assessment.compare.comparison import (
     Comparison,
     compare,
 )
+from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
 from skd_evaluator.metrics.statistics.difference import Difference

@@ -6,7 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from skd_evaluator.arrays import Column, read_arrays
+from skd_evaluator.assessment.files.episodes_npz import Column, read_arrays
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import parse_json
 

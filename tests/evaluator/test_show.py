@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from PIL import Image
 from report_support import edited
 from shapely import Point, Polygon
-from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.commands.compare import reference_hint
 from skd_evaluator.cli.commands.show import shown_episode
 from skd_evaluator.cli.parser import make_parser, parse

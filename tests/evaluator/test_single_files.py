@@ -16,7 +16,7 @@ from cli_support import SMALL, names, one_line
 from skd_evaluator.cli.commands import report
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
-from skd_evaluator.extensions.campaign.cell import make_cells
+from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.inputs.yaml_file import as_yaml, parse_yaml
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

@@ -14,11 +14,10 @@ import pytest
 from cli_support import one_line
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.compare.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_sim.errors import UsageError
 from skd_sim.options.objective import Objective

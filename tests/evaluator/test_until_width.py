@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.judge.until_width import LOOKS, rate_until_width
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.results import write_episodes
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence

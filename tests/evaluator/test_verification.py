@@ -17,16 +17,15 @@ from cli_support import one_line
 from edited_results import change_array, edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
+from skd_evaluator.assessment.files.results import read_result, write_assessment
+from skd_evaluator.assessment.files.verification import verify
 from skd_evaluator.assessment.judge.rating import judge_all
 from skd_evaluator.assessment.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.assessment.store.results import write_assessment
-from skd_evaluator.assessment.store.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.assessment.store.stored_result import read_result
-from skd_evaluator.assessment.store.verification import verify
-from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.extensions.exchange.going_out.recorded import Recorded, actors_of, start_of
+from skd_evaluator.extensions.exchange.scene import ExportedEpisode, actors_of, start_of
 from skd_evaluator.metrics.surrogate.scenes import Course, course_of
 from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.scenario import Scenario, load_scenario
@@ -48,7 +48,7 @@ def course(name: str, contact: bool = True, whole_ticks: bool = False) -> Course
     )
 
 
-def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, stem: str = "kamikaze") -> Recorded:
+def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, stem: str = "kamikaze") -> ExportedEpisode:
     """An episode of a scenario, ready to go out."""
     scenario = load_scenario(name)
     how = course(name, whole_ticks=whole_ticks)
@@ -56,15 +56,15 @@ def recorded(name: str, *, with_car: bool = True, whole_ticks: bool = False, ste
     x, y, heading, speed = actors[0].states[0].tolist()
     start = (x, y, heading, speed)
     chosen = actors if with_car else actors[1:]
-    return Recorded(stem, f"a test of {name}", scenario, chosen, start, float(how.times[-1]), DATE, whole_ticks)
+    return ExportedEpisode(stem, f"a test of {name}", scenario, chosen, start, float(how.times[-1]), DATE, whole_ticks)
 
 
-def safe(name: str, phi: np.ndarray) -> Recorded:
+def safe(name: str, phi: np.ndarray) -> ExportedEpisode:
     """A φ of a scenario, ready to go out."""
     scenario = load_scenario(name)
     times = scenario.time_step * np.arange(len(phi))
     actors = actors_of(scenario, Course(times, phi, np.full((len(phi), 3), np.nan)), with_car=False)
-    return Recorded("phi_000", "a φ", scenario, actors, start_of(scenario, phi), float(times[-1]), DATE)
+    return ExportedEpisode("phi_000", "a φ", scenario, actors, start_of(scenario, phi), float(times[-1]), DATE)
 
 
 def walk(scenario: Scenario, count: int = 12) -> np.ndarray:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from exchange_support import READERS, recorded, safe, scenarios, walk
-from skd_evaluator.extensions.exchange.going_out.commonroad import commonroad, write_commonroad
+from skd_evaluator.extensions.exchange.xml_formats import commonroad, write_commonroad
 from skd_sim.scenario.road import ONCOMING
 from skd_sim.scenario.scenario import load_scenario
 

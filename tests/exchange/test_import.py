@@ -14,12 +14,11 @@ import pytest
 from exchange_support import recorded, safe, walk
 from mcap.writer import Writer
 from skd_adversary.safe_trajectories import load_safe_trajectories
-from skd_evaluator.assessment.store.stored_episodes import read_episodes
-from skd_evaluator.bags.types import complete, typestore
-from skd_evaluator.extensions.exchange.coming_in.found import track_of
-from skd_evaluator.extensions.exchange.coming_in.sources import Asked, read_sources
-from skd_evaluator.extensions.exchange.coming_in.ways import UnusableError, by_car, way_of
-from skd_evaluator.extensions.exchange.going_out.formats import FORMATS
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.bags.mcap_file import complete, typestore
+from skd_evaluator.extensions.exchange.exports import FORMATS
+from skd_evaluator.extensions.exchange.imports import ImportRequest, UnusableError, by_car, read_sources, trajectory_of
+from skd_evaluator.extensions.exchange.tracks import track_of
 from skd_evaluator.extensions.fusion.track import Frame
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
@@ -52,7 +51,7 @@ def test_every_kind_comes_back(tmp_path: Path, name: str):
         one = recorded(scenario, whole_ticks=kind.whole_ticks, stem=scenario)
         path = tmp_path / kind.name(one)
         kind.write(path, one)
-        (source,) = read_sources(path, Asked(needs_car=True))
+        (source,) = read_sources(path, ImportRequest(needs_car=True))
         assert source.stem == scenario
         user = next(actor for actor in one.actors if actor.name == "Adversary")
         assert source.found.track.times == pytest.approx(user.times, abs=1e-9)
@@ -258,7 +257,7 @@ def _in_lidar(px: float, py: float, x: float, y: float, heading: float) -> tuple
 
 def test_tracked_objects_of_a_bag_come_from_the_sensor_into_the_map(tmp_path: Path):
     path = write_bag(tmp_path / "a.mcap", drive())
-    asked = Asked("/tracks:42", "/tf:base_link", needs_car=True, map_frame="map")
+    asked = ImportRequest("/tracks:42", "/tf:base_link", needs_car=True, map_frame="map")
     (source,) = read_sources(path, asked)
     wanted = np.array([walker_at(time) for time in source.found.track.times.tolist()])
     assert len(wanted) == 121
@@ -266,22 +265,25 @@ def test_tracked_objects_of_a_bag_come_from_the_sensor_into_the_map(tmp_path: Pa
     assert source.car is not None
     car = np.array([car_at(time)[:2] for time in source.car.track.times.tolist()])
     assert source.car.track.places == pytest.approx(car, abs=1e-6)
-    (alone,) = read_sources(path, Asked("/tf:base_link"))  # in the highest frame above it
+    (alone,) = read_sources(path, ImportRequest("/tf:base_link"))  # in the highest frame above it
     assert (alone.found.frame, alone.found.track.places.tolist()) == ("map", source.car.track.places.tolist())
 
 
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
-        (Asked("/tracks"), "several objects; it has 42, 7: name one as /tracks:ID"),
-        (Asked("/tracks:43"), "several objects; it has 42, 7"),
-        (Asked("/nothing"), "has no message on /nothing"),
-        (Asked("/tf:wheel"), "/tf has no frame 'wheel' but lidar, odom, base_link"),
-        (Asked("/tf:lidar", map_frame="moon"), "--map-frame moon: /tf and /tf_static do not know it"),
-        (Asked("/tracks:42", "/tf:base_link", needs_car=True), "'lidar' and /tf:base_link in 'map': two frames"),
+        (ImportRequest("/tracks"), "several objects; it has 42, 7: name one as /tracks:ID"),
+        (ImportRequest("/tracks:43"), "several objects; it has 42, 7"),
+        (ImportRequest("/nothing"), "has no message on /nothing"),
+        (ImportRequest("/tf:wheel"), "/tf has no frame 'wheel' but lidar, odom, base_link"),
+        (ImportRequest("/tf:lidar", map_frame="moon"), "--map-frame moon: /tf and /tf_static do not know it"),
+        (
+            ImportRequest("/tracks:42", "/tf:base_link", needs_car=True),
+            "'lidar' and /tf:base_link in 'map': two frames",
+        ),
     ],
 )
-def test_bags_that_lack_what_is_asked_for(tmp_path: Path, asked: Asked, says: str):
+def test_bags_that_lack_what_is_asked_for(tmp_path: Path, asked: ImportRequest, says: str):
     path = write_bag(tmp_path / "a.mcap", drive())
     with pytest.raises(UsageError) as caught:
         read_sources(path, asked)
@@ -317,11 +319,11 @@ def _xosc(folder: Path) -> str:
 def test_scenarios_that_say_no_way(tmp_path: Path, change: Callable[[str], str], says: str):
     (tmp_path / "a.xosc").write_text(change(_xosc(tmp_path)), "utf-8")
     if says == "of no use":  # another name: it is the only one there is
-        (source,) = read_sources(tmp_path / "a.xosc", Asked())
+        (source,) = read_sources(tmp_path / "a.xosc", ImportRequest())
         assert source.found.name == "B"
         return
     with pytest.raises(UsageError) as caught:
-        read_sources(tmp_path / "a.xosc", Asked())
+        read_sources(tmp_path / "a.xosc", ImportRequest())
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -344,7 +346,7 @@ def test_scenarios_that_say_no_way(tmp_path: Path, change: Callable[[str], str],
 def test_tables_that_say_no_way(tmp_path: Path, text: str, says: str):
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(UsageError) as caught:
-        read_sources(tmp_path / "a.csv", Asked())
+        read_sources(tmp_path / "a.csv", ImportRequest())
     assert says in str(caught.value)
 
 
@@ -357,19 +359,19 @@ def test_two_of_one_name_are_nobody(tmp_path: Path):
     twice = text[:end] + text[begin:end].replace("<x>", "<x>1") + text[end:]
     (tmp_path / "a.xml").write_text(twice, "utf-8")
     with pytest.raises(UsageError, match="two obstacles have this id"):
-        read_sources(tmp_path / "a.xml", Asked())
+        read_sources(tmp_path / "a.xml", ImportRequest())
     folder = look_alike(tmp_path / "ind")
     with (folder / "18_tracksMeta.csv").open("a") as stream:
         stream.write("18,3,100,350,251,0,0,pedestrian\n")
     with pytest.raises(UsageError, match="track '3' has two classes"):
-        read_sources(folder / "18_tracks.csv", Asked())
+        read_sources(folder / "18_tracks.csv", ImportRequest())
 
 
 def test_a_bag_of_two_drives_is_not_one(tmp_path: Path):
     """Sorted by their stamps two drives would be one way that leaps between both."""
     path = write_bag(tmp_path / "a.mcap", itertools.chain(drive(), drive(10.0)))
     with pytest.raises(UsageError, match=r"the clock of /tracks goes back from 106\.00 to 100\.00 s"):
-        read_sources(path, Asked("/tracks:42"))
+        read_sources(path, ImportRequest("/tracks:42"))
 
 
 def test_a_car_that_turns_does_not_say_where_north_is():
@@ -383,9 +385,9 @@ def test_a_car_that_turns_does_not_say_where_north_is():
 
 def test_a_way_that_jumps_is_unusable(tmp_path: Path):
     (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n1,1,0\n2,900,0\n3,901,0\n")
-    (source,) = read_sources(tmp_path / "a.csv", Asked())
+    (source,) = read_sources(tmp_path / "a.csv", ImportRequest())
     with pytest.raises(UnusableError, match="moves 899 m in 1 s"):
-        way_of(source, Frame(), 0.5, None)
+        trajectory_of(source, Frame(), 0.5, None)
 
 
 def test_what_the_commands_refuse(result: Path, skd_here, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -404,7 +406,7 @@ def test_what_the_commands_refuse(result: Path, skd_here, tmp_path: Path, monkey
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr("skd_evaluator.extensions.exchange.osi_library.import_module", missing)
+    monkeypatch.setattr("skd_evaluator.extensions.exchange.osi.import_module", missing)
     done = skd_here("export", result, "--format", "osi", "--out", "x")
     assert (done.returncode, "skd[exchange]" in done.stderr) == (2, True)
     assert skd_here("export", result, "--format", "csv", "--worst", 1, "--out", "x").returncode == 0

@@ -11,10 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from exchange_support import checked, passes, recorded, safe, scenarios, walk
-from skd_evaluator.assessment.store.stored_episodes import read_episodes
-from skd_evaluator.extensions.exchange.going_out.opendrive import opendrive, write_road
-from skd_evaluator.extensions.exchange.going_out.openscenario import write_openscenario
-from skd_evaluator.extensions.exchange.going_out.recorded import stretch
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.extensions.exchange.scene import stretch
+from skd_evaluator.extensions.exchange.xml_formats import opendrive, write_openscenario, write_road
 from skd_sim.scenario.kinds import ROAD_USERS, called
 from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.road import ONCOMING

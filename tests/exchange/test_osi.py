@@ -14,9 +14,8 @@ import pytest
 from exchange_support import READERS, recorded, scenarios
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from skd_evaluator.assessment.store.stored_episodes import read_episodes
-from skd_evaluator.extensions.exchange.coming_in.osi import read_osi
-from skd_evaluator.extensions.exchange.going_out.osi import ground_truth, osi_name, write_osi
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
+from skd_evaluator.extensions.exchange.osi import ground_truth, osi_name, read_osi, write_osi
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 

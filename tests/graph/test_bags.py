@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros_ws" / "src" / "skd_msgs" / "msg"
 TOPICS = {

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from graph_support import skd
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_sim.world.episode import Outcome
 
 SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "constant_speed" / "constant_speed.py"

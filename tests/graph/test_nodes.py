@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator_node import EvaluatorProcess
 from skd_sim.ros.controller_node import CarController
 from skd_sim.ros.simulator_node import VehicleSimulator

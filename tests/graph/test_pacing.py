@@ -18,7 +18,7 @@ from skd_evaluator.assessment.judge.command_age import command_age
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.stages.asked import with_asked_period
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.aborts import AbortKind, kind_of

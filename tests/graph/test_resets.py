@@ -22,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, Outcome
 

@@ -33,7 +33,7 @@ from graph_support import (
 )
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 STAGGER = 0.1  # s between two starts

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from packaging_support import ROOT
-from skd_evaluator.assessment.store.figure_names import check_figure
+from skd_evaluator.assessment.files.assessment_json import check_figure
 from skd_evaluator.cli.parser import make_parser
 
 FOLDER = ROOT / "examples" / "ci"

@@ -23,7 +23,7 @@ from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.bags.reader import read_episodes
+from skd_evaluator.bags.read import read_episodes
 from skd_sim.ros_environment import ensure_ros
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode

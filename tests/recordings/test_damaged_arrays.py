@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from bag_forge import Sent, forged
 from common import run_skd
-from skd_evaluator.assessment.store.manifest import MANIFEST
-from skd_evaluator.bags.completeness import not_credible_beside
+from skd_evaluator.assessment.files.result_folder import MANIFEST
+from skd_evaluator.bags.checks import not_credible_beside
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 
 Arrays = dict[str, np.ndarray[Any, Any]]

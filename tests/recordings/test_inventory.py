@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from bag_forge import Sent, campaign_messages, forged, write_mcap
 from recordings_support import attempts, crossing
+from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.store.manifest import MANIFEST, write_manifests
-from skd_evaluator.assessment.store.stored_result import read_result
-from skd_evaluator.bags.inventory import find_recordings
+from skd_evaluator.bags.checks import find_recordings
 from skd_sim.options.objective import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog

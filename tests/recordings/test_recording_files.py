@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
-from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.read import read_bags
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog
 

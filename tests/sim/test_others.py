@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
 from skd_evaluator.assessment.judge.struck import ADVERSARY, closing_speed, struck
+from skd_evaluator.assessment.plausibility import ROUNDING, first_touch, implausible, recompute, touches
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.validation.episode_check import implausible
-from skd_evaluator.assessment.validation.world_step import ROUNDING, first_touch, recompute, touches
 from skd_sim.controllers import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict

@@ -1,22 +1,198 @@
-"""Where results come from: what ran, of which code, when and on which machine. None of it is a figure."""
+"""What results follow from beside their options: versions, the files of a user's code, when and where it ran.
+
+A model that is kept, a campaign that goes on, and workers on other machines must have the same code. A user's code is
+the folder of its package, with everything in it; of a module in no package it is the module and what lies beside it; of
+a node it is what the words of its command name. Nothing of it is run.
+"""
 
 from __future__ import annotations
 
 import datetime
+import functools
 import hashlib
+import importlib.util
 import os
 import platform
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from importlib.metadata import version as version_of
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import sha256_of
+from skd_sim.kernels.arithmetic import arithmetic_digest
+from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 
-from skd_evaluator.fingerprint import code_files, code_paths, in_words
+from skd_evaluator.files import MARKERS
+from skd_evaluator.version import version
+
+MOST_FILES: Final = 2_000
+MOST_BYTES: Final = 2**30
+_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
+_NOT_CODE = (".log", ".out", ".txt", ".md", ".html", ".xml", ".csv", ".yaml", ".yml")
+"""Endings of files beside a module that are taken for what a command reads or writes."""
+_COMPILED = (".pyc", ".pyo")
+
+
+@functools.cache
+def environment() -> Mapping[str, str]:
+    """Return versions and digests, by the name of what they are of, which results to the bit depend on."""
+    digest = hashlib.sha256()
+    for package in _PACKAGES:
+        spec = importlib.util.find_spec(package)
+        assert spec is not None
+        assert spec.origin is not None
+        folder = Path(spec.origin).parent
+        for file in sorted(folder.rglob("*")):
+            if file.is_file() and "__pycache__" not in file.parts:
+                digest.update(f"{file.relative_to(folder.parent)}\0".encode())
+                digest.update(file.read_bytes())
+    return {
+        "SKD": f"{version()} with sources {digest.hexdigest()[:12]}",
+        "Python": platform.python_version(),
+        **{name: version_of(name) for name in ("numpy", "scipy", "numba")},
+        "platform": f"{platform.system()} on {platform.machine()}",
+        "arithmetic": arithmetic_digest()[:12],
+    }
+
+
+@dataclass(frozen=True)
+class CodeFiles:
+    """The files of a user's code.
+
+    Attributes:
+        digests: SHA-256 of each package folder, module or named file, by its path.
+        why_not: why these are not all, in words that follow *because*; empty: they are all that is known of.
+    """
+
+    digests: Mapping[str, str]
+    why_not: str
+
+
+def code_files(car: CarUnderTest, command: str = "", others: Iterable[str] = ()) -> CodeFiles:
+    """Return the files of a car, and of other code of a user's; SKD's own cars have none, they go with its version.
+
+    Args:
+        car: the car under test.
+        command: command that starts the car's own node, if it has one.
+        others: `package.module:Class` of what else belongs to it, as a simulator.
+    """
+    found, why_not = code_paths(car, command), ""
+    if not found and not car.is_own:
+        why_not = "its command names no file of it" if command else "no file of it is known"
+    found += [path for target in others if (path := _path_of_module(target.partition(":")[0])) is not None]
+    digests = {}
+    for path in dict.fromkeys(found):
+        files = files_of(path)
+        if len(files) > MOST_FILES or sum(file.stat().st_size for file in files) > MOST_BYTES:
+            why_not = f"more than {MOST_FILES:,} files, or {MOST_BYTES // 2**20:,} MiB, lie in {in_words(path)}"
+            continue
+        digests[in_words(path)] = digest_of(files)
+    return CodeFiles(digests, why_not)
+
+
+def code_paths(car: CarUnderTest, command: str = "") -> list[Path]:
+    """Return the package folder or the module that a car's name leads to, or what the words of its command name."""
+    if car.is_own:
+        return []
+    if not car.is_external:
+        with suppress(UsageError):
+            target = CONTROLLERS.target(car.controller) if car.controller in CONTROLLERS else car.controller
+            path = _path_of_module(target.partition(":")[0])
+            return [] if path is None else [path]
+        return []
+    found: list[Path] = []
+    with suppress(ValueError):  # a quotation mark too many: it will not start either
+        words = shlex.split(command)
+        for before, word in zip(["", *words], words, strict=False):
+            path = _path_of_module(word) if before == "-m" else _path_named(word)
+            found += [] if path is None else [path]
+    return list(dict.fromkeys(found))
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files in a package folder; or a module with what lies beside it, in no particular order.
+
+    There are one more than `MOST_FILES` where there are too many.
+    """
+    if path.is_dir():
+        return list(islice(_below(path), MOST_FILES + 1))
+    found = [path] if path.is_file() else []
+    if path.suffix == ".py" and "site-packages" not in path.parts:
+        beside = (file for file in _below(path.parent) if file.suffix not in _NOT_CODE and file != path)
+        found += islice(beside, MOST_FILES)
+    return found
+
+
+def digest_of(files: Sequence[Path]) -> str:
+    """Return the SHA-256 of files with their names, from the folder on that they are in; empty for none."""
+    if not files:
+        return ""
+    top = os.path.commonpath([file.parent for file in files])
+    digest = hashlib.sha256()
+    for file in files:
+        with suppress(OSError, UsageError):  # whoever has removed it meanwhile
+            state = file.stat()
+            digest.update(os.fsencode(os.path.relpath(file, top)) + b"\0")
+            digest.update(_sha256(file, state.st_size, state.st_mtime_ns).encode())
+    return digest.hexdigest()
+
+
+def in_words(path: Path) -> str:
+    """Return a path as a text that can be written: names of files may have bytes that are no UTF-8."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
+
+
+@functools.lru_cache(maxsize=2 * MOST_FILES)
+def _sha256(file: Path, _size: int, _changed: int) -> str:
+    """Return the SHA-256 of a file, read once as long as its size and time stay as they are."""
+    return sha256_of(file)
+
+
+def _path_of_module(module: str) -> Path | None:
+    """Return the folder of the package that a module is in, or the module's file; nothing is imported."""
+    if module == "__main__":
+        program = getattr(sys.modules["__main__"], "__file__", None)
+        return None if program is None else Path(program).resolve()
+    spec = PathFinder.find_spec(module.partition(".")[0], sys.path)
+    if spec is None:
+        return None
+    folders = list(spec.submodule_search_locations or ())
+    origin = folders[0] if folders else spec.origin
+    return Path(origin).absolute() if origin is not None and Path(origin).exists() else None
+
+
+def _path_named(word: str) -> Path | None:
+    """Return the file or folder that a word of a command names, or what is behind its `=`; no program of the system."""
+    for name in (word, word.rpartition("=")[2]):
+        with suppress(OSError, ValueError, RuntimeError):  # the last: of a home that nobody has
+            path = Path(name).expanduser().absolute()
+            if name and (path.is_dir() or path.is_file()) and path.parent.name != "bin":
+                return path
+    return None
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and below it, in the order of their names, but for results and environments."""
+    for top, folders, names in os.walk(folder, followlinks=True):
+        folders[:] = sorted(one for one in folders if not one.startswith((".", "__pycache__")))
+        written = "manifest.sha256" in names and not set(MARKERS).isdisjoint(names)
+        if written or not {"cells.json", "pyvenv.cfg"}.isdisjoint(names):
+            folders.clear()
+            continue
+        for name in sorted(names):
+            file = Path(top, name)
+            if not name.startswith(".") and not name.endswith(_COMPILED) and file.is_file():
+                yield file
+
 
 _GIT_PATIENCE = 10.0  # s
 

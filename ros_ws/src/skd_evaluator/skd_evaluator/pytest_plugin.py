@@ -135,7 +135,7 @@ class Assessed:
                 is not.
         """
         from skd_evaluator.assessment.compare.gate import check_not_worse
-        from skd_evaluator.assessment.store.stored_result import read_result
+        from skd_evaluator.assessment.files.results import read_result
         from skd_evaluator.errors import AssessmentError
 
         check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))

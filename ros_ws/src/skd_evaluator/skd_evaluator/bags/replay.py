@@ -23,16 +23,15 @@ from skd_evaluator.assessment.plan.plan import (
     split_episode_id,
     walks_a_way,
 )
-from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.bags.completeness import (
+from skd_evaluator.bags.checks import (
+    Damage,
     aborted_episodes,
     fewer_than_said,
     missing_episodes,
     not_credible_beside,
     unfinished_episodes,
 )
-from skd_evaluator.bags.reader import Recorded
-from skd_evaluator.bags.recording import RecordedEpisode
+from skd_evaluator.bags.read import RecordedEpisode, RecordedEpisodes
 from skd_evaluator.metrics.aborted import aborted_lines
 
 _OPTIONS = [one for one in options_of(Episode) if one.name != "objective"]  # a campaign may have several objectives
@@ -83,7 +82,7 @@ def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
 
 
 def rating_from(
-    recorded: Recorded,
+    recorded: RecordedEpisodes,
     *,
     campaign: str | None = None,
     maximum_distance: float | None = None,

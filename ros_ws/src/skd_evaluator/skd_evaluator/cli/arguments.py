@@ -14,7 +14,7 @@ from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED, MOST_WORKERS,
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.store.results import ResultFolder
+    from skd_evaluator.assessment.files.result_folder import ResultFolder
 
 CAR_GROUP = "car and test"
 
@@ -270,8 +270,8 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
     Raises:
         UsageError: it cannot be taken, or holds what the command reads.
     """
+    from skd_evaluator.assessment.files.result_folder import ResultFolder
     from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
-    from skd_evaluator.assessment.store.results import ResultFolder
 
     out = output_path(arguments)
     refuse_to_replace(out, inputs_of(vars(arguments)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.bags.acceptance import Damage
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.report.terminal import counted
 
 _SHOWN = 10

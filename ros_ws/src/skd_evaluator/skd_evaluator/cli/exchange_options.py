@@ -8,7 +8,7 @@ from typing import Any
 from skd_evaluator.cli.arguments import add_count, add_output_arguments, frame_place, real_number, whole_number
 
 EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
-"""Names of the formats that results go out in; what they are stands in `exchange/going_out/formats.py`."""
+"""Names of the formats that results go out in; what they are stands in `extensions/exchange/exports.py`."""
 LONGEST_GAP = 0.5  # s
 
 

@@ -21,7 +21,7 @@ from skd_evaluator.files import check_file, write_file
 
 if TYPE_CHECKING:  # this module is imported at every start, and has to be light
     from skd_evaluator.assessment.compare.gate import Check, Limit
-    from skd_evaluator.assessment.store.stored_result import StoredResult
+    from skd_evaluator.assessment.files.results import StoredResult
 
 _FILES = ("junit", "markdown", "csv")
 
@@ -162,7 +162,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
     limits = _limits_of(arguments)
     earlier = None
     if arguments.fail_if_worse_than is not None:
-        from skd_evaluator.assessment.store.stored_result import read_result
+        from skd_evaluator.assessment.files.results import read_result
 
         try:
             earlier = read_result(arguments.fail_if_worse_than)
@@ -196,7 +196,7 @@ def _limits_of(arguments: argparse.Namespace) -> tuple[Limit, ...]:
     limits: tuple[Limit, ...] = ()
     if arguments.fail_below or arguments.fail_above:
         from skd_evaluator.assessment.compare.gate import Limit
-        from skd_evaluator.assessment.store.figure_names import check_figure, span_of
+        from skd_evaluator.assessment.files.assessment_json import check_figure, span_of
 
         for side in ("below", "above"):
             for name, value in getattr(arguments, f"fail_{side}"):

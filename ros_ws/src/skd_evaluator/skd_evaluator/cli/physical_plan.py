@@ -16,7 +16,7 @@ from skd_sim.inputs.model import YesNo, limits, read_model
 from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.assessment.store.manifest import MANIFEST, check_unchanged
+from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.estimate.control_variate import LEAST_PAIRS
 from skd_evaluator.extensions.fusion.estimate.planning import trials_for_width

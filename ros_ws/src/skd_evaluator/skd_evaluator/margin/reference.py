@@ -16,10 +16,10 @@ from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import Mode
 from skd_sim.world.trajectory import Trajectory
 
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner
-from skd_evaluator.assessment.store.result_file import ASSESSMENT
-from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.basic_margins import yardstick
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier

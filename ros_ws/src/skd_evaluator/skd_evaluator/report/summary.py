@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from skd_evaluator.assessment.compare.gate import Check
+from skd_evaluator.assessment.files.assessment_json import scalar_figures
 from skd_evaluator.assessment.judge.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
-from skd_evaluator.assessment.store.figure_names import scalar_figures
 from skd_evaluator.report.formats import BARE, ninety
 from skd_evaluator.report.terminal import car_name, headline
 from skd_evaluator.report.warnings import margin_warnings

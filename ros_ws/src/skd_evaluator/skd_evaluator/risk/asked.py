@@ -7,8 +7,8 @@ from typing import Final
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR
-from skd_evaluator.assessment.store.manifest import check_unchanged
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 
 NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"

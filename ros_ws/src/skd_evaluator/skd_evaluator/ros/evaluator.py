@@ -57,12 +57,12 @@ from skd_sim.world.state import AdversaryState, CarState
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.judge.figure_table import Of, keys_of
 from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.assessment.store.figure_names import figure
-from skd_evaluator.assessment.validation.episode_check import examine
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import Failures
 from skd_evaluator.ros.recording import SETTLE, BagRecorder

@@ -21,6 +21,7 @@ from skd_sim.options.options import options_of, values_of
 from skd_sim.ros.support import Setting, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 
+from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.learning.lesson import learned
 from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan
@@ -31,7 +32,6 @@ from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions, mana
 from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, compile_for_graph
 from skd_evaluator.assessment.stages.written import fill, fill_episode, write_with_scratch
-from skd_evaluator.assessment.store.results import ResultFolder
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.ros.evaluator import Evaluator

@@ -29,7 +29,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.bags.writer import RecordedMessage
+from skd_evaluator.bags.write import RecordedMessage
 from skd_evaluator.driving.situation import Onlooker, figures_of
 
 _LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # obstacles last: there may be many

@@ -1,8 +1,8 @@
 """A guard around a simulator that is not SKD's own, which may raise anything and say anything of car and adversary.
 
-Whether an episode as a whole can have happened is asked of its log (`skd_evaluator.assessment.validation`). Here it is
-looked at what no log shows: that frames are frames, finite and one after the other, and that the adversary goes where
-it is told, for which a log has no commands.
+Whether an episode as a whole can have happened is asked of its log (`skd_evaluator.assessment.plausibility`). Here it
+is looked at what no log shows: that frames are frames, finite and one after the other, and that the adversary goes
+where it is told, for which a log has no commands.
 """
 
 from __future__ import annotations

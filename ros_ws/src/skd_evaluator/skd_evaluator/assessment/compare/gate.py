@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, NOT_COMPARED, RISKS, Comparison, compare
-from skd_evaluator.assessment.store.figure_names import figure
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
+from skd_evaluator.assessment.files.assessment_json import figure
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.margins import UPPER_BOUNDS, stopped_at
 

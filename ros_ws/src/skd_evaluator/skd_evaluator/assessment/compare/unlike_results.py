@@ -13,9 +13,9 @@ from skd_evaluator.assessment.compare.encounter_difference import (
     encounter_difference,
     phi_differences,
 )
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.judge.planned_figures import hit_speed
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.assessment.store.stored_result import StoredResult
 from skd_evaluator.metrics.credibility import UNDISTURBED, in_one_line, not_credible
 
 

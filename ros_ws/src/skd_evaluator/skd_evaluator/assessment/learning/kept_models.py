@@ -27,7 +27,7 @@ from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.files import make_temporary
-from skd_evaluator.fingerprint import CodeFiles, code_files, environment
+from skd_evaluator.provenance import CodeFiles, code_files, environment
 
 _MODEL = "car_model.yaml"
 

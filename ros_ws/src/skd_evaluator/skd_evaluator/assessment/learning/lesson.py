@@ -28,7 +28,7 @@ from skd_evaluator.assessment.learning.waiting import with_waiting_reward
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.plan.probe import probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.bags.logs import recording_of
+from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.version import version
 

@@ -21,7 +21,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 
 from skd_evaluator.assessment.run.workers import do, warm_up_with
-from skd_evaluator.fingerprint import code_paths, digest_of, environment, files_of
+from skd_evaluator.provenance import code_paths, digest_of, environment, files_of
 
 _PROTOCOL = 4
 """Of pickled answers. From 5 on a small array comes back as a view of a view of bytes, which takes twice the memory."""

@@ -24,8 +24,8 @@ from skd_sim.world.randomness import controller_generator, controller_seed
 from skd_sim.world.sensors import make_laser
 from skd_sim.world.simulator import Simulator, SimulatorError, require_others
 
+from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.validation.episode_check import examine
 
 
 def run_episode(

@@ -18,11 +18,11 @@ from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.checks import check_control_period
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 
+from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.workers import check_controller
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.assessment.store.manifest import check_unchanged
 
 
 def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:

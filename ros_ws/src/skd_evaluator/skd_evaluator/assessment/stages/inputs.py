@@ -14,8 +14,8 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.known_scenarios import SCENARIOS, is_named, lineage
 
 from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
-from skd_evaluator.fingerprint import code_paths
 from skd_evaluator.metrics.behaviour import WALKERS
+from skd_evaluator.provenance import code_paths
 
 _WRITTEN = ("out", "junit", "markdown", "csv")
 """Options that name what is written."""

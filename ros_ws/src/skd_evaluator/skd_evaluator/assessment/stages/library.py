@@ -13,6 +13,8 @@ from typing import Any
 from skd_sim.options.objective import objectives_named
 from skd_sim.options.options import option, options_of, read_options
 
+from skd_evaluator.assessment.files.result_folder import ResultFolder
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan, Progress
@@ -24,8 +26,6 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.assessment.stages.notebook import Result, result_of
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessment.stages.written import fill
-from skd_evaluator.assessment.store.results import ResultFolder
-from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.risk.asked import risk_asked

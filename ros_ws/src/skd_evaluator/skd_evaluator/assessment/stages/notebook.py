@@ -12,8 +12,8 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.assessment.store.stored_episodes import StoredEpisodes, read_episodes
-from skd_evaluator.assessment.store.stored_result import StoredResult
+from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
+from skd_evaluator.assessment.files.results import StoredResult
 
 
 class Result(StoredResult):

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from skd_sim.world.episode import EpisodeLog
 
+from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
+from skd_evaluator.assessment.files.results import episode_summary, write_assessment
 from skd_evaluator.assessment.judge.assessment import Assessment
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.run.workers import available_workers, in_background
-from skd_evaluator.assessment.store.results import ResultFolder, episode_summary, write_assessment, write_json
 
 
 def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:

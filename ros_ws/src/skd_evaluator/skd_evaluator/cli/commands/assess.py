@@ -19,6 +19,8 @@ from skd_sim.world.aborts import counts_in_words
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.trajectory import Trajectory
 
+from skd_evaluator.assessment.files.result_folder import ResultFolder
+from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, judge_all
 from skd_evaluator.assessment.judge.repeatability import fresh_process
 from skd_evaluator.assessment.plan.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
@@ -32,7 +34,6 @@ from skd_evaluator.assessment.stages.pipeline import (
     compile_for_graph,
 )
 from skd_evaluator.assessment.stages.written import fill, save_with_scratch
-from skd_evaluator.assessment.store.results import ResultFolder, write_assessment
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json

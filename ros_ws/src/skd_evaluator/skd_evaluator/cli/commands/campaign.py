@@ -24,9 +24,8 @@ from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
 from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign
-from skd_evaluator.extensions.campaign.cell import Cell, make_cells
+from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Row, make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.extensions.campaign.rows import DONE, FAILED, Row
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program

@@ -16,12 +16,12 @@ from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, compare, ranking_figure
 from skd_evaluator.assessment.compare.encounter_difference import encounter_difference
+from skd_evaluator.assessment.files.assessment_json import understood
+from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.judge.figure_table import columns
 from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.stages.asked import scenario_for
-from skd_evaluator.assessment.store.result_file import understood
-from skd_evaluator.assessment.store.results import write_json
-from skd_evaluator.assessment.store.stored_result import StoredResult, read_result
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails

@@ -16,9 +16,9 @@ from skd_sim.scenario.known_scenarios import SCENARIOS, is_named
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
 from skd_sim.world.trajectory import Trajectory
 
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
-from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError

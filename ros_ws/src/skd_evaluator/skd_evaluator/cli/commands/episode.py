@@ -10,12 +10,12 @@ from functools import partial
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode, Outcome
 
+from skd_evaluator.assessment.files.results import episode_summary
 from skd_evaluator.assessment.run.workers import single_episode
 from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.stages.findings import episode_line
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, learned_plan
 from skd_evaluator.assessment.stages.written import fill_episode, write_with_scratch
-from skd_evaluator.assessment.store.results import episode_summary
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import graph_options, say
 from skd_evaluator.cli.output import print_json

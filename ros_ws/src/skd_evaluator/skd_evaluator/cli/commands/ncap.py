@@ -13,12 +13,12 @@ from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
 
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
 from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of

@@ -20,7 +20,7 @@ from skd_evaluator.metrics.statistics.sample_size import COUNTS, Size, sizes_for
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.store.stored_result import StoredResult
+    from skd_evaluator.assessment.files.results import StoredResult
 
 _STATED = {
     "margin": (VarianceComponents(0.058**2, 0.340**2), VarianceComponents(0.007**2, 0.174**2)),
@@ -54,8 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{what} is for --physical")
     if not arguments.paths:  # what reads results takes longer to import than all of this
         return _run(arguments, [])
-    from skd_evaluator.assessment.store.result_file import understood
-    from skd_evaluator.assessment.store.stored_result import read_result
+    from skd_evaluator.assessment.files.assessment_json import understood
+    from skd_evaluator.assessment.files.results import read_result
 
     with understood(Path("one of the results")):
         return _run(arguments, [read_result(path) for path in arguments.paths])

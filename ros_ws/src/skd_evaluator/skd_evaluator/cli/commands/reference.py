@@ -14,12 +14,12 @@ from skd_sim.errors import UsageError
 from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import load_scenario
 
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
+from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.run.workers import ExecutorRunner
-from skd_evaluator.assessment.store.result_file import ASSESSMENT
-from skd_evaluator.assessment.store.results import write_json
-from skd_evaluator.assessment.store.stored_result import read_result
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.cli.runner import runner_of

@@ -10,8 +10,8 @@ from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.written import fill
-from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessment.store.result_file import understood
+from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.cli.arguments import output_path
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError

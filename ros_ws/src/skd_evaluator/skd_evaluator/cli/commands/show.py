@@ -14,8 +14,8 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.assessment.store.result_file import understood
-from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.files.assessment_json import understood
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.surrogate.episode import episode_measures

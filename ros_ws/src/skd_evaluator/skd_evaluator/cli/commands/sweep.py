@@ -14,6 +14,7 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.objective import objectives_named
 
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.judge.figure_table import columns
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
@@ -22,7 +23,6 @@ from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
 from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, planners_of
 from skd_evaluator.assessment.stages.written import fill
-from skd_evaluator.assessment.store.results import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json

@@ -6,7 +6,7 @@ import argparse
 
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.assessment.store.verification import Verified, folders_below, verify
+from skd_evaluator.assessment.files.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.ncap.verification import with_regulator
 from skd_evaluator.report.terminal import counted

@@ -24,21 +24,28 @@ from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan
 from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.campaign.cell import Cell
-from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.extensions.campaign.rows import (
+from skd_evaluator.extensions.campaign.cells import (
     DONE,
     FAILED,
     FIGURES,
     FIRST,
     OF_PLANS,
+    Cell,
     Row,
     done_row,
     open_row,
     row_of,
 )
-from skd_evaluator.extensions.campaign.store import FILE_NAME, CellStore, EpisodeStore, StoreError, remove_files
-from skd_evaluator.extensions.campaign.storing_runner import StoppedError, StoringRunner
+from skd_evaluator.extensions.campaign.episode_store import (
+    FILE_NAME,
+    CellStore,
+    EpisodeStore,
+    StoppedError,
+    StoreError,
+    StoringRunner,
+    remove_files,
+)
+from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
 from skd_evaluator.ros.session import rated_through_graph
 
@@ -159,7 +166,7 @@ class Campaign:
         """
         waiting: queue.SimpleQueue[Cell | None] = queue.SimpleQueue()
         ended: queue.SimpleQueue[BaseException | None] = queue.SimpleQueue()
-        whole = _Whole(self.in_process, progress)
+        whole = _OverallProgress(self.in_process, progress)
         count = min(at_once, len(self.in_process))
         for one in (*self.in_process, *[None] * count):
             waiting.put(one)
@@ -203,7 +210,7 @@ class Campaign:
 
     def run_graphs(self, progress: Progress, graphs: int) -> None:
         """Run the cells of the node graph, one after the other, each in `graphs` graphs side by side."""
-        whole = _Whole(self.through_graph, progress)
+        whole = _OverallProgress(self.through_graph, progress)
         for cell in self.through_graph:
             self._attempt(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
         with self._lock:
@@ -327,7 +334,7 @@ def _further(cell: Cell) -> Further:
     return Further(cell.margin_limit, cell.curve, risk=cell.risk)
 
 
-class _Whole:
+class _OverallProgress:
     """The progress of all cells together: episodes that count, of as many as are wanted."""
 
     def __init__(self, cells: Sequence[Cell], progress: Progress) -> None:

@@ -67,7 +67,7 @@ _Entries = Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True)
-class _File(Frozen):
+class _CampaignFile(Frozen):
     """The sections of a campaign's file."""
 
     defaults: dict[str, Any] = field(default_factory=dict)
@@ -130,7 +130,7 @@ def read_campaign(path: Path) -> list[Combination]:
     except OSError as error:
         raise UsageError(f"campaign {path}: cannot be read ({error.strerror or error})") from error
     reader = _Reader(path)
-    file = read_model(_File, parse_yaml(text, str(path)), str(path))
+    file = read_model(_CampaignFile, parse_yaml(text, str(path)), str(path))
     defaults = reader.values(file.defaults, "defaults")
     cars = reader.entries(file.cars, "cars")
     encounters = [_Part({})] if file.encounters is None else reader.entries(file.encounters, "encounters")

@@ -23,12 +23,11 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
+from skd_evaluator.assessment.files.result_folder import write_manifests
 from skd_evaluator.assessment.stages.inputs import lies_in
-from skd_evaluator.assessment.store.manifest import write_manifests
-from skd_evaluator.extensions.campaign.cell import Cell
-from skd_evaluator.extensions.campaign.episode_record import flat
-from skd_evaluator.extensions.campaign.rows import CHECKED
-from skd_evaluator.extensions.campaign.store import FILE_NAME as STORE
+from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
+from skd_evaluator.extensions.campaign.episode_store import FILE_NAME as STORE
+from skd_evaluator.extensions.campaign.episode_store import flat
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"

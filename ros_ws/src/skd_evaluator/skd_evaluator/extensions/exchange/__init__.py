@@ -1,1 +1,1 @@
-"""Episodes in formats of others, both ways: OpenSCENARIO, OSI, CommonRoad, csv; and tracks of others as φ."""
+"""Import of recorded tracks as φ, and export of episodes: OpenSCENARIO, OpenDRIVE, OSI, CommonRoad, csv."""

@@ -15,7 +15,7 @@ import numpy as np
 from skd_sim.errors import UsageError
 from skd_sim.ros.from_messages import from_stamp
 
-from skd_evaluator.bags.inventory import find_recordings
+from skd_evaluator.bags.checks import find_recordings
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened
 from skd_evaluator.extensions.fusion.transforms import Transforms
 

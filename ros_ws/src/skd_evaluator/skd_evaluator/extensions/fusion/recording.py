@@ -14,7 +14,7 @@ from skd_sim.inputs.numbers import finite_number
 from skd_sim.inputs.outside import read_text
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.bags.recording import ADVERSARY, CAR
+from skd_evaluator.bags.read import ADVERSARY, CAR
 from skd_evaluator.extensions.fusion.bag_tracks import Row, bag_tracks
 from skd_evaluator.extensions.fusion.track import Track
 

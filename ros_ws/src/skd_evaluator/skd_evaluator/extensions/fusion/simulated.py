@@ -13,9 +13,9 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.assessment.store.result_file import ASSESSMENT
-from skd_evaluator.assessment.store.stored_episodes import StoredEpisodes
-from skd_evaluator.assessment.store.stored_result import read_both
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
+from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
+from skd_evaluator.assessment.files.results import read_both
 from skd_evaluator.extensions.fusion.trial import Trial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of

@@ -15,7 +15,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
 from skd_sim.inputs.outside import read_json
 
-from skd_evaluator.assessment.store.manifest import hold, read_manifest
+from skd_evaluator.assessment.files.result_folder import hold, read_manifest
 from skd_evaluator.extensions.ncap.colours import COLOURS, GREEN, colour_of
 from skd_evaluator.extensions.ncap.matrices import CRITERIA, Criterion
 

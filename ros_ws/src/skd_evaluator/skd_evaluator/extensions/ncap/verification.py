@@ -10,7 +10,7 @@ from skd_sim.inputs.outside import read_json, read_text
 from skd_sim.scenario.known_scenarios import is_named
 from skd_sim.scenario.scenario import load_scenario
 
-from skd_evaluator.assessment.store.verification import Verified
+from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.points import points_of, with_calculator
 from skd_evaluator.extensions.ncap.result import AT_LEAST, AT_MOST, RESULT, TABLE, Ncap, checked, ncap_of, table_of
 from skd_evaluator.metrics.credibility import not_credible

@@ -10,8 +10,8 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.inputs.outside import folders_in, read_json, real_path
 
-from skd_evaluator.assessment.store.manifest import check_unchanged
-from skd_evaluator.assessment.store.result_file import ASSESSMENT, understood
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
+from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.files import PREFIX
 from skd_evaluator.metrics.credibility import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search

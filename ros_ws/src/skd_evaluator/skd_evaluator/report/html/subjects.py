@@ -16,10 +16,9 @@ from skd_sim.inputs.outside import read_json, real_path
 from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
-from skd_evaluator.assessment.store.result_file import ASSESSMENT, understood
-from skd_evaluator.assessment.store.stored_episodes import StoredEpisodes
-from skd_evaluator.assessment.store.stored_failures import failing_episodes
-from skd_evaluator.assessment.store.stored_result import read_checked
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
+from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes
+from skd_evaluator.assessment.files.results import read_checked
 from skd_evaluator.extensions.ncap.colours import ROOM
 from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.files import tails

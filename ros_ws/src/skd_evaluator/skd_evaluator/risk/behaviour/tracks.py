@@ -16,9 +16,9 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.trajectory import Trajectory
 
-from skd_evaluator.assessment.store.stored_episodes import EPISODES, read_episodes
-from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.bags.reader import read_bags
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
+from skd_evaluator.bags.checks import Damage
+from skd_evaluator.bags.read import read_bags
 from skd_evaluator.risk.behaviour.residuals import padded, quantile_table
 
 TIME_STEP: Final = 0.3

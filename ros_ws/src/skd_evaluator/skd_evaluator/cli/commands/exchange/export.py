@@ -9,14 +9,13 @@ from typing import Any
 
 from skd_sim.errors import UsageError
 
-from skd_evaluator.assessment.store.result_file import understood
-from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.files.assessment_json import understood
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.exchange.going_out.chosen import Going, chosen, going_out
-from skd_evaluator.extensions.exchange.going_out.formats import FORMATS, Format
-from skd_evaluator.extensions.exchange.going_out.opendrive import write_road
-from skd_evaluator.extensions.exchange.names import EXPORT, ROAD_FILE
+from skd_evaluator.extensions.exchange.exports import FORMATS, Export, Format, exports_of, selected_episodes
+from skd_evaluator.extensions.exchange.scene import EXPORT, ROAD_FILE
+from skd_evaluator.extensions.exchange.xml_formats import write_road
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.terminal import counted
 from skd_evaluator.version import version
@@ -36,9 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> int:
-    numbers = chosen(subject, arguments.episode, arguments.worst, arguments.objective)
+    numbers = selected_episodes(subject, arguments.episode, arguments.worst, arguments.objective)
     out = result_folder(arguments)
-    going = going_out(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
+    going = exports_of(subject, numbers, whole_ticks=kind.whole_ticks, with_car=arguments.car)
     content: dict[str, Any] = {
         "export": 1,
         "skd": version(),
@@ -68,7 +67,7 @@ def _export(subject: Subject, kind: Format, arguments: argparse.Namespace) -> in
     return 1 if problem else 0
 
 
-def _said(going: list[Going], name: str, folder: Path) -> str:
+def _said(going: list[Export], name: str, folder: Path) -> str:
     """Return what was written, in a line."""
     episodes = [one for one in going if "episode_id" in one.entry]
     safe = len(going) - len(episodes)

@@ -17,13 +17,21 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.kinds import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
-from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.exchange_options import BY_CAR
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.exchange.coming_in.sources import Asked, files_in, read_sources
-from skd_evaluator.extensions.exchange.coming_in.ways import UnusableError, Way, entry, read_as_safe, way_of
-from skd_evaluator.extensions.exchange.names import IMPORT
+from skd_evaluator.extensions.exchange.imports import (
+    ImportedTrajectory,
+    ImportRequest,
+    UnusableError,
+    as_safe_trajectory,
+    entry,
+    files_in,
+    read_sources,
+    trajectory_of,
+)
+from skd_evaluator.extensions.exchange.scene import IMPORT
 from skd_evaluator.extensions.fusion.track import Frame
 from skd_evaluator.version import version
 
@@ -37,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     ROAD_USERS.target(arguments.kind)  # that there is such a kind
     scenario = None if arguments.scenario is None else load_scenario(arguments.scenario)
     frame = None if arguments.frame == BY_CAR else _frame(*arguments.frame)
-    asked = Asked(arguments.road_user, arguments.car, arguments.kind, frame is None, arguments.map_frame)
+    asked = ImportRequest(arguments.road_user, arguments.car, arguments.kind, frame is None, arguments.map_frame)
     out = result_folder(arguments)
     ways, left_out = _taken(arguments, asked, frame, scenario)
     if not ways:
@@ -80,10 +88,10 @@ def _frame(x: float, y: float, degrees: float) -> Frame:
 
 
 def _taken(
-    arguments: argparse.Namespace, asked: Asked, frame: Frame | None, scenario: Scenario | None
-) -> tuple[list[Way], list[tuple[Path, str, str]]]:
+    arguments: argparse.Namespace, asked: ImportRequest, frame: Frame | None, scenario: Scenario | None
+) -> tuple[list[ImportedTrajectory], list[tuple[Path, str, str]]]:
     """Return the ways that can be used, and of the others file, name and why they cannot."""
-    ways: list[Way] = []
+    ways: list[ImportedTrajectory] = []
     read: list[FloatArray] = []
     left_out: list[tuple[Path, str, str]] = []
     files, beside = files_in(arguments.paths)
@@ -91,9 +99,9 @@ def _taken(
     for path in files:
         for source in read_sources(path, asked):
             try:
-                way = way_of(source, frame, arguments.longest_gap, scenario)
+                way = trajectory_of(source, frame, arguments.longest_gap, scenario)
                 read.append(
-                    np.column_stack([way.places, way.times]) if scenario is None else read_as_safe(way, scenario)
+                    np.column_stack([way.places, way.times]) if scenario is None else as_safe_trajectory(way, scenario)
                 )
                 ways.append(way)
             except UnusableError as error:
@@ -124,7 +132,7 @@ def _why_none(left_out: Sequence[tuple[Path, str, str]]) -> str:
     return f"{path}, {name}: {why}{more}: no way is left"
 
 
-def _names(ways: Sequence[Way]) -> list[str]:
+def _names(ways: Sequence[ImportedTrajectory]) -> list[str]:
     """Return a name of each way's file, no two alike, none that leads elsewhere."""
     found: list[str] = []
     for way in ways:

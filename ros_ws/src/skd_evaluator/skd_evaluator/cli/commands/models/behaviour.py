@@ -14,7 +14,7 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.scenario.kinds import ROAD_USERS
 
-from skd_evaluator.bags.acceptance import Damage
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json

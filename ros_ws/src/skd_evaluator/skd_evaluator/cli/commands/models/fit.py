@@ -17,8 +17,8 @@ from skd_adversary.car_models.fitted_car import FittedCar
 from skd_adversary.car_models.prediction import NEAR
 from skd_adversary.car_models.speed_change import LARGEST_NOISE
 
-from skd_evaluator.bags.acceptance import Damage
-from skd_evaluator.bags.logs import read_recordings
+from skd_evaluator.bags.car_logs import read_recordings
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models import simulator
 from skd_evaluator.cli.damage import say_damage

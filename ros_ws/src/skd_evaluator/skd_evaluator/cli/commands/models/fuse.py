@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.table import Table
 from skd_sim.inputs.printable import one_line
 
-from skd_evaluator.assessment.store.results import write_json
+from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.estimate.control_variate import Mean

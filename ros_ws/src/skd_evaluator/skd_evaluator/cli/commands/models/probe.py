@@ -17,14 +17,14 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.named_simulator import make_simulator
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
+from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
 from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress, Recorder
 from skd_evaluator.assessment.plan.probe import probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.assessment.stages.written import write_with_scratch
-from skd_evaluator.assessment.store.results import ResultFolder, write_json
-from skd_evaluator.bags.logs import EPISODES, write_logs
+from skd_evaluator.bags.car_logs import EPISODES, write_logs
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json

@@ -1,0 +1,777 @@
+"""episodes.npz: every trajectory of an assessment, written and read back, so that its figures can be computed anew.
+
+docs/files.md says what each array holds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from skd_adversary.adversary import BelievedCar
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import open_regular
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
+
+from skd_evaluator.assessment.judge.failures import Walkers, failures_of
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.plan import Stage, episode_id, split_episode_id
+from skd_evaluator.metrics.behaviour.model import NAMES
+from skd_evaluator.metrics.contact_place import car_until_contact
+from skd_evaluator.metrics.distances.deviation import deviation_pairs
+from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
+from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
+
+LARGEST = 128 * 2**20
+"""Bytes of all arrays of a file together, unpacked: some 400,000 episodes."""
+
+FARTHEST = 1e6
+"""m, m/s, s, rad: no state that is read is beyond; squares of what is 10¹⁴⁸ times as far are infinite."""
+
+Array = npt.NDArray[Any]
+
+
+class Column(NamedTuple):
+    """What an array has to be: its type, and its shape with −1 for any length."""
+
+    dtype: npt.DTypeLike
+    shape: tuple[int, ...]
+
+
+def within_reach(*arrays: Array) -> bool:
+    """Tell whether all numbers are finite and none is beyond `FARTHEST`."""
+    return all(bool((np.abs(one) <= FARTHEST).all()) for one in arrays)
+
+
+def read_arrays(
+    path: Path, columns: Mapping[str, Column], optional: Mapping[str, Column] | None = None
+) -> dict[str, Array]:
+    """Return named arrays of an .npz file; other arrays in it are not read.
+
+    Args:
+        path: path of the .npz file.
+        columns: arrays that have to be in the file, by name.
+        optional: arrays that may be in the file, by name.
+
+    Raises:
+        UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
+            one of another type or shape, has one twice, or holds more than `LARGEST` bytes.
+    """
+    with open_regular(path) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                names = archive.namelist()
+                there = set(names)
+                if len(there) < len(names):
+                    twice = next(name for name, count in Counter(names).items() if count > 1)
+                    raise UsageError(f"{twice[:60]!r} is in it twice: one reader takes the first, another the last")
+                columns = {**columns, **{name: one for name, one in (optional or {}).items() if f"{name}.npy" in there}}
+                members = {name: archive.getinfo(f"{name}.npy") for name in columns}
+                size = sum(member.file_size for member in members.values())
+                if size > LARGEST:
+                    raise UsageError(f"its arrays have {size} bytes; at most {LARGEST // 2**20} MiB are read")
+                return {name: _array(archive.read(members[name]), name, column) for name, column in columns.items()}
+        except KeyError as error:
+            raise UsageError(f"{path}: {error.args[0]}") from error
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from error
+        except Exception as error:  # its readers raise whatever the bytes make them raise
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:120]
+            raise UsageError(f"{path}: is not an episodes.npz of SKD, or is damaged ({said})") from error
+
+
+def _array(content: bytes, name: str, column: Column) -> Array:
+    """Return the array in a member of the archive."""
+    stream = BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = read_header(stream)
+    wanted_type = np.dtype(column.dtype)
+    if wanted_type == np.dtype("U"):  # texts of any length
+        wanted_type = dtype if dtype.kind == "U" and dtype.isnative else wanted_type
+    if dtype != wanted_type or not _fits(shape, column.shape):
+        wanted = " × ".join("n" if length < 0 else str(length) for length in column.shape) or "a single value"
+        raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {dtype}, {shape}")
+    if math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
+        raise UsageError(f"{name} says that it has the shape {shape}, and has {len(content) - stream.tell()} bytes")
+    values = np.frombuffer(content, dtype, offset=stream.tell())
+    if dtype.kind == "U" and not _are_texts(np.frombuffer(content, np.uint32, offset=stream.tell())):
+        raise UsageError(f"{name} has a text with a number that is of no character of Unicode")
+    return values.reshape(shape, order="F" if fortran else "C")
+
+
+def _are_texts(numbers: Array) -> bool:
+    """Tell whether all are numbers of characters: Python cannot hold others, and half a character cannot be written."""
+    return bool(((numbers < 0xD800) | ((numbers > 0xDFFF) & (numbers <= 0x10FFFF))).all())
+
+
+def _fits(shape: Sequence[int], wanted: Sequence[int]) -> bool:
+    return len(shape) == len(wanted) and all(
+        length >= 0 and most in (-1, length) for length, most in zip(shape, wanted, strict=True)
+    )
+
+
+_NOWHERE = (math.nan, math.nan)
+_BELIEVED = len(BelievedCar._fields)
+
+Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
+
+
+class _Later:
+    """An array that is made when it is written: `savez` makes one after the other, and keeps none.
+
+    Of a hundred thousand episodes those with a row for each tick would be the most that an assessment ever holds.
+    """
+
+    def __init__(self, make: Callable[[], npt.NDArray[Any]]) -> None:
+        """Have `make` make it, as often as somebody asks."""
+        self._make = make
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        made = self._make()
+        return made if dtype is None else made.astype(dtype)
+
+
+def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
+    """Write every trajectory of a rating; docs/files.md says what each array holds.
+
+    First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
+    failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
+    different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
+    deviation, which nobody has planned.
+    """
+    logs: list[EpisodeLog] = []
+    rows: list[tuple[int, str]] = []  # number of φ, objective
+    for assessment in rating.assessments:
+        for index, kamikaze in enumerate(assessment.kamikaze):
+            for log in kamikaze.in_order:
+                logs.append(log)
+                rows.append((index, str(assessment.plan.objective)))
+    for log, index in zip(rating.replays, _along(rating), strict=True):
+        logs.append(log)
+        rows.append((index, ""))
+    safe = _columns_of_safe(rating)
+    columns = episode_columns(logs, safe)
+    offsets = columns.pop("offsets")
+    indices, objectives = zip(*rows, strict=True) if rows else ((), ())
+    count = len(rating.safe)
+    if any(log.belief is not None for log in logs):
+        columns["belief"] = _Later(lambda: _beliefs(logs, offsets[len(rating.safe) :]))
+    if any(log.own_contact is not None for log in logs):
+        own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
+        columns["own_contact"] = np.array([*[math.nan] * count, *own])
+    np.savez_compressed(
+        path,
+        **columns,
+        offsets=offsets,
+        safe_index=np.array([*range(count), *indices], np.int32),
+        objective=np.array([*[""] * count, *objectives], "U16"),
+        safe_name=_texts([one.name for one in rating.safe]),
+        **_margin_columns(rating),
+        **_risk_columns(rating),
+        **_settings(rating),
+    )
+
+
+def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = MappingProxyType({})) -> Columns:
+    """Return the arrays of episodes.npz that follow from logs alone, in their order, for `savez` to write.
+
+    Args:
+        logs: the episodes.
+        before: such arrays of what stands before them.
+    """
+    positions, car = before.get("positions", np.empty((0, 2))), before.get("car", np.empty((0, 3)))
+    offsets, lengths = before.get("offsets", np.zeros(1, np.int64)), [len(log.adversary) for log in logs]
+    own = {
+        "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
+        "outcome": np.array([int(log.outcome) for log in logs], np.int8),
+        "episode_id": np.array([log.episode.episode_id for log in logs], np.int64),
+        "impact_time": np.array([log.impact_time for log in logs], np.float64),
+        "impact_speed": np.array([log.impact_speed for log in logs], np.float64),
+        "contact": np.array([_contact(log) for log in logs], np.float64).reshape(-1, 2),
+        "clipped": np.array([log.clipped for log in logs], np.int64),
+        "reason": _texts([log.reason for log in logs]),
+    }
+    return {
+        "positions": _Later(lambda: np.concatenate([positions, *(log.adversary for log in logs)])),
+        "car": _Later(lambda: np.concatenate([car, *(log.car for log in logs)])),
+        "offsets": np.concatenate([offsets, offsets[-1] + np.cumsum(lengths, dtype=np.int64)]),
+        **{name: np.concatenate([before[name], column]) if before else column for name, column in own.items()},
+    }
+
+
+def _along(rating: Rating) -> list[int]:
+    """Return which φ each run is along, in the order of Φ; recordings need not have every run, nor every φ."""
+    places: dict[bytes, list[int]] = {}
+    for index, phi in enumerate(rating.safe):
+        places.setdefault(phi.positions.tobytes(), []).append(index)
+    numbers = [split_episode_id(log.episode.episode_id)[1] for log in rating.replays]
+    alike: dict[bytes, set[int]] = {}  # φ that are the same to the bit are told apart by their numbers
+    followed = [log.episode.safe_trajectory for log in rating.replays]
+    paths = [b"" if one is None else one.positions.tobytes() for one in followed]
+    for path, number in zip(paths, numbers, strict=True):
+        alike.setdefault(path, set()).add(number)
+    turns = {(path, number): turn for path, found in alike.items() for turn, number in enumerate(sorted(found))}
+    return [places[path][turns[path, number]] for path, number in zip(paths, numbers, strict=True)]
+
+
+def _columns_of_safe(rating: Rating) -> Columns:
+    """Return the same arrays of Φ, which were recorded, or made against another car."""
+    count, lengths = len(rating.safe), [len(one) for one in rating.safe]
+    return {
+        "positions": np.concatenate([one.positions for one in rating.safe]),
+        "car": np.full((sum(lengths), 3), np.nan),
+        "offsets": np.cumsum([0, *lengths], dtype=np.int64),
+        "mode": np.full(count, int(Mode.SAFE), np.int8),
+        "outcome": np.full(count, int(Outcome.ARRIVED), np.int8),
+        "episode_id": np.zeros(count, np.int64),
+        "impact_time": np.full(count, np.nan),
+        "impact_speed": np.full(count, np.nan),
+        "contact": np.full((count, 2), np.nan),
+        "clipped": np.zeros(count, np.int64),
+        "reason": _texts([""] * count),
+    }
+
+
+def _settings(rating: Rating) -> Columns:
+    """Return what the figures depend on beside the trajectories."""
+    plan = rating.plan
+    return {
+        "time_step": np.array(plan.scenario.time_step),
+        "eta_max": np.array(plan.scenario.eta_max),
+        "hit_speed": np.array(plan.scenario.collision.hit_speed),
+        "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
+        "seed": np.array(plan.seed, np.int64),
+        "objectives": _texts([str(one.plan.objective) for one in rating.assessments]),
+        "plans_deviation": np.array([one.plan.limits_deviation for one in rating.assessments]),
+    }
+
+
+def _contact(log: EpisodeLog) -> tuple[float, float]:
+    """Return where the adversary was at the first contact, m; nan without one."""
+    if log.outcome != Outcome.COLLISION:
+        return _NOWHERE
+    x, y = log.trajectory.positions[-1].tolist()
+    return x, y
+
+
+def _beliefs(logs: Sequence[EpisodeLog], offsets: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
+    """Return what was believed of the car at each state; nan where nothing was, or it is not known.
+
+    In millimetres, which is finer than anybody looks, a file of them is half as large. Logs begin at `offsets`, of
+    which the last is the number of all states.
+    """
+    believed = np.full((int(offsets[-1]), _BELIEVED), np.nan, np.float32)
+    for log, begin in zip(logs, offsets.tolist(), strict=False):
+        if log.belief is not None:
+            believed[begin : begin + len(log.adversary)] = np.round(log.belief, 3)
+    return believed
+
+
+def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
+    return np.array(texts, f"U{max(1, *map(len, texts))}" if texts else "U1")
+
+
+def _margin_columns(rating: Rating) -> Columns:
+    """Return the least way of each attempt of the margin, φ by φ; nothing where the margin is not known.
+
+    An attempt without a way has no position, and counts as η_max.
+    """
+    if rating.margins is None:
+        return {}
+    rows = [(index, attempt, way) for index, ways in enumerate(rating.margins.ways) for attempt, way in enumerate(ways)]
+    ways = [way for _, _, way in rows]
+    lengths = [0 if way is None else len(way.trajectory) for way in ways]
+    return {
+        "margin": np.array([math.nan if way is None else way.distance for way in ways]),
+        "margin_gap": np.array([math.nan if way is None else way.gap for way in ways]),
+        "margin_safe_index": np.array([index for index, _, _ in rows], np.int32),
+        "margin_attempt": np.array([attempt for _, attempt, _ in rows], np.int64),
+        "margin_duration": np.array([math.nan if way is None else way.duration for way in ways]),
+        "margin_impact_speed": np.array([math.nan if way is None else way.impact_speed for way in ways]),
+        "margin_positions": np.concatenate(
+            [np.empty((0, 2)), *(w.trajectory.positions for w in ways if w is not None)]
+        ),
+        "margin_offsets": np.cumsum([0, *lengths], dtype=np.int64),
+    }
+
+
+def _contact_ticks(risk: ScaleRisk) -> npt.NDArray[np.int32]:
+    """Return of each crude crossing the number of the tick of a hit, from 1; 0 of one that is none."""
+    ticks = np.zeros(len(risk.touches), np.int32) if risk.ticks is None else risk.ticks
+    return np.where(risk.touches == Touch.FRONT, ticks, 0).astype(np.int32)
+
+
+def _risk_columns(rating: Rating) -> Columns:
+    """Return how the crossings of the risk ended, scale by scale; nothing where the risk is not known.
+
+    What subset simulation estimates on each φ is replicates × φ, nan at scales at which it was not asked.
+    """
+    if rating.risks is None:
+        return {}
+    scales = rating.risks.scales
+    subsets = [one.subsets for one in scales]
+    replicates = max((len(one.levels) for one in subsets if one is not None), default=0)
+    shares, levels = np.full((replicates, len(rating.safe)), math.nan), np.zeros(replicates, np.int64)
+    return {
+        "risk_scale": np.array([one.scale for one in scales]),
+        "risk_touch": np.array([one.touches for one in scales], np.int8).reshape(-1),
+        "risk_share": np.array([shares if one is None else one.shares for one in subsets]).reshape(-1),
+        "risk_levels": np.array([levels if one is None else one.levels for one in subsets], np.int64).reshape(-1),
+        "risk_per_level": np.array([0 if one is None else one.per_level for one in subsets], np.int64),
+        "risk_open": np.array([0 if one is None else one.open_levels for one in subsets], np.int64),
+        "risk_tick": np.concatenate([_contact_ticks(one) for one in scales]),
+        **({"risk_lost": np.array([one.lost for one in scales], np.int64)} if any(one.lost for one in scales) else {}),
+        **(failure_columns(rating.risks.failing) if rating.risks.failing else {}),
+    }
+
+
+EPISODES = "episodes.npz"
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "mode": Column(np.int8, (-1,)),
+    "safe_index": Column(np.int32, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+    "objective": Column("U16", (-1,)),
+    "time_step": Column(np.float64, ()),
+    "hit_speed": Column(np.float64, ()),
+}
+_FURTHER = {
+    "clipped": Column(np.int64, (-1,)),
+    "reason": Column("U", (-1,)),
+    "safe_name": Column("U", (-1,)),
+    "objectives": Column("U", (-1,)),
+    "plans_deviation": Column(np.bool_, (-1,)),
+    "eta_max": Column(np.float64, ()),
+    "maximum_distance": Column(np.float64, ()),
+    "seed": Column(np.int64, ()),
+}
+"""What figures follow from beside the trajectories; see `recomputation`."""
+_MARGIN = {
+    "margin": Column(np.float64, (-1,)),
+    "margin_safe_index": Column(np.int32, (-1,)),
+    "margin_attempt": Column(np.int64, (-1,)),
+    "margin_duration": Column(np.float64, (-1,)),
+    "margin_impact_speed": Column(np.float64, (-1,)),
+    "margin_gap": Column(np.float64, (-1,)),
+    "margin_positions": Column(np.float64, (-1, 2)),
+    "margin_offsets": Column(np.int64, (-1,)),
+}
+"""There where the margin is known."""
+_OPTIONAL = {
+    "own_contact": Column(np.float64, (-1,)),
+    "risk_scale": Column(np.float64, (-1,)),
+    "risk_touch": Column(np.int8, (-1,)),
+    "risk_share": Column(np.float64, (-1,)),
+    "risk_levels": Column(np.int64, (-1,)),
+    "risk_per_level": Column(np.int64, (-1,)),
+    "risk_open": Column(np.int64, (-1,)),
+    "risk_lost": Column(np.int64, (-1,)),
+    "risk_tick": Column(np.int32, (-1,)),
+    "risk_failure": Column(np.int64, (-1,)),
+    "risk_failure_positions": Column(np.float64, (-1, 2)),
+    "risk_failure_car": Column(np.float64, (-1, 3)),
+    "risk_failure_offsets": Column(np.int64, (-1,)),
+    "risk_failure_impact_time": Column(np.float64, (-1,)),
+    "risk_failure_impact_speed": Column(np.float64, (-1,)),
+}
+"""Likewise what figures follow from, where it was asked for."""
+_OF_EPISODES = ("clipped", "reason", "own_contact")
+_PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
+
+
+@dataclass(frozen=True, eq=False)
+class StoredWay:
+    """The way of least deviation of an attempt.
+
+    Attributes:
+        attempt: number of the attempt.
+        distance: deviation of the way, m.
+        positions: positions at ticks, n × 2, m; the last of them is at the contact.
+        duration: time until the contact, in ticks.
+        impact_speed: speed of the car at the contact, m/s.
+        gap: the least is at most so far below the distance, m; nan where it was searched for.
+    """
+
+    attempt: int
+    distance: float
+    positions: FloatArray
+    duration: float
+    impact_speed: float
+    gap: float
+
+
+@dataclass(frozen=True, eq=False)
+class StoredEpisodes:
+    """Episodes read back from disk; row k of every array is of episode k, and safe trajectories are no episodes here.
+
+    Attributes:
+        safe: positions of each φ at ticks, m.
+        time_step: time step of the scenario, s.
+        adversary: for each episode the adversary's positions at ticks, n × 2, m.
+        car: for each episode the car's reference point (x, y), m, and speed, m/s, at ticks, n × 3.
+        mode: mode of each episode, kamikaze or replay (`skd_sim.world.episode.Mode`).
+        objective: objective of each kamikaze; empty for a run along φ.
+        safe_index: number of the φ of each episode, counted from 0.
+        outcome: how each episode ended (`skd_sim.world.episode.Outcome`).
+        episode_id: id of each episode, as `skd_evaluator.assessment.plan.plan.episode_id` makes it.
+        impact_time: time of the contact, s; nan without a collision.
+        impact_speed: speed of the car at the contact, m/s; nan without a collision.
+        hit_speed: speed of the car, m/s, from which on a collision is a hit.
+        margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
+            η_max. None where the file holds none.
+        margin_ways: per φ the ways of least deviation, of those attempts that have one.
+        belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
+            where the file holds none.
+        further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
+            rows of φ.
+    """
+
+    safe: tuple[FloatArray, ...]
+    time_step: float
+    adversary: tuple[FloatArray, ...]
+    car: tuple[FloatArray, ...]
+    mode: IntArray
+    objective: npt.NDArray[np.str_]
+    safe_index: IntArray
+    outcome: IntArray
+    episode_id: IntArray
+    impact_time: FloatArray
+    impact_speed: FloatArray
+    belief: tuple[FloatArray, ...] = ()
+    hit_speed: float = 0.0
+    margins: tuple[FloatArray, ...] | None = None
+    margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
+    further: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.mode)
+
+    @cached_property
+    def collided(self) -> npt.NDArray[np.bool_]:
+        """For each episode, whether it ended in a collision."""
+        return np.asarray(self.outcome == Outcome.COLLISION)
+
+    @cached_property
+    def hit(self) -> npt.NDArray[np.bool_]:
+        """For each episode, whether it ended in a hit by the moving car."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.collided & (self.impact_speed >= self.hit_speed))
+
+    def contact(self, number: int) -> tuple[float, float] | None:
+        """Return time (s) and speed of the car (m/s) at the contact of an episode; None without one."""
+        return (float(self.impact_time[number]), float(self.impact_speed[number])) if self.collided[number] else None
+
+    def until_contact(self, number: int) -> FloatArray:
+        """Return the adversary's places in an episode, n × 2, the last one moved back to the contact, if any."""
+        if not self.collided[number]:
+            return self.adversary[number]
+        return until_contact(self.adversary[number], float(self.impact_time[number]) / self.time_step)
+
+    def car_until_contact(self, number: int, scenario: Scenario) -> FloatArray:
+        """Return the car's states in an episode of a scenario, n × 3, the last moved back to the contact, if any."""
+        if not self.collided[number]:
+            return self.car[number]
+        ticks = float(self.impact_time[number]) / self.time_step
+        impact, adversary = float(self.impact_speed[number]), self.until_contact(number)[-1]
+        return car_until_contact(scenario, self.car[number], ticks, impact, adversary)
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """Deviation of each episode that collided, m; nan for the others."""
+        found = np.full(len(self), np.nan)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(self.collided & (self.safe_index == index))
+            psis = [self.until_contact(int(number)) for number in mine]
+            found[mine] = deviation_pairs(phi, psis, self.impact_time[mine] / self.time_step)
+        return found
+
+    @cached_property
+    def frechet(self) -> FloatArray:
+        """Discrete Fréchet distance to φ of each kamikaze that collided, m; nan for the others."""
+        found = np.full(len(self), np.nan)
+        kamikaze = self.collided & (self.mode == Mode.KAMIKAZE)
+        for index, phi in enumerate(self.safe):
+            mine = np.flatnonzero(kamikaze & (self.safe_index == index))
+            found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number)) for number in mine])
+        return found
+
+    def attempts(self, objective: str) -> list[IntArray]:
+        """Return per φ the numbers of the attempts of an objective; one that was aborted is none."""
+        tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
+        return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
+
+    def deviations_of(self, objective: str) -> list[FloatArray]:
+        """Return per φ the deviation of each attempt of an objective, m; infinite where it failed."""
+        values = np.where(self.hit, self.deviation, np.inf)
+        return [values[mine] for mine in self.attempts(objective)]
+
+    def worst_first(self) -> IntArray:
+        """Return the numbers of all episodes, the worst for the car first; see `badness`."""
+        return np.array(sorted(range(len(self)), key=self.badness), np.int64)
+
+    def badness(self, number: int) -> tuple[float, float, int]:
+        """Return a key by which episodes stand in order, the worst for the car first.
+
+        Those that collided by their deviation, and of those hit on φ itself the fastest impact; then the others.
+        """
+        hit = bool(self.hit[number])
+        deviation = round(float(self.deviation[number]), 9) if hit else np.inf
+        return deviation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
+
+
+def read_episodes(folder: Path) -> StoredEpisodes:
+    """Read episodes.npz of a folder.
+
+    Raises:
+        UsageError: it cannot be read, or its arrays do not go together.
+    """
+    path = folder / EPISODES
+    arrays = read_arrays(
+        path, {**_COLUMNS, **_FURTHER}, {"belief": Column(np.float32, (-1, 4)), **_MARGIN, **_OPTIONAL}
+    )
+    why = _mismatch(arrays)
+    if why:
+        raise UsageError(f"{path}: {why}")
+    spans = list(itertools.pairwise(arrays["offsets"].tolist()))
+    safe = np.flatnonzero(arrays["mode"] == Mode.SAFE)
+    rest = np.flatnonzero(arrays["mode"] != Mode.SAFE)
+    ways = {name: tuple(arrays[name][slice(*spans[row])] for row in rest) for name in ("positions", "car")}
+    if "belief" in arrays:
+        with np.errstate(invalid="ignore"):  # nan of a kind that signals is nan
+            ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
+    whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
+    phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
+    margins = _margins(arrays, phis, path)
+    stored = StoredEpisodes(
+        safe=phis,
+        time_step=float(arrays["time_step"]),
+        adversary=ways["positions"],
+        car=ways["car"],
+        mode=whole["mode"],
+        objective=arrays["objective"][rest],
+        safe_index=whole["safe_index"],
+        outcome=whole["outcome"],
+        episode_id=whole["episode_id"],
+        impact_time=arrays["impact_time"][rest],
+        impact_speed=arrays["impact_speed"][rest],
+        belief=ways.get("belief", ()),
+        hit_speed=float(arrays["hit_speed"]),
+        margins=margins,
+        margin_ways=() if margins is None else _margin_ways(arrays, margins),
+        further=_further(arrays, rest),
+    )
+    try:
+        _ = stored.deviation  # a contact outside its last tick is found here
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {error}") from error
+    return stored
+
+
+def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, npt.NDArray[Any]]:
+    """Return what figures follow from beside the trajectories; `rest` are the rows that are no φ."""
+    found = {name: arrays[name] for name in (*_FURTHER, *_OPTIONAL) if name in arrays}
+    return {name: one[rest] if name in _OF_EPISODES else one for name, one in found.items()}
+
+
+def _margins(
+    arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
+) -> tuple[FloatArray, ...] | None:
+    """Return per φ the margins, each computed anew from its way; None where there are none.
+
+    Raises:
+        UsageError: the arrays do not go together, or a way has another deviation than is said.
+    """
+    if "margin" not in arrays:
+        return None
+    if missing := [name for name in _MARGIN if name not in arrays]:
+        raise UsageError(f"{path}: it has margins and no {missing[0]}")
+    said, offsets = arrays["margin"], arrays["margin_offsets"]
+    index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
+    count = len(said)
+    whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
+    whole = whole and not (offsets[1:] < offsets[:-1]).any()
+    of_attempts = (index, attempt, *(arrays[f"margin_{name}"] for name in ("duration", "impact_speed", "gap")))
+    if not (whole and all(len(one) == count for one in of_attempts)):
+        raise UsageError(f"{path}: the arrays of the margins do not go together")
+    found: list[FloatArray] = []
+    for number, phi in enumerate(safe):
+        mine = np.flatnonzero(index == number)
+        if (attempt[mine] != np.arange(mine.size)).any():
+            raise UsageError(f"{path}: the attempts of the margins are not numbered from 0")
+        values = np.full(mine.size, np.inf)
+        known = np.flatnonzero(np.isfinite(said[mine]))
+        ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
+        try:
+            values[known] = deviation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
+        except (ValueError, IndexError) as error:
+            raise UsageError(f"{path}: a way of the margins: {error}") from error
+        if (np.abs(values[known] - said[mine[known]]) > 1e-9).any():
+            raise UsageError(f"{path}: the way of a margin has another deviation than it says")
+        found.append(values)
+    if sum(map(len, found)) != count:
+        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+    return tuple(found)
+
+
+def _margin_ways(
+    arrays: dict[str, npt.NDArray[Any]], margins: Sequence[FloatArray]
+) -> tuple[tuple[StoredWay, ...], ...]:
+    """Return per φ the ways of the margins; the arrays go together."""
+    offsets = arrays["margin_offsets"].tolist()
+    found = []
+    for number, distances in enumerate(margins):
+        rows = np.flatnonzero(arrays["margin_safe_index"] == number).tolist()
+        found.append(
+            tuple(
+                StoredWay(
+                    attempt,
+                    distance,
+                    arrays["margin_positions"][offsets[row] : offsets[row + 1]],
+                    float(arrays["margin_duration"][row]),
+                    float(arrays["margin_impact_speed"][row]),
+                    float(arrays["margin_gap"][row]),
+                )
+                for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
+                if np.isfinite(distance)
+            )
+        )
+    return tuple(found)
+
+
+def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
+    """Return why arrays are not those of episodes; empty where they are."""
+    offsets, rows = arrays["offsets"], len(arrays["positions"])
+    # Differences of numbers near 2⁶³ begin anew at the other end, and `repeat` would write beyond its array.
+    if len(offsets) < 2 or offsets[0] != 0 or offsets[-1] != rows or (offsets[1:] <= offsets[:-1]).any():
+        return "its offsets do not cut its positions into trajectories"
+    count = len(offsets) - 1
+    of_rows = [name for name in ("car", "belief") if name in arrays]
+    of_episodes = [name for name in (*_PER_EPISODE, *_OF_EPISODES) if name in arrays]
+    if any(len(arrays[name]) != rows for name in of_rows) or any(len(arrays[name]) != count for name in of_episodes):
+        return "its arrays do not go together"
+    for name, values in (("mode", [*map(int, Mode)]), ("outcome", [*map(int, Outcome)])):
+        if not np.isin(arrays[name], values).all():
+            return f"{name} has a value that this version does not know"
+    is_safe = arrays["mode"] == Mode.SAFE
+    if not is_safe.any():
+        return "it has no φ"
+    if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
+        return "safe_index has a number of a φ that is not there"
+    of_episode = np.repeat(~is_safe, np.diff(offsets))
+    # Of an episode that was aborted before it began there is no state of the car.
+    never_began = np.repeat((arrays["outcome"] == Outcome.ABORTED) & (np.diff(offsets) == 1), np.diff(offsets))
+    known = of_episode & ~(never_began & np.isnan(arrays["car"]).all(axis=1))
+    if not within_reach(arrays["positions"], arrays["car"][known]):
+        return f"a state is not finite, or beyond ±{FARTHEST:g}"
+    hit = ~is_safe & (arrays["outcome"] == Outcome.COLLISION)
+    if (np.diff(offsets)[hit] < 2).any() or not within_reach(arrays["impact_time"][hit]):
+        return "a collision has no way or no time"
+    speeds = arrays["impact_speed"][hit]
+    if not (within_reach(speeds) and (speeds >= 0.0).all()):
+        return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
+    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
+        if ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
+            return f"an episode id is not of its mode, {mode.name}"
+    if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:
+        return f"time_step must be from {1.0 / FARTHEST:g} to {FARTHEST:g} s"
+    belief = arrays.get("belief", np.empty((0, 4)))
+    if not within_reach(belief[~np.isnan(belief)]) or (belief[:, 1::2] < 0.0).any():
+        return f"a belief is beyond ±{FARTHEST:g}, or has a negative deviation"
+    return ""
+
+
+def failure_columns(failing: Mapping[int, EpisodeLog]) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays of episodes.npz about the failures that are kept, in the order of their numbers."""
+    logs = [failing[row] for row in sorted(failing)]
+    return {
+        "risk_failure": np.array(sorted(failing), np.int64),
+        "risk_failure_positions": np.concatenate([np.empty((0, 2)), *(one.adversary for one in logs)]),
+        "risk_failure_car": np.concatenate([np.empty((0, 3)), *(one.car for one in logs)]),
+        "risk_failure_offsets": np.cumsum([0, *(len(one.adversary) for one in logs)], dtype=np.int64),
+        "risk_failure_impact_time": np.array([one.impact_time for one in logs], np.float64),
+        "risk_failure_impact_speed": np.array([one.impact_speed for one in logs], np.float64),
+    }
+
+
+def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None) -> StoredEpisodes:
+    """Return the failures that a file keeps as episodes, none where it has none.
+
+    Args:
+        stored: the episodes of the file.
+        order: numbers of crossings, in which order they come; None: that of their numbers.
+
+    Raises:
+        ValueError, LookupError: the arrays do not go together.
+    """
+    further, phis = stored.further, len(stored.safe)
+    rows = further["risk_failure"].tolist() if "risk_failure" in further else []
+    spans, positions, car = [], np.empty((0, 2)), np.empty((0, 3))
+    times = speeds = np.empty(0)
+    if rows:
+        positions, car = further["risk_failure_positions"], further["risk_failure_car"]
+        times, speeds = further["risk_failure_impact_time"], further["risk_failure_impact_speed"]
+        ends = further["risk_failure_offsets"].tolist()
+        spans = list(itertools.pairwise(ends))
+        whole = ends[0] == 0 and ends[-1] == len(positions) == len(car) and all(b - a > 1 for a, b in spans)
+        if not whole or not len(spans) == len(times) == len(speeds) == len(rows) or min(rows) < 0:
+            raise ValueError("the arrays of the failures do not go together")
+        if not within_reach(positions, car, times, speeds):
+            raise ValueError(f"a place, time or speed of a failure is not finite, or beyond ±{FARTHEST:g}")
+    if order is not None:
+        places = [rows.index(row) for row in order]
+        rows, spans, times, speeds = list(order), [spans[one] for one in places], times[places], speeds[places]
+    return replace(
+        stored,
+        adversary=tuple(positions[low:high] for low, high in spans),
+        car=tuple(car[low:high] for low, high in spans),
+        mode=np.full(len(rows), int(Mode.REPLAY), np.int64),
+        objective=np.array([""] * len(rows), "U16"),
+        safe_index=np.array([row % phis for row in rows], np.int64),
+        outcome=np.full(len(rows), int(Outcome.COLLISION), np.int64),
+        episode_id=np.array([episode_id(Stage.RISK, row % phis, row // phis) for row in rows], np.int64),
+        impact_time=times,
+        impact_speed=speeds,
+        belief=(),
+        margins=None,
+        margin_ways=(),
+        further={},
+    )
+
+
+def with_failures(risks: Risks, stored: StoredEpisodes, scenario: Scenario) -> Risks:
+    """Return the risks with the most likely failures, computed anew but for what the car did.
+
+    Raises:
+        ValueError, LookupError: those that are kept are others.
+    """
+    parameters = risks.behaviour["parameters"]
+    values = np.array([float(parameters[name]["value"]) for name in NAMES])
+    walkers = Walkers(scenario, stored.safe, int(stored.further["seed"]), values)
+    found, failing = failures_of(risks.scales, walkers), failing_episodes(stored)
+    rows = [] if found is None else sorted(one.row for one in found.nearest)
+    if found is None:
+        if len(failing):
+            raise ValueError("failures are kept, and no crossing is one")
+        return risks
+    if rows != stored.further["risk_failure"].tolist():
+        raise ValueError("the failures that are kept are not those nearest to how people walk")
+    return replace(risks, failures=found.as_dict(dict(zip(rows, failing.impact_speed.tolist(), strict=True))))

@@ -1,0 +1,244 @@
+"""An assessment on disk: writes its files, and reads its figures with the margins and curve of its trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.errors import UsageError
+from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.world.episode import EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
+from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
+from skd_evaluator.assessment.files.verification import stored_risks
+from skd_evaluator.assessment.judge.command_age import command_age
+from skd_evaluator.assessment.judge.html import figures_html
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.judge.surrogate_figures import SURROGATES
+from skd_evaluator.metrics.credibility import in_one_line, not_credible
+from skd_evaluator.metrics.risks import Risks, Touch
+from skd_evaluator.metrics.skd import prefix_distances
+from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
+from skd_evaluator.version import version
+
+_ROUNDING = 1e-9  # m, for each of η_max, but at least for one
+
+
+@dataclass(frozen=True, eq=False)
+class StoredResult:
+    """An assessment read back.
+
+    Attributes:
+        folder: folder of the assessment.
+        figures: content of its assessment.json.
+        safe: positions of each φ, m.
+        curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
+        objective: objective of these kamikazes.
+        groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
+            hit, and not there where the margin is not known; `deviation`, what each attempt of the kamikazes counts
+            as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
+            SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
+            that the moving car hit; `deviation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
+            both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
+            simulation estimates, not there where the risk is not known.
+        remarks: remarks on the assessment, and its own warnings, a line each.
+        worst: those of the groups of risk and deviation that would be others if the car had hit in every episode that
+            was aborted, kamikazes without any deviation.
+    """
+
+    folder: Path
+    figures: Mapping[str, Any]
+    safe: tuple[FloatArray, ...]
+    curve: VulnerabilityCurve | None
+    objective: str
+    groups: Mapping[str, tuple[FloatArray, ...]]
+    remarks: tuple[str, ...] = ()
+    worst: Mapping[str, tuple[FloatArray, ...]] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        return figures_html(self.figures, not_credible(self.figures.get("warnings") or ()))
+
+    @cached_property
+    def encounter(self) -> dict[str, Any]:
+        """Its scenario with every key of today, as plain data.
+
+        Raises:
+            UsageError: it is none.
+        """
+        return scenario_from_dict(self.figures["scenario"], str(self.folder)).as_dict()
+
+    @property
+    def margin_curve(self) -> VulnerabilityCurve | None:
+        """The vulnerability curve of the margins; None where they are not known."""
+        margins = self.groups.get("margin")
+        return None if margins is None else vulnerability_curve(margins, float(self.figures["eta_max"]))
+
+    def same_safe(self, safe: Sequence[FloatArray]) -> bool:
+        """Return whether it is of these φ, positions at ticks each (m)."""
+        return len(self.safe) == len(safe) and all(map(np.array_equal, self.safe, safe))
+
+
+def read_result(folder: Path) -> StoredResult:
+    """Read an assessment; see `read_both`."""
+    return read_both(folder)[0]
+
+
+def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[str, ...]]:
+    """Return the figures of an assessment, its episodes, and remarks on them, a line each.
+
+    Both are of the same moment: whoever reads them one after the other may have two results, one replaced meanwhile.
+
+    Raises:
+        UsageError: it is none, was changed since it was written, or its trajectories give another margin, deviation
+            or number of φ than it says.
+    """
+    known = check_unchanged(folder, (ASSESSMENT, EPISODES))
+    figures, stored = read_figures(folder), read_episodes(folder)
+    with understood(folder / ASSESSMENT):
+        scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
+        eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
+        attempts = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
+        curve, margins = vulnerability_curve(attempts, eta_max), _margins(stored, eta_max)
+        found = None if margins is None else mean(np.concatenate(margins))
+        _check_same(folder, "margin", found, figures["margin"], eta_max)
+        found = None if curve is None else curve.area_above
+        _check_same(folder, "mean deviation", found, figures["deviation"], eta_max)
+    if count != len(stored.safe):
+        raise UsageError(f"{folder / ASSESSMENT}: is of {count} φ, and {EPISODES} beside it of {len(stored.safe)}")
+    remark = f"{folder}: has no {MANIFEST}: that a file was changed cannot be told"
+    return figures, stored, () if known else (remark,)
+
+
+def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
+    """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
+
+    Raises:
+        UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
+            or deviation than it says.
+    """
+    path = folder / ASSESSMENT
+    figures, stored, remarks = read_checked(folder)
+    with understood(path):
+        eta_max = float(figures["eta_max"])
+        objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
+        objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
+    margins = _margins(stored, eta_max)
+    deviations = stored.deviations_of(objective)
+    curve = vulnerability_curve(deviations, eta_max)
+    if curve is None and margins is None:
+        raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
+    of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
+    collided = stored.collided.astype(np.float64)
+    # Where a maximum distance left some out, those that are there are not the pairs of SKD.
+    limited = figures.get("maximum_distance") is not None
+    distances, prefixes = _distances(stored, [mine[:0] for mine in of_skd] if limited else of_skd)
+    runs = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED)
+    groups = {
+        **({} if margins is None else {"margin": margins}),
+        "deviation": tuple(np.minimum(group, eta_max) for group in deviations),
+        "deviation_success_rate": tuple(np.isfinite(group).astype(np.float64) for group in deviations),
+        "skd": distances,
+        "skd_prefix": prefixes,
+        "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
+        "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+    }
+    with understood(path):
+        risks = stored_risks(figures, stored)
+    if risks is not None:
+        groups |= {f"risk_{one.scale:g}": one.groups for one in risks.scales if one.value is not None}
+    worst = {} if risks is None else _at_worst(risks)
+    lost = (stored.outcome == Outcome.ABORTED) & (stored.mode == Mode.KAMIKAZE) & (stored.objective == objective)
+    if lost.any():
+        more = [np.zeros(int((lost & (stored.safe_index == index)).sum())) for index in range(len(stored.safe))]
+        worst["deviation"] = tuple(np.concatenate(pair) for pair in zip(groups["deviation"], more, strict=True))
+    lines = (f"{folder}: {line}" for line in in_one_line(figures.get("warnings") or ()))
+    return StoredResult(folder, figures, stored.safe, curve, objective, groups, (*remarks, *lines), worst), stored
+
+
+def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
+    """Return the groups of the crude risks some of whose crossings were aborted, as if the car had hit in these."""
+    found = {}
+    for one in risks.scales:
+        if one.value is not None and one.subsets is None and one.number_of(Touch.ABORTED):
+            hits = np.where(one.touches == Touch.ABORTED, int(Touch.FRONT), one.touches)
+            found[f"risk_{one.scale:g}"] = replace(one, touches=hits).groups
+    return found
+
+
+def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
+    """Return per φ what the ways of least deviation give as the margin of each attempt, m; None without any."""
+    if stored.margins is None or not sum(map(len, stored.margins)):
+        return None
+    return tuple(np.minimum(one, eta_max) for one in stored.margins)
+
+
+def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_max: float) -> None:
+    """Refuse a figure that is another one in assessment.json than by the trajectories beside it.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if found is None or stated is None:
+        same = found is stated
+    else:
+        same = abs(found - float(stated)) <= _ROUNDING * max(1.0, eta_max)
+    if not same:
+        first, second = (f"no {name}" if one is None else f"a {name} of {float(one):.6f} m" for one in (found, stated))
+        raise UsageError(
+            f"{folder}: its trajectories give {first}, and assessment.json says {second}: they are not of one "
+            "assessment"
+        )
+
+
+def _distances(
+    stored: StoredEpisodes, attempts: Sequence[IntArray]
+) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+    """Return per φ the Fréchet and the prefix distance of each pair of some attempts, m."""
+    step, distances, prefixes = stored.time_step, [], []
+    for phi, mine in zip(stored.safe, attempts, strict=True):
+        hit = mine[stored.collided[mine]]
+        psis = [Trajectory(stored.until_contact(number), step) for number in hit.tolist()]
+        distances.append(stored.frechet[hit])
+        prefixes.append(prefix_distances(Trajectory(phi, step), psis))
+    return tuple(distances), tuple(prefixes)
+
+
+def write_assessment(folder: Path, rating: Rating) -> None:
+    """Write assessment.json, episodes.npz and surrogate_measures.csv."""
+    write_json(folder / "assessment.json", rating.as_dict())
+    write_episodes(folder / "episodes.npz", rating)
+    with (folder / SURROGATES).open("w", encoding="utf-8") as file:
+        rating.surrogates.write_csv(file)
+
+
+def episode_summary(log: EpisodeLog) -> dict[str, Any]:
+    """Return the content of episode.json."""
+    spec = log.episode
+    collided = log.outcome == Outcome.COLLISION
+    return {
+        "outcome": log.outcome.name.lower(),
+        "reason": log.reason,
+        "mode": spec.mode.name.lower(),
+        "controller": spec.controller,
+        "multiplier": spec.car.stated_multiplier,
+        "knowledge": str(spec.knows),
+        "seed": spec.seed,
+        "episode_id": spec.episode_id,
+        "ticks": len(log.adversary) - 1,
+        "impact_time": log.impact_time if collided else None,
+        "impact_speed": log.impact_speed if collided else None,
+        "command_age": command_age([log]),
+        "scenario": spec.scenario.as_dict(),
+        "version": version(),
+    }

@@ -1,0 +1,330 @@
+"""`skd verify`: whether the files of a result are what was written, and whether its figures follow from its episodes.
+
+The rating is computed again from episodes.npz by the functions that computed it first. Nothing that the file names is
+imported. What a car is called, how much was searched and what was requested stay what assessment.json says of them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import folders_in, read_json, sha256_of
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
+from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, read_manifest
+from skd_evaluator.assessment.judge.assessment import CONFIDENCE
+from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Told
+from skd_evaluator.assessment.judge.rating import Rating, judge_all
+from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_set
+from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.margins import Excess, Margins
+from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
+
+
+@dataclass(frozen=True)
+class _StoredPlan(Plan):
+    """A plan of which the file says what its objectives plan for, so that none of them has to be loaded."""
+
+    plans: Mapping[str, bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        pass  # its scenario is as it was run, and its car is nobody's
+
+    @property
+    def limits_deviation(self) -> bool:
+        return self.plans[str(self.objective)]
+
+
+def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
+    """Return the rating that stored episodes give.
+
+    Args:
+        figures: content of assessment.json, of which scenario, confidence and how the margin was searched are taken.
+        stored: the episodes.
+
+    Raises:
+        ValueError, LookupError: they do not go together.
+    """
+    further = stored.further
+    scenario = scenario_from_dict(figures["scenario"], f"scenario in {ASSESSMENT}")
+    names, objectives = further["safe_name"].tolist(), further["objectives"].tolist()
+    for name, here, there in (
+        ("η_max", float(further["eta_max"]), scenario.eta_max),
+        ("time step", stored.time_step, scenario.time_step),
+        ("hit speed", stored.hit_speed, scenario.collision.hit_speed),
+    ):
+        if here != there:
+            raise ValueError(f"{EPISODES} is of a scenario whose {name} is {here:g}, and not {there:g}")
+    limit = float(further["maximum_distance"])
+    plan = _StoredPlan(
+        scenario,
+        safe_count=len(stored.safe),
+        seed=int(further["seed"]),
+        maximum_distance=None if math.isnan(limit) else limit,
+        plans=dict(zip(objectives, further["plans_deviation"].tolist(), strict=True)),
+    )
+    safe = [Trajectory(one, stored.time_step, name) for one, name in zip(stored.safe, names, strict=True)]
+    logs = [_log(stored, number, scenario, safe) for number in range(len(stored))]
+    replays = [log for log in logs if log.episode.mode == Mode.REPLAY]
+    sets: dict[Objective, list[KamikazeSet]] = {}
+    for name in objectives:
+        of_it = (stored.mode == Mode.KAMIKAZE) & (stored.objective == name)
+        rows = [np.flatnonzero(of_it & (stored.safe_index == index)).tolist() for index in range(len(safe))]
+        # A registered objective is not looked up: of a name alone all that is wanted is the name.
+        sets[cast(Objective, name)] = [
+            kamikaze_set(phi, sorted((logs[row] for row in mine), key=lambda log: log.episode.episode_id))
+            for phi, mine in zip(safe, rows, strict=True)
+        ]
+    confidence = _confidence(figures)
+    rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
+    margins = _stored_margins(figures, stored, scenario, confidence)
+    risks = stored_risks(figures, stored, confidence)
+    return replace(rating, margins=margins, risks=risks and with_failures(risks, stored, scenario))
+
+
+def _confidence(figures: Mapping[str, Any]) -> float:
+    """Return the confidence of the intervals by φ: that of each look, where there were several."""
+    until = figures.get("until_width")
+    found = CONFIDENCE if until is None else float(until["confidence"])
+    if not CONFIDENCE <= found < 1.0:
+        raise ValueError(f"until_width.confidence must be from {CONFIDENCE:g} to below 1, got {found:g}")
+    return found
+
+
+def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Trajectory]) -> EpisodeLog:
+    episode = Episode(
+        scenario,
+        Mode(int(stored.mode[number])),
+        int(stored.further["seed"]),
+        int(stored.episode_id[number]),
+        safe_trajectory=safe[int(stored.safe_index[number])],
+    )
+    return EpisodeLog(
+        episode,
+        Outcome(int(stored.outcome[number])),
+        stored.adversary[number],
+        stored.car[number],
+        float(stored.impact_time[number]),
+        float(stored.impact_speed[number]),
+        reason=str(stored.further["reason"][number]),
+        clipped=int(stored.further["clipped"][number]),
+        own_contact=float(stored.further["own_contact"][number]) if "own_contact" in stored.further else None,
+    )
+
+
+def _stored_margins(
+    figures: Mapping[str, Any], stored: StoredEpisodes, scenario: Scenario, confidence: float
+) -> Margins | None:
+    if stored.margins is None or not sum(map(len, stored.margins)):
+        return None
+    ways: list[tuple[LeastWay | None, ...]] = []
+    for distances, known in zip(stored.margins, stored.margin_ways, strict=True):
+        found: list[LeastWay | None] = [None] * len(distances)
+        for way in known:
+            trajectory = Trajectory(way.positions, stored.time_step, "")
+            found[way.attempt] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, way.gap)
+        ways.append(tuple(found))
+    budget, converged = figures["margin_budget"], figures["margin_converged"]
+    excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
+    how = figures["margin_how"] or ""
+    return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), excess, confidence, how)
+
+
+def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:
+    """Return the risk that the stored ends of its crossings give; None where the file has none.
+
+    Raises:
+        ValueError, LookupError: its arrays do not go together.
+    """
+    further, phis = stored.further, len(stored.safe)
+    if "risk_touch" not in further:
+        return None
+    scales = further["risk_scale"].tolist()
+    touches = further["risk_touch"].astype(np.int64).reshape(len(scales), -1)
+    ticks = further["risk_tick"].astype(np.int64).reshape(touches.shape)
+    lost = further["risk_lost"].tolist() if "risk_lost" in further else [0] * len(scales)
+    levels = further["risk_levels"].reshape(len(scales), -1)
+    shares = further["risk_share"].reshape(len(scales), -1, phis)
+    if not np.isin(touches, [*map(int, Touch)]).all():
+        raise ValueError("risk_touch has a value that this version does not know")
+    found = []
+    for row, scale in enumerate(scales):
+        per_level, subsets = int(further["risk_per_level"][row]), None
+        if per_level:
+            subsets = Subsets(shares[row], levels[row], per_level, int(further["risk_open"][row]))
+        found.append(ScaleRisk(scale, touches[row], phis, subsets, confidence, ticks[row], lost[row]))
+    return Risks(figures["risk"]["behaviour"], found)
+
+
+_CAMPAIGN = "campaign.json"
+_AGREE = 1e-7
+"""Relative to a figure, or to 1: what another machine's rounding may come to in an interval, which is searched for."""
+_KEPT = (("vulnerability_curve", "budgets"), ("risk", "behaviour"))
+"""Parts of figures that do not follow from the episodes: kamikazes that are not kept, and a model that was given."""
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was found out about a folder.
+
+    Attributes:
+        folder: folder that was looked at.
+        files: comparison of its files with its manifest; None if it has no manifest.
+        agree: names of figures that follow from its episodes.
+        contradict: figures that do not, a line each.
+        unknown: names of figures that cannot be recomputed from the folder, by the reason.
+        problems: whatever else is wrong, a line each.
+        remarks: remarks for the reader, a line each.
+    """
+
+    folder: Path
+    files: Held | None
+    agree: tuple[str, ...] = ()
+    contradict: tuple[str, ...] = ()
+    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def fine(self) -> bool:
+        """Whether nothing was found that speaks against the folder."""
+        files = self.files
+        return not (self.contradict or self.problems or (files is not None and (files.changed or files.missing)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        files = self.files
+        parts = ("same", "changed", "missing", "others")
+        return {
+            "folder": str(self.folder),
+            "fine": self.fine,
+            "files": None if files is None else {name: list(getattr(files, name)) for name in parts},
+            "agree": list(self.agree),
+            "contradict": list(self.contradict),
+            "unknown": {reason: list(names) for reason, names in self.unknown.items()},
+            "problems": list(self.problems),
+            "remarks": list(self.remarks),
+        }
+
+
+def folders_below(folder: Path) -> list[Path]:
+    """Return the folders of results at and below one, itself first; links are not followed.
+
+    Raises:
+        UsageError: there is none, or a folder cannot be looked into.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder; give that of a result")
+
+    def refuse(path: Path, why: str) -> None:
+        raise UsageError(f"{path}: {why}")
+
+    names = {ASSESSMENT, MANIFEST, _CAMPAIGN}
+    found = sorted(path for path, _, files in folders_in(folder, refuse) if names & set(files))
+    if not found:
+        raise UsageError(f"{folder}: holds no {ASSESSMENT} and no {MANIFEST}; give the folder of a result")
+    return found
+
+
+def verify(folder: Path) -> Verified:
+    """Return what is to be said of a folder of a result, whatever is wrong with it."""
+    files, problems, remarks = None, [], []
+    agree: tuple[str, ...] = ()
+    contradict: tuple[str, ...] = ()
+    unknown: dict[str, tuple[str, ...]] = {}
+    try:
+        manifest = read_manifest(folder)
+        if manifest is not None:
+            files = hold(folder, manifest)
+        elif not (folder / _CAMPAIGN).exists():
+            remarks.append(f"no {MANIFEST}: that a file was changed cannot be told")
+        if (folder / _CAMPAIGN).exists():
+            problems += _rows_that_differ(folder)
+        if ASSESSMENT in {path.name for path in folder.iterdir()} | {*(manifest or {})}:
+            figures, stored = read_figures(folder), read_episodes(folder)
+            remarks += not_credible(figures.get("warnings") or ())
+            with understood(folder / ASSESSMENT):
+                found = json.loads(json.dumps(rating_of(figures, stored).as_dict()))
+                agree, contradict = _compared(figures, found)
+            for reason, rows in _not_from_episodes(figures).items():
+                unknown[reason] = rows
+    except UsageError as error:
+        problems.append(str(error))
+    return Verified(folder, files, agree, contradict, unknown, tuple(problems), tuple(remarks))
+
+
+def _follows(name: str) -> bool:
+    """Return whether an entry at the top of assessment.json follows from the episodes beside it."""
+    return name in AT_THE_TOP and AT_THE_TOP[name].told is Told.EPISODES
+
+
+def _not_from_episodes(figures: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the entries that do not follow from the episodes, by the reason."""
+    reasons: dict[str, list[str]] = {}
+    for name in figures:
+        if name in AT_THE_TOP and not _follows(name):
+            reasons.setdefault(str(AT_THE_TOP[name].told), []).append(name)
+    return {reason: tuple(names) for reason, names in reasons.items()}
+
+
+def _compared(figures: Mapping[str, Any], found: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return which figures are those that were found again, and in a line each what the others are."""
+    for name, part in _KEPT:
+        if figures.get(name) and found.get(name):
+            found[name][part] = figures[name].get(part)
+    agree, contradict = [], []
+    for name in dict.fromkeys((*figures, *found)):
+        if _follows(name.partition("_ci95")[0]):
+            differences = [*_differences(name, figures.get(name), found.get(name))]
+            contradict += differences
+            agree += [] if differences else [name]
+    return tuple(agree), tuple(contradict)
+
+
+def _differences(name: str, said: Any, found: Any) -> Iterator[str]:
+    """Yield, a line each, where two values of JSON differ by more than rounding."""
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        for key in dict.fromkeys((*said, *found)):
+            yield from _differences(f"{name}.{key}", said.get(key), found.get(key))
+    elif isinstance(said, list) and isinstance(found, list) and len(said) == len(found):
+        for place, (one, other) in enumerate(zip(said, found, strict=True)):
+            yield from _differences(f"{name}.{place}", one, other)
+    elif not _alike(said, found):
+        yield f"{name} is {_shown(said)}, its episodes give {_shown(found)}"
+
+
+def _alike(said: Any, found: Any) -> bool:
+    if isinstance(said, float) or isinstance(found, float):
+        numbers = all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in (said, found))
+        return numbers and abs(said - found) <= _AGREE * max(1.0, abs(said), abs(found))
+    return bool(said == found)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value!r:.60}"
+
+
+def _rows_that_differ(folder: Path) -> list[str]:
+    """Return which rows of a campaign are not of the results in the folders of its cells, a line each."""
+    path, found = folder / _CAMPAIGN, []
+    with understood(path):
+        for row in read_json(path)["cells"]:
+            for name, digest in row["sha256"].items():
+                if sha256_of(folder / row["name"] / name) != digest:
+                    found.append(f"{path}: cell {row['name']}: {name} is not the file that the row is of")
+    return found

@@ -1,0 +1,505 @@
+"""Whether an episode can have happened: complete, finite, plausible, and consistent with the world's step.
+
+The world draws its noise from the episode's seed, so from a state, the next speed and the adversary's step everything
+else of a tick follows: the car's path, the touch, its time and its speed. Of the basic controller the next speed does,
+too. A recording that says otherwise is not of this world, of another episode, or damaged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from skd_adversary.car_models.car_model_file import fitted_car
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.safe_path import path_velocities
+from skd_sim.arrays import FloatArray
+from skd_sim.controllers import basic_acceleration
+from skd_sim.kernels.compilation import kernel
+from skd_sim.options.car_dynamics import DYNAMICS
+from skd_sim.scenario.road import (
+    HEADING_NORTH,
+    beside_road,
+    is_straight_north,
+    right_and_along,
+    road_position,
+)
+from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
+from skd_sim.world.dynamics.basic import along_road
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.randomness import Role, generator
+from skd_sim.world.state import AdversaryState
+from skd_sim.world.world import make_world
+
+from skd_evaluator.assessment.files.episodes_npz import FARTHEST, within_reach
+from skd_evaluator.assessment.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
+
+ROUNDING = 1e-9
+"""m, m/s, s: what another processor's rounding may change."""
+UNLIKE = 1.0
+"""Deviation where something happened in one of the two and not in the other."""
+_COS, _SIN = math.cos(HEADING_NORTH), math.sin(HEADING_NORTH)
+
+
+class FirstTouch(NamedTuple):
+    """First touch of an episode: its tick, the share of the tick, and the car's speed, m/s."""
+
+    tick: int
+    fraction: float
+    speed: float
+
+
+@dataclass
+class Recomputed:
+    """How far a recording is from what the world would have given.
+
+    Attributes:
+        deviation: the greatest difference, m, m/s or s.
+        where: the quantity that it is of, and the tick.
+    """
+
+    deviation: float = 0.0
+    where: str = ""
+
+    def note(self, differences: FloatArray | float, what: str, first_tick: int | None = None) -> None:
+        """Take differences (m, m/s or s) of some quantity, one a tick from `first_tick` on, or a single one."""
+        values = np.atleast_1d(np.abs(differences))
+        if values.size and not values.max() <= self.deviation:
+            worst = int(np.argmax(values))
+            self.deviation = float(values[worst])
+            self.where = what if first_tick is None else f"{what} at tick {first_tick + worst}"
+
+
+@kernel
+def _touches(
+    adversary: FloatArray,
+    car: FloatArray,
+    line: FloatArray,
+    footprint: tuple[float, float, float],
+    shape: tuple[float, float, float],
+    first_heading: float,
+    time_step: float,
+    minimum_speed: float,
+) -> tuple[int, float, float]:
+    """Return tick, fraction and speed of the first touch that counts, of a car that drives uniformly; −1: none."""
+    straight = is_straight_north(line)
+    heading = first_heading
+    for tick in range(adversary.shape[0] - 1):
+        path = driven(line, straight, car[tick], car[tick + 1])
+        place, end = (adversary[tick, 0], adversary[tick, 1]), (adversary[tick + 1, 0], adversary[tick + 1, 1])
+        velocity = ((end[0] - place[0]) / time_step, (end[1] - place[1]) / time_step)
+        if shape[0] == 0.0 and (velocity[0] != 0.0 or velocity[1] != 0.0):
+            heading = math.atan2(velocity[1], velocity[0])
+        contact, speed = sweep(path, place, end, velocity, heading, footprint, shape, time_step, 0, 1)
+        if contact <= 1.0 and speed >= minimum_speed:
+            return tick, contact, speed
+    return -1, math.inf, 0.0
+
+
+@kernel
+def driven(line: FloatArray, straight: bool, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the car's way between two recorded states (x, y in m, speed in m/s), as `CarDynamics.advance` gives it."""
+    if not straight:
+        here, there = road_position(line, before[0], before[1])[0], road_position(line, after[0], after[1])[0]
+        return along_road(line, here, max(0.0, there - here), before[2], after[2])
+    path = np.empty((2, 4))
+    path[0, 0], path[0, 1], path[0, 2], path[0, 3] = before[0], before[1], HEADING_NORTH, before[2]
+    path[1, 0], path[1, 1], path[1, 2], path[1, 3] = after[0], after[1], HEADING_NORTH, after[2]
+    return path
+
+
+def first_touch(log: EpisodeLog, *, margin: float = 0.0) -> FirstTouch | None:
+    """Return the first touch in a log that counts as a collision, with the adversary or one of the others.
+
+    States are joined by straight lines.
+
+    Args:
+        log: what happened; its states must be finite.
+        margin: by how much the car's footprint is made smaller on each side, m.
+    """
+    found = [touch for touch in touches(log, margin=margin) if touch is not None]
+    return min(found, default=None)
+
+
+def touches(log: EpisodeLog, *, margin: float = 0.0) -> list[FirstTouch | None]:
+    """Return the first touch with the adversary, then with each of the others, each as if it were the only one."""
+    scenario = log.episode.scenario
+    car, seen = (
+        scenario.car,
+        [scenario.others_at(tick) for tick in range(len(log.adversary))] if scenario.others else [],
+    )
+    bodies: list[tuple[Body, FloatArray]] = [(scenario.adversary, log.adversary)]
+    bodies += [(other, np.array([at[i][:2] for at in seen])) for i, other in enumerate(scenario.others)]
+    found: list[FirstTouch | None] = []
+    for body, way in bodies:
+        tick, fraction, speed = _touches(
+            way,
+            log.car,
+            scenario.road.line,
+            (car.front - margin, car.rear - margin, car.half_width - margin),
+            body.shape,
+            body.first_heading,
+            scenario.time_step,
+            scenario.collision.minimum_impact_speed,
+        )
+        found.append(FirstTouch(tick, fraction, speed) if tick >= 0 else None)
+    return found
+
+
+def recompute(log: EpisodeLog) -> Recomputed:
+    """Compare a log with what the world gives, tick by tick from the recorded states.
+
+    Where the car's motion depends on more than is recorded, only the start and the adversary are compared.
+
+    Args:
+        log: what is said to have happened, with any outcome; its states must be finite.
+    """
+    found = Recomputed()
+    world = make_world(log.episode)
+    found.note(log.adversary[0] - np.array(world.adversary[:2]), "the adversary's start")
+    found.note(log.car[0] - np.array([world.car.x, world.car.y, world.car.speed]), "the car's start")
+    if len(log.car) > 1:
+        _adversary(log, found)
+        if determined(log.episode.scenario):
+            _car(log, found)
+            _impact(log, found)
+    return found
+
+
+def determined(scenario: Scenario) -> bool:
+    """Whether states at ticks determine how the car drove: not with other dynamics, nor if it decides between ticks."""
+    return DYNAMICS[scenario.car.dynamics].known and scenario.control_periods == 1
+
+
+def follows_phi(episode: Episode) -> bool:
+    """Whether the adversary can go as φ does: a replay, and a kamikaze that can choose to."""
+    if episode.mode != Mode.KAMIKAZE:
+        return episode.mode == Mode.REPLAY
+    return objective_named(episode.objective).follows_phi
+
+
+def _adversary(log: EpisodeLog, found: Recomputed) -> None:
+    """Compare each step of the adversary with those that it can choose.
+
+    In real time a command is held until the next one comes, so whoever follows φ may go as φ did in another tick.
+    """
+    episode, walked = log.episode, log.adversary
+    scenario, ticks = episode.scenario, len(walked) - 1
+    user = road_user_named(scenario.adversary.kind)
+    path = walked[:1] if episode.safe_trajectory is None else episode.safe_trajectory.positions
+    choices: list[FloatArray] = []
+    if episode.mode != Mode.REPLAY:
+        choices.append(user.choices(scenario, path, walked))
+    if follows_phi(episode):
+        replayed = episode.mode == Mode.REPLAY
+        as_phi = path_velocities(path, ticks, scenario.time_step) if replayed else user.as_phi(scenario, path, walked)
+        choices.append(np.broadcast_to(np.vstack([as_phi, np.zeros(2)]), (ticks, ticks + 1, 2)))
+    reached = walked[:-1, None] + scenario.time_step * np.concatenate(choices, axis=1)
+    found.note(np.abs(reached - walked[1:, None]).max(axis=-1).min(axis=1), "the adversary's position", 1)
+
+
+def _car(log: EpisodeLog, found: Recomputed) -> None:
+    """Compare the car's path with its speeds, and a basic car's speeds with what braking and the noise give."""
+    episode, states = log.episode, log.car
+    scenario = episode.scenario
+    car, step, line = scenario.car, scenario.time_step, scenario.road.line
+    ticks = len(states) - 1
+    speed, after = states[:-1, 2], states[1:, 2]
+    distance = 0.5 * step * (speed + after)
+    if scenario.road.straight:
+        x, y = states[:-1, 0] + distance * _COS, states[:-1, 1] + distance * _SIN
+    else:
+        along = right_and_along(line, states[:-1, :2])[:, 1] + distance
+        x, y = beside_road(line, np.column_stack([np.zeros(ticks), along])).T
+    found.note(x - states[1:, 0], "the car's x", 1)
+    found.note(y - states[1:, 1], "the car's y", 1)
+    found.note(np.minimum(0.0, states[:, 2]), "the car's speed", 0)
+    if not episode.car.is_known or episode.mode == Mode.SAFE:  # φ is made before any car is looked at
+        return
+    draws = 2.0 * generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2)) - 1.0
+    rolling = speed + car.speed_noise * draws[:, 0] * speed
+    braking = -car.deceleration + car.acceleration_noise * draws[:, 1] * -car.deceleration
+    free = np.abs(np.maximum(0.0, rolling) - after)
+    braked = np.abs(np.maximum(0.0, rolling + step * braking) - after)
+    if log.timing.delay > 0.0:  # in real time a command may be that of an earlier tick
+        found.note(np.minimum(free, braked), "the car's speed", 1)
+        return
+    # As `BasicController.command` has it.
+    if scenario.road.straight:
+        ahead = _COS * (log.adversary[:-1, 0] - states[:-1, 0]) + _SIN * (log.adversary[:-1, 1] - states[:-1, 1])
+    else:
+        walked, drove = (right_and_along(line, places[:-1, :2])[:, 1] for places in (log.adversary, states))
+        ahead = walked - drove
+    trigger = episode.multiplier * car.safe_distance
+    gaps = (ahead - car.front).tolist()
+    brakes = np.array([basic_acceleration(gap, trigger, car.deceleration) != 0.0 for gap in gaps], dtype=np.bool_)
+    found.note(np.where(brakes, braked, free), "the car's speed", 1)
+
+
+def _impact(log: EpisodeLog, found: Recomputed) -> None:
+    """Compare the impact with the first touch of the recorded motion."""
+    touch = first_touch(log)
+    last = len(log.adversary) - 2
+    if log.outcome == Outcome.ABORTED and (touch is None or touch.tick == last):
+        return
+    if log.outcome != Outcome.COLLISION or touch is None or touch.tick != last:
+        if touch is not None or log.outcome == Outcome.COLLISION:
+            found.note(UNLIKE, "the touch")
+        return
+    found.note(log.impact_time - (touch.tick + touch.fraction) * log.episode.scenario.time_step, "the impact's time")
+    found.note(log.impact_speed - touch.speed, "the impact's speed")
+
+
+LARGEST_ACCELERATION = 20.0
+"""m/s², of a car: twice what the best tyres do on a dry road; also the most that nodes take for a limit."""
+LARGEST_SPEED = 100.0
+"""m/s, of a car; scenarios allow 60 at the start."""
+_PLACED = 5.0  # m from the start: the most that carla_bridge may be told to tolerate
+_OFF = 1.0  # m from φ that the adversary of another simulator may stray
+_SLACK = 0.05  # m
+_FASTER = 0.5  # m/s that φ may be faster than its kind, for its places are rounded
+_LEARNT_FROM = {Mode.REPLAY: Stage.PROBE, Mode.KAMIKAZE: Stage.LEARNING}
+"""Stages in which a car was learned, by what the adversary did."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a log can have happened.
+
+    Attributes:
+        fault: why it cannot have happened; empty: nothing contradicts it.
+        deviation: greatest difference between its states and those that SKD's own world gives, m, m/s or s.
+        where: the quantity and tick of the deviation.
+    """
+
+    fault: str = ""
+    deviation: float = 0.0
+    where: str = ""
+
+    @property
+    def ours(self) -> bool:
+        """Whether SKD's own world gives this log."""
+        return not self.fault and self.deviation <= ROUNDING
+
+
+def examine(log: EpisodeLog, *, asked: bool = False) -> Verdict:
+    """Recompute whatever can be recomputed of a log, and say what does not fit.
+
+    A log is refused if no simulator can have given it: its states are not finite or too many, its geometry contradicts
+    its outcome or impact, or a road user is faster than possible. If only SKD's own world would not have given it,
+    `deviation` says by how much: logs of another simulator have one.
+
+    Args:
+        log: what is said to have happened, wherever it comes from.
+        asked: whether whoever looks has asked for this very episode: then its specification is not looked at.
+    """
+    try:
+        fault = ("" if asked else _specification(log.episode)) or _form(log)
+        if fault:
+            return Verdict(fault)
+        if not np.isfinite(log.car).all():
+            return Verdict()  # one that was aborted before there was anything to record
+        fault = _outcome(log) or implausible(log)
+        found = recompute(log)
+    except ValueError as error:  # of the specification: no car model, or φ never enters the car's path
+        return Verdict(str(error))
+    return Verdict(fault, found.deviation, found.where)
+
+
+def _specification(episode: Episode) -> str:
+    """Return what in the specification no campaign would have asked for."""
+    for what, value in (("multiplier", episode.multiplier), ("maximum distance", episode.maximum_distance or 1.0)):
+        if not 0.0 <= value < math.inf:
+            return f"has the {what} {value:g}"
+    if not episode.car.exists:
+        return f"has the controller {episode.controller[:40]!r}, which is none"
+    if episode.car_model:
+        fitted_car(episode.car_model)
+    stage = split_episode_id(episode.episode_id)[0]
+    if stage not in (STAGES[episode.mode], _LEARNT_FROM.get(episode.mode)) and not walks_a_way(episode):
+        return f"has the mode {episode.mode.name}, which its number does not belong to"
+    phi, scenario = episode.safe_trajectory, episode.scenario
+    if phi is not None and len(phi) > 1:
+        with np.errstate(over="ignore"):
+            pace = np.hypot(*np.diff(phi.positions, axis=0).T).max() / phi.time_step
+        user = road_user_named(scenario.adversary.kind)
+        if not pace <= user.fastest + _FASTER:
+            return f"its safe trajectory goes {pace:.3g} m/s, faster than any {user.name}"
+        if not math.isclose(phi.time_step, scenario.time_step, rel_tol=1e-9):
+            return f"its safe trajectory has a time step of {phi.time_step:g} s, its scenario {scenario.time_step:g} s"
+    return ""
+
+
+def _form(log: EpisodeLog) -> str:
+    """Return what is wrong with a log before its numbers are looked at."""
+    scenario, count = log.episode.scenario, len(log.adversary)
+    if log.adversary.shape != (count, 2) or log.car.shape != (count, 3) or count == 0:
+        return f"has {len(log.car)} states of the car and {count} of the adversary"
+    if count - 1 > scenario.ticks:
+        return f"has {count - 1} ticks, its scenario at most {scenario.ticks}"
+    if log.outcome == Outcome.RUNNING:
+        return "has the outcome RUNNING, which no episode ends with"
+    if not np.isfinite([*log.timing.ages, log.timing.delay]).all():
+        return "has the age of a command that is not finite"
+    impact = (log.impact_time, log.impact_speed)
+    if log.outcome == Outcome.COLLISION:
+        if not np.isfinite(impact).all():
+            return "is a collision without time and speed of the impact"
+    elif not np.isnan(impact).all():
+        return f"has an impact, but the outcome is {log.outcome.name}"
+    if log.outcome == Outcome.ABORTED:
+        if count == 1 and np.isnan(log.car).all() and np.isfinite(log.adversary).all():
+            return ""
+    elif count == 1:
+        return "has no tick"
+    if not within_reach(log.adversary, log.car):
+        return f"has a state that is not finite, or beyond ±{FARTHEST:g}"
+    return ""
+
+
+def _outcome(log: EpisodeLog) -> str:
+    """Return what contradicts the outcome in where the adversary was, tick by tick."""
+    last = len(log.adversary) - 1
+    for tick, (x, y) in enumerate(log.adversary.tolist()):
+        if tick == 0:
+            continue
+        collided = tick == last and log.outcome == Outcome.COLLISION
+        stands = log.episode.outcome(tick, AdversaryState(x, y, 0.0, 0.0), collided=collided)
+        if tick < last and stands != Outcome.RUNNING:
+            return f"ends by its geometry at tick {tick} ({stands.name}), but has {last} ticks"
+        if tick == last and stands != log.outcome and not _interrupted(log, stands):
+            how = "is not over" if stands == Outcome.RUNNING else f"ends as {stands.name}"
+            return f"has the outcome {log.outcome.name} after {last} ticks, but by its geometry {how}"
+    return ""
+
+
+def _interrupted(log: EpisodeLog, stands: Outcome) -> bool:
+    """Whether an episode may count as aborted: one that was over may only with a stated reason."""
+    return log.outcome == Outcome.ABORTED and (stands == Outcome.RUNNING or bool(log.reason))
+
+
+def play_of(time_step: float) -> float:
+    """Return how far (m) within a tick a car may be from where it would be if it drove uniformly."""
+    return LARGEST_ACCELERATION * time_step * time_step / 8.0 + _SLACK
+
+
+def implausible(log: EpisodeLog) -> str:
+    """Return what no simulator can have given, in a few words; empty: nothing.
+
+    Contacts are looked for with a margin, for within a tick a car need not drive uniformly.
+
+    Args:
+        log: what is said to have happened; its states must be finite, and as many as its outcome needs.
+    """
+    return _placed(log) or _walked(log) or _driven(log) or _touched(log)
+
+
+def _placed(log: EpisodeLog) -> str:
+    episode = log.episode
+    car = episode.scenario.car
+    off = math.dist(log.adversary[0], episode.start)
+    if off > _PLACED:
+        return f"the adversary starts {off:.3g} m from where the specification has it"
+    reference = -episode.start_gap - car.front
+    low, high = reference - car.start_gap_range - _PLACED, reference + _PLACED
+    along, left = road_position(episode.scenario.road.line, float(log.car[0, 0]), float(log.car[0, 1]))
+    if not low <= along <= high or abs(left) > _PLACED:
+        return "the car does not start where the specification has it"
+    return ""
+
+
+def _walked(log: EpisodeLog) -> str:
+    episode, step = log.episode, log.episode.scenario.time_step
+    phi = None if episode.safe_trajectory is None else episode.safe_trajectory.positions
+    pace = episode.scenario.adversary.speed
+    if follows_phi(episode) and phi is not None and len(phi) > 1:
+        along = float(np.hypot(*np.diff(phi, axis=0).T).max()) / step
+        pace = along if episode.mode == Mode.REPLAY else max(pace, along)
+    steps = np.hypot(*np.diff(log.adversary, axis=0).T)
+    fast = np.flatnonzero(steps > 1.5 * pace * step + _SLACK)
+    if fast.size:
+        return f"the adversary goes {steps[fast[0]] / step:.3g} m/s in tick {fast[0]}, of {pace:.3g} m/s at most"
+    if episode.mode == Mode.REPLAY and phi is not None:
+        from_phi = np.hypot(*(log.adversary[:, None] - phi).T).min(axis=0)
+        if from_phi.max() > _OFF + pace * step:
+            return f"the adversary is {from_phi.max():.3g} m off the safe trajectory that it follows"
+    return ""
+
+
+def _driven(log: EpisodeLog) -> str:
+    step, driven = log.episode.scenario.time_step, log.car
+    speed = driven[:, 2]
+    if speed.min() < -1.0 or speed.max() > LARGEST_SPEED:
+        worst = speed.min() if speed.min() < -1.0 else speed.max()
+        return f"the car drives {worst:.3g} m/s"
+    noise = log.episode.scenario.car
+    change = np.abs(np.diff(speed))
+    most = step * LARGEST_ACCELERATION * (1.0 + noise.acceleration_noise) + noise.speed_noise * np.abs(speed[:-1])
+    hard = np.flatnonzero(change > most + 1e-9)
+    if hard.size:
+        return f"the car's speed changes by {change[hard[0]]:.3g} m/s in tick {hard[0]}"
+    way = np.hypot(*np.diff(driven[:, :2], axis=0).T)
+    should = 0.5 * step * np.abs(speed[:-1] + speed[1:])
+    apart = way - should
+    if log.outcome == Outcome.COLLISION:
+        apart[-1:] = np.maximum(apart[-1:], 0.0)  # a simulator may end the tick at the contact
+    far = np.flatnonzero(np.abs(apart) > 2.0 * play_of(step))
+    if far.size:
+        return f"the car goes {way[far[0]]:.3g} m in tick {far[0]}, its speeds say {should[far[0]]:.3g} m"
+    return ""
+
+
+def _touched(log: EpisodeLog) -> str:
+    """Look whether it touches where it says so, and nowhere else."""
+    scenario = log.episode.scenario
+    ticks, step = len(log.adversary) - 1, scenario.time_step
+    margin = min(play_of(step), 0.9 * min(scenario.car.half_width, scenario.car.front, scenario.car.rear))
+    touch = first_touch(log, margin=margin)
+    slow = touch is not None and (
+        touch.speed < scenario.collision.minimum_impact_speed + LARGEST_ACCELERATION * step * 0.5
+        and scenario.collision.minimum_impact_speed > 0.0
+    )
+    early = touch is not None and touch.tick < ticks - 1
+    over = log.outcome == Outcome.COLLISION or (log.outcome == Outcome.ABORTED and bool(log.reason))
+    if touch is not None and not slow and (early or not over):
+        ends = "it is said to go on" if over else f"the outcome is {log.outcome.name}"
+        return f"car and adversary touch in tick {touch.tick}, but {ends}"
+    if log.outcome != Outcome.COLLISION:
+        return ""
+    fraction = log.impact_time / step - (ticks - 1)
+    if not -1e-9 <= fraction <= 1.0 + 1e-9:
+        return f"the impact is at {log.impact_time:.6g} s, which is not in the last of {ticks} ticks"
+    before, after = log.car[-2, 2], log.car[-1, 2]
+    play = 0.5 * LARGEST_ACCELERATION * step
+    if not max(0.0, min(before, after) - play) <= log.impact_speed <= max(before, after) + play:
+        return f"the impact is at {log.impact_speed:.6g} m/s, the car drives {before:.3g} to {after:.3g} m/s"
+    if log.impact_speed < scenario.collision.minimum_impact_speed:
+        return f"the impact is at {log.impact_speed:.6g} m/s, less than counts as a collision"
+    gap = _gap_at(log, log.adversary[-2] + fraction * (log.adversary[-1] - log.adversary[-2]))
+    passed = zip(scenario.others, scenario.others_at(ticks - 1), scenario.others_at(ticks), strict=True)
+    for other, came, went in passed:
+        place = came.moved(went, fraction * step)
+        if _gap_at(log, np.array(place[:2])) <= other.reach + play_of(step):
+            return ""
+    if gap > scenario.adversary.reach + play_of(step):
+        return f"car and adversary are {gap:.3g} m apart at the impact"
+    return ""
+
+
+def _gap_at(log: EpisodeLog, place: FloatArray) -> float:
+    """Return the distance (m) from a place to the ground that the car may cover in the last tick."""
+    car = log.episode.scenario.car
+    line = log.episode.scenario.road.line
+    if not log.episode.scenario.road.straight:
+        way = driven(line, False, log.car[-2], log.car[-1])
+        seen = [to_car_frame(float(place[0]), float(place[1]), *pose) for pose in way[:, :3].tolist()]
+        return min(float(rectangle_distance(*here, car.front, car.rear, car.half_width)) for here in seen)
+    x = 0.5 * (log.car[-2, 0] + log.car[-1, 0])
+    ahead, left = to_car_frame(float(place[0]), float(place[1]), float(x), float(log.car[-2, 1]), HEADING_NORTH)
+    ahead_by = float(log.car[-1, 1] - log.car[-2, 1])
+    return rectangle_distance(ahead, left, car.front + max(0.0, ahead_by), car.rear, car.half_width)

@@ -1,1 +1,0 @@
-"""Results on disk: written, read back, verified."""

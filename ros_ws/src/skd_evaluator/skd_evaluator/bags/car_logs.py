@@ -1,0 +1,252 @@
+"""Recordings of a car for learning: from bags, or from the episodes.npz of an assessment or a probe."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from skd_adversary.car_models import Recording
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import folders_in, read_json
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.objective import Objective
+from skd_sim.scenario.road import right_and_along
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.files.episodes_npz import Array, Column, episode_columns, read_arrays
+from skd_evaluator.assessment.files.result_folder import check_unchanged
+from skd_evaluator.assessment.plan.plan import Stage, split_episode_id
+from skd_evaluator.assessment.plan.probe import probed
+from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, holds_recordings, not_credible_beside
+from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.metrics.credibility import not_credible
+
+EPISODES = "episodes.npz"
+_PER_EPISODE = {
+    "mode": Column(np.int8, (-1,)),
+    "outcome": Column(np.int8, (-1,)),
+    "episode_id": Column(np.int64, (-1,)),
+    "impact_time": Column(np.float64, (-1,)),
+    "impact_speed": Column(np.float64, (-1,)),
+    "reason": Column("U", (-1,)),
+}
+_OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
+_COLUMNS = {
+    "positions": Column(np.float64, (-1, 2)),
+    "car": Column(np.float64, (-1, 3)),
+    "offsets": Column(np.int64, (-1,)),
+    "time_step": Column(np.float64, ()),
+    **_PER_EPISODE,
+}
+
+
+def recording_of(log: EpisodeLog) -> Recording:
+    """Return what an episode's log says about the car."""
+    scenario = log.episode.scenario
+    # The fit sees every road as a straight one: offsets across it, distances along it.
+    walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.adversary, log.car))
+    car = np.column_stack([driven, log.car[:, 2]])
+    return Recording(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
+
+
+def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[Recording]:
+    """Return every recorded episode of `paths`: bag folders, .mcap files, episodes.npz, or folders of them.
+
+    An episodes.npz with bags below its folder is not read, for they hold every episode. An episode that is found twice
+    counts once.
+
+    Args:
+        paths: files and folders in which to look.
+        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+
+    Raises:
+        UsageError: a path cannot be read, or holds neither; the logs are of several controllers; or something is
+            damaged and must not be left out.
+    """
+    damage = damage or Damage()
+    found: dict[tuple[bytes, bytes], Recording] = {}
+    cars: dict[str, Path] = {}
+    for path in paths:
+        for car, recording in _recorded(path, damage):
+            cars.setdefault(car, path)
+            found.setdefault((recording.adversary.tobytes(), recording.car.tobytes()), recording)
+    if len(cars) > 1:
+        (one, first), (other, second) = list(cars.items())[:2]
+        where = f"both in {first}" if first == second else f"in {first} and in {second}"
+        raise UsageError(f"the logs are of several cars: {one} and {other}, {where}; fit them apart")
+    return list(found.values())
+
+
+def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+    """Yield (controller, recording) of every episode below a path."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder")
+    if path.is_dir():
+        arrays = _arrays_below(path, damage)
+        bags = holds_recordings(path)
+        if not bags and not arrays:
+            raise UsageError(f"{path}: holds neither .mcap files nor {EPISODES}; record some with skd probe")
+    else:
+        bags, arrays = path.suffix != ".npz", [path] if path.suffix == ".npz" else []
+        if bags and not path.name.endswith((".mcap", ".mcap.zstd")):
+            raise UsageError(f"{path}: give {EPISODES}, an .mcap file, or a folder of them")
+    if bags:
+        for line in not_credible_beside(path.rglob("*.mcap*") if path.is_dir() else [path]):
+            damage.warn(f"{path}: {line}")
+        for episode in read_episodes([path], damage):
+            log = episode.log
+            yield log.episode.car.label, recording_of(log)
+    for file in arrays:
+        yield from _read_npz(file, damage)
+
+
+def _arrays_below(folder: Path, damage: Damage) -> list[Path]:
+    """Return each episodes.npz at or below a folder that has no bags below its own."""
+    holding = {
+        path
+        for path, _, files in folders_in(folder, lambda path, why: damage.leave_out(f"{path}: {why}"))
+        if EPISODES in files
+    }
+    return [path / EPISODES for path in sorted(holding) if not any(path.rglob("*.mcap"))]
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What assessment.json or probe.json says of the episodes.npz beside it; why it may be of another car."""
+
+    scenario: Scenario
+    controller: str
+    multiplier: float
+    seed: int
+    by_objective: bool
+    knowledge: Knowledge | None = None
+    not_credible: tuple[str, ...] = ()
+
+
+def _said_beside(path: Path) -> _Beside:
+    """Return to which car and scenario an episodes.npz belongs, from the summary in its folder."""
+    for name in SUMMARIES:
+        file = path.parent / name
+        if file.exists():
+            try:
+                content = read_json(file)
+                options = content.get("options") or {}
+                scenario = scenario_from_dict(content["scenario"], str(file))
+                controller, multiplier = str(content["controller"]), content["multiplier"]
+                # Where a car has one, it has to be known.
+                return _Beside(
+                    scenario,
+                    controller,
+                    float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
+                    int(content["seed"]),
+                    "objectives" in content,
+                    Knowledge(options["knowledge"]) if options.get("knowledge") else None,
+                    tuple(not_credible(content.get("warnings") or ())),
+                )
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+                raise UsageError(f"{file}: does not say what car it was ({' '.join(str(error).split())})") from error
+    raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
+
+
+def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+    """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
+    try:
+        check_unchanged(path.parent, [path.name, *(name for name in SUMMARIES if (path.parent / name).exists())])
+        logs = _logs_in(path)
+        for line in _said_beside(path).not_credible:
+            damage.warn(f"{path}: {line}")
+    except UsageError as error:
+        damage.leave_out(str(error))
+        return
+    found = [LocatedLog(log, str(path), str(path)) for log in logs]
+    for index in accept(found, damage):
+        log = logs[index]
+        yield log.episode.car.label, recording_of(log)
+
+
+def _logs_in(path: Path) -> list[EpisodeLog]:
+    """Return the episodes of an episodes.npz, as `write_logs` or `write_episodes` wrote them."""
+    arrays = read_arrays(path, _COLUMNS)
+    beside = _said_beside(path)
+    if beside.by_objective:
+        arrays |= read_arrays(path, _OBJECTIVE)
+    rows, count = len(arrays["positions"]), len(arrays["mode"])
+    offsets = arrays["offsets"].tolist()
+    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
+    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
+        raise UsageError(f"{path}: its columns differ in length")
+    if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
+        raise UsageError(f"{path}: its offsets must lead from 0 to {rows} in {count} steps")
+    if any(last <= first for first, last in itertools.pairwise(offsets)):
+        raise UsageError(f"{path}: its offsets must increase")
+    time_step = float(arrays["time_step"])
+    if time_step != beside.scenario.time_step:
+        raise UsageError(
+            f"{path}: its time step is {time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
+        )
+    try:
+        safe = _safe_trajectories(path, arrays, beside.scenario)
+        return [
+            EpisodeLog(
+                _episode(arrays, row, safe, beside),
+                Outcome(int(arrays["outcome"][row])),
+                arrays["positions"][first:last],
+                arrays["car"][first:last],
+                float(arrays["impact_time"][row]),
+                float(arrays["impact_speed"][row]),
+                reason=str(arrays["reason"][row]),
+            )
+            for row, (first, last) in enumerate(itertools.pairwise(offsets))
+            if arrays["mode"][row] != Mode.SAFE
+        ]
+    except (ValueError, IndexError) as error:
+        raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
+    """Return the φ of an assessment's episodes.npz, which come first and have no car; that of a probe has none."""
+    offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
+    if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
+        raise UsageError(f"its modes say that {count} episodes are safe trajectories, and some of these are not")
+    return [
+        Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
+        for row in range(count)
+    ]
+
+
+def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
+    """Return the specification of an episode, as far as it decides what can have happened."""
+    number = int(arrays["episode_id"][row])
+    objective = str(arrays["objective"][row]) if "objective" in arrays else ""
+    stage, index, _ = split_episode_id(number)
+    if stage == Stage.PROBE:
+        trajectory = probed(beside.scenario, beside.seed, number)
+    elif index < len(safe):
+        trajectory = safe[index]
+    else:
+        raise UsageError(
+            f"episode {number} belongs to safe trajectory {index}, and there are {len(safe)}, numbered from 0"
+        )
+    return Episode(
+        beside.scenario,
+        Mode(int(arrays["mode"][row])),
+        beside.seed,
+        number,
+        controller=beside.controller,
+        multiplier=beside.multiplier,
+        safe_trajectory=trajectory,
+        objective=Objective(objective) if objective else Objective.PAPER,
+        knowledge=beside.knowledge,
+    )
+
+
+def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:
+    """Write logs as episodes.npz: with the arrays of an assessment, except for those that are about φ."""
+    time_step = np.array(logs[0].episode.scenario.time_step)
+    np.savez_compressed(path, **episode_columns(logs), time_step=time_step)

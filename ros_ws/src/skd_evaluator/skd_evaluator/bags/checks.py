@@ -1,0 +1,360 @@
+"""Which recordings a folder holds, which of their episodes count, and which episodes are missing."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import dedent
+
+import yaml
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import is_there, read_json, read_text, real_path, sha256_of
+from skd_sim.world.aborts import counts_in_words
+from skd_sim.world.episode import EpisodeLog, Outcome
+
+from skd_evaluator.assessment.files.result_folder import MANIFEST, read_manifest
+from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.assessment.plausibility import examine
+from skd_evaluator.metrics.credibility import not_credible
+
+OPTION = "--skip-damaged"
+
+
+class Damage:
+    """Keeps the account of what was left out of recordings, and of what a reader of the result should know.
+
+    Attributes:
+        left_out: what was left out and why, a line each.
+        warnings: what counts, but with a warning, a line each.
+        unchecked: files that have no checksums.
+    """
+
+    def __init__(self, *, skip: bool = False) -> None:
+        """Begin with nothing.
+
+        Args:
+            skip: leave damaged parts out instead of refusing them.
+        """
+        self.skip = skip
+        self.left_out: list[str] = []
+        self.warnings: list[str] = []
+        self.unchecked: list[Path] = []
+
+    def leave_out(self, what: str) -> None:
+        """Leave something out.
+
+        Raises:
+            UsageError: nothing is to be left out.
+        """
+        if not self.skip:
+            raise UsageError(f"{what}; {OPTION} leaves it out")
+        if what not in self.left_out:
+            self.left_out.append(what)
+
+    def warn(self, what: str) -> None:
+        """Take note of a warning about something that counts."""
+        if what not in self.warnings:
+            self.warnings.append(what)
+
+
+@dataclass(frozen=True)
+class LocatedLog:
+    """A log and where it was found.
+
+    Attributes:
+        log: what happened in one episode.
+        where: file or other origin, for messages.
+        campaign: name of the campaign to which the episode belongs.
+    """
+
+    log: EpisodeLog
+    where: str
+    campaign: str
+
+    @property
+    def name(self) -> str:
+        """File and episode, for messages."""
+        return f"{self.where}: episode {self.log.episode.episode_id}"
+
+
+def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
+    """Return which logs count, as indices.
+
+    Left out is what cannot have happened, and what SKD's own world would not have given in a campaign of which it gave
+    other episodes. Where it gave none, the recording is of another simulator: it counts, checked within that
+    simulator's freedom only, and a warning says so.
+
+    Args:
+        found: logs of any number of campaigns, each episode once.
+        damage: told what is left out, and what is to be said.
+
+    Raises:
+        UsageError: something would have to be left out, and `damage` does not allow it.
+    """
+    verdicts = [examine(one.log) for one in found]
+    ours = {one.campaign for one, verdict in zip(found, verdicts, strict=True) if verdict.ours and len(one.log.car) > 1}
+    kept: list[int] = []
+    foreign: dict[str, list[int]] = {}
+    for index, (one, verdict) in enumerate(zip(found, verdicts, strict=True)):
+        if verdict.fault:
+            damage.leave_out(f"{one.name}: {verdict.fault}")
+        elif not verdict.ours and one.campaign in ours:
+            damage.leave_out(
+                f"{one.name}: {verdict.where} does not follow from its other states (by {verdict.deviation:.3g}), "
+                "though this campaign ran in SKD's own world"
+            )
+        else:
+            kept.append(index)
+            if not verdict.ours:
+                foreign.setdefault(one.campaign, []).append(index)
+    for places in foreign.values():
+        worst = max(places, key=lambda place: verdicts[place].deviation)
+        what = "1 episode" if len(places) == 1 else f"{len(places)} episodes"
+        damage.warn(
+            f"{what} did not run in SKD's own world ({verdicts[worst].where} is off by "
+            f"{verdicts[worst].deviation:.3g}, {found[worst].name}): another simulator's impacts are checked roughly"
+        )
+    return kept
+
+
+SUMMARIES = ("probe.json", "assessment.json")
+"""Files that say of which car the episodes beside them are."""
+_NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
+
+
+def unfinished_episodes(ids: Iterable[int]) -> list[str]:
+    """Return one line about episodes that were announced and never ended; nothing if there are none."""
+    numbers = sorted(ids)
+    if not numbers:
+        return []
+    what = "1 episode" if len(numbers) == 1 else f"{len(numbers)} episodes"
+    first = ", ".join(str(number) for number in numbers[:5]) + (", …" if len(numbers) > 5 else "")
+    return [f"{what} left out, no result was recorded ({first}): did recording end before the episode?"]
+
+
+def missing_episodes(
+    announced: Iterable[int],
+    reached: Mapping[int, int],
+    *,
+    wanted: int,
+    left_out: bool,
+    which: str = "",
+) -> list[str]:
+    """Return which episodes the campaign must have had beside those that are recorded, a line each.
+
+    Attempts are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
+    cap is reached (`skd_evaluator.assessment.plan.plan`). If the last attempts of every φ are missing alike, nobody can
+    tell.
+
+    Args:
+        announced: ids of the episodes that the recordings mention, however they ended; kamikazes of one objective only.
+        reached: how many kamikazes reached what they planned for, by number of φ.
+        wanted: how many were wanted on each φ; it is the same for every objective.
+        left_out: whether episodes are left out, so that sets are not what they were.
+        which: which kamikazes these are, for the lines.
+    """
+    names = {**_NAMES, Stage.KAMIKAZE: _NAMES[Stage.KAMIKAZE] + which}
+    attempts: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
+    for number in announced:
+        stage, index, attempt = split_episode_id(number)
+        if stage in attempts:
+            attempts[stage].setdefault(index, set()).add(attempt)
+    lines = []
+    known = {index for of_stage in attempts.values() for index in of_stage}
+    absent = _gaps(known)
+    if absent:
+        lines.append(f"no recording has an episode of safe trajectory {absent}")
+    for stage, of_stage in attempts.items():
+        for index, numbers in sorted(of_stage.items()):
+            gaps = _gaps(numbers)
+            if gaps:
+                lines.append(f"no recording has {names[stage]} {gaps} of safe trajectory {index}")
+    for index, count in sorted(reached.items()):
+        tried = len(attempts[Stage.KAMIKAZE].get(index, ()))
+        if not left_out and count < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
+            lines.append(
+                f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
+                f"collided in {tried}, of another {wanted}"
+            )
+    runs = [len(attempts[Stage.COLLISION_RATE].get(index, ())) for index in sorted(known)]
+    if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
+        lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")
+    return lines
+
+
+def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
+    """Return what has to be said about episodes that do not count because they were aborted."""
+    reasons = [log.reason for log in logs if log.outcome == Outcome.ABORTED]
+    if not reasons:
+        return []
+    what = "1 episode counts" if len(reasons) == 1 else f"{len(reasons)} episodes count"
+    return [f"{what} for nothing, aborted ({counts_in_words(reasons)})"]
+
+
+def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
+    """Return which episodes are missing in recordings, according to the assessments beside them, a line each.
+
+    `skd assess --graph --record` leaves its bags in the folder `bags` beside its assessment.json.
+
+    Args:
+        announced: ids of the episodes of which the recordings know.
+        files: the files with recordings.
+    """
+    numbers = [split_episode_id(number)[0] for number in announced]
+    found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
+    lines = []
+    for folder in _folders_of_results(files):
+        try:
+            said = read_json(folder / "assessment.json")
+            rows = [row for one in said["objectives"].values() for row in one["per_safe_trajectory"]]
+            attempts, runs = sum(int(row["attempts"]) for row in rows), int(said["collision_runs"])
+        except (UsageError, ValueError, TypeError, KeyError, AttributeError):
+            continue
+        if found[0] < attempts or found[1] < runs:
+            lines.append(
+                f"{folder / 'assessment.json'} tells of {attempts} kamikaze attempts and {runs} runs along φ, the "
+                f"recordings of {found[0]} and {found[1]}"
+            )
+    return lines
+
+
+def not_credible_beside(files: Iterable[Path]) -> list[str]:
+    """Return why assessments and probes beside recordings say that they are not credible, a line each."""
+    found: list[str] = []
+    for folder in _folders_of_results(files):
+        for name in SUMMARIES:
+            try:
+                found += not_credible(read_json(folder / name)["warnings"])
+            except (UsageError, TypeError, KeyError):
+                continue
+    return found
+
+
+def _folders_of_results(files: Iterable[Path]) -> list[Path]:
+    """Return the folders in whose folder `bags` files are, sorted."""
+    bags = {file.absolute().parent.parent for file in files}
+    return sorted(folder.parent for folder in bags if folder.name == "bags")
+
+
+def _gaps(numbers: Set[int]) -> str:
+    """Return in words which numbers from 0 to the greatest are not among some, the first few; empty if all are."""
+    count = max(numbers, default=-1) + 1 - len(numbers)
+    missing = (number for number in itertools.count() if number not in numbers)
+    first = ", ".join(map(str, itertools.islice(missing, min(count, 5))))
+    return first if count <= 5 else f"{first}, … ({count} in all)"
+
+
+SUFFIX = ".mcap"
+METADATA = "metadata.yaml"
+_PACKED = (".mcap.zstd", ".mcap.zst", ".mcap.lz4", ".mcap.gz", ".mcap.bz2", ".mcap.xz")
+_OTHER_STORAGE = (".db3", ".db3.zstd", ".bag", ".mcap.active", ".mcap.part")
+_PATHS = re.compile(r"^ *relative_file_paths:.*(?:\n *- .*)*", re.MULTILINE)
+
+
+def find_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[list[Path]]:
+    """Return the recordings below `paths`, each as its .mcap files: a bag folder's together, a lone file by itself.
+
+    Folders behind links are searched like others, each once. Files that a bag's metadata.yaml or a manifest names have
+    to be there.
+
+    Args:
+        paths: bag folders, .mcap files, or folders of them.
+        damage: told what is not read; by default what looks like a recording and cannot be read is refused.
+
+    Raises:
+        UsageError: a path does not exist, or holds no .mcap file; or something must not be left out.
+    """
+    damage = damage or Damage()
+    recordings: dict[Path, list[Path]] = {}
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"{path}: no such file or folder")
+        if not path.is_dir() and path.suffix.lower() != SUFFIX:
+            raise UsageError(f"{path}: is no .mcap file; give a bag folder, an .mcap file, or a folder of them")
+        files = [path]
+        if path.is_dir():
+            found = sorted(_files_below(path, damage))
+            files = [file for file in found if file.name.lower().endswith(SUFFIX)]
+            _refuse_nothing(path, files, found)
+            _check_complete(path, found, damage)
+        for file in files:
+            bag = file.parent if (file.parent / METADATA).exists() else file
+            if file not in recordings.setdefault(bag, []):
+                recordings[bag].append(file)
+    return list(recordings.values())
+
+
+def holds_recordings(folder: Path) -> bool:
+    """Return whether there is an .mcap file, packed or not, at or below a folder."""
+    return any(file.name.lower().endswith((SUFFIX, *_PACKED)) for file in _files_below(folder, Damage(skip=True)))
+
+
+def _files_below(folder: Path, damage: Damage) -> Iterator[Path]:
+    """Yield the files at and below a folder, of each folder once, whatever links lead there."""
+    seen: set[Path] = set()
+    unread = lambda error: damage.leave_out(f"{error.filename}: cannot be looked into ({error.strerror})")  # noqa: E731
+    for path, inside, files in os.walk(folder, onerror=unread, followlinks=True):
+        real = real_path(Path(path))
+        if real in seen:
+            inside.clear()
+            continue
+        seen.add(real)
+        yield from (Path(path, name) for name in files)
+
+
+def _refuse_nothing(path: Path, files: Sequence[Path], found: Sequence[Path]) -> None:
+    """Refuse a path below which there is nothing to read, and say what to do."""
+    if files:
+        return
+    if any(file.name.lower().endswith(_PACKED) for file in found):
+        raise UsageError(f"{path}: its files are compressed as a whole; unpack them first (zstd -d *.mcap.zstd)")
+    raise UsageError(f"{path}: holds no .mcap file; record with the MCAP storage (ros2 bag record -s mcap)")
+
+
+def _check_complete(path: Path, found: Sequence[Path], damage: Damage) -> None:
+    """Name files that should be there, or should have been read, and are not."""
+    inside = real_path(path)
+    if inside.name == "bags":  # of an assessment, whose manifest is beside it
+        found = [*found, inside.parent / MANIFEST]
+    for file in found:
+        name = file.name.lower()
+        if name.endswith(_PACKED) and file.with_name(file.stem) not in found:
+            damage.leave_out(f"{file}: is compressed as a whole and is not read; unpack it first (zstd -d)")
+        elif name.endswith(_OTHER_STORAGE):
+            damage.leave_out(f"{file}: is of another storage than MCAP, or unfinished; ros2 bag convert makes an .mcap")
+        elif name == METADATA:
+            _check_metadata(file, damage)
+        elif name == MANIFEST:
+            _check_manifest(file.parent, inside, damage)
+
+
+def _check_metadata(file: Path, damage: Damage) -> None:
+    """See that every file that a bag's metadata names is there; the rest of it takes a YAML parser long."""
+    try:
+        names = yaml.safe_load(dedent(_PATHS.findall(read_text(file))[0]))["relative_file_paths"]
+        names = [str(name) for name in names]
+    except (UsageError, yaml.YAMLError, LookupError, TypeError) as error:
+        said = type(error).__name__
+        damage.warn(f"{file}: cannot be read ({said}): nobody knows which files belong to this bag")
+        return
+    for name in names:
+        # Recorders of before wrote the folder's own name, too; a file that was unpacked has lost its ending.
+        bare = name.removesuffix(".zstd")
+        if not any(is_there(file.parent / one) for one in (name, bare, Path(name).name, Path(bare).name)):
+            damage.leave_out(f"{file}: names {name:.200}, which is not there: what it held is missing")
+
+
+def _check_manifest(folder: Path, inside: Path, damage: Damage) -> None:
+    """See that every recording that SKD has written is there and unchanged."""
+    for name, digest in (read_manifest(folder) or {}).items():
+        file = folder / name
+        if not name.lower().endswith(SUFFIX) or not (real_path(folder) / name).is_relative_to(inside):
+            continue
+        if not is_there(file):
+            damage.leave_out(f"{file}: is in {MANIFEST}, and is not there")
+        elif sha256_of(file) != digest:
+            damage.leave_out(f"{file}: is not what was written: its SHA-256 is another than in {MANIFEST}")

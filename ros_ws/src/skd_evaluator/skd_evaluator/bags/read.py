@@ -1,0 +1,343 @@
+"""Reads episodes back from MCAP files, written by SKD or by `ros2 bag record`.
+
+Nothing is assumed about the order of messages, how they are split over chunks and files, or what else was recorded; and
+everything that can be recomputed is checked.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.records import Channel
+from skd_sim.errors import UsageError
+from skd_sim.options.options import shared_options
+from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+
+from skd_evaluator.assessment.plan.plan import model_digest
+from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
+from skd_evaluator.bags.checks import Damage, LocatedLog, accept, find_recordings
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened, types_in, typestore
+
+EPISODE, RESULT = "/skd/episode", "/skd/episode_result"
+CAR, ADVERSARY = "/ego/odometry", "/adversary/odometry"
+_MOST_STATES = 1_000_000
+"""That one recording may hold: of some fifty thousand episodes."""
+
+
+class EpisodeName(NamedTuple):
+    """Says which episode of a campaign it is, however often it was run.
+
+    Kamikazes of different objectives have the same ids, and hence the same draws; other episodes plan nothing, and
+    their objective is no part of the name. So have those by which a car is learned, with each of the models that are
+    tried.
+    """
+
+    campaign: str
+    episode_id: int
+    objective: str
+    model: str
+
+
+def _name(campaign: str, number: int, mode: int, objective: str, model: str) -> EpisodeName:
+    if mode != Mode.KAMIKAZE:
+        return EpisodeName(campaign, number, "", "")
+    return EpisodeName(campaign, number, objective, model_digest(number, model))
+
+
+@dataclass(frozen=True)
+class RecordedEpisode:
+    """An episode found in a bag: identity and log."""
+
+    key: EpisodeKey
+    log: EpisodeLog
+
+    @property
+    def name(self) -> EpisodeName:
+        """Which episode of its campaign it is."""
+        spec = self.log.episode
+        return _name(self.key.campaign, self.key.episode_id, spec.mode, str(spec.objective), spec.car_model)
+
+
+@dataclass
+class GraphRecording:
+    """What the nodes of one graph sent, in whatever order it came.
+
+    Attributes:
+        samples: states by stamp.
+        episodes: specifications, as messages.
+        results: how they ended.
+        disputed: episodes of which two different things were said, and what.
+        torn: stamps (ns) at which there are two different states, and what is to be said of that.
+    """
+
+    samples: Samples = field(default_factory=Samples)
+    episodes: dict[EpisodeKey, Any] = field(default_factory=dict)
+    results: dict[EpisodeKey, Result] = field(default_factory=dict)
+    disputed: dict[EpisodeKey, str] = field(default_factory=dict)
+    torn: dict[int, str] = field(default_factory=dict)
+    _said: dict[tuple[str, EpisodeKey], bytes] = field(default_factory=dict)
+
+    def announced(self) -> Iterator[EpisodeName]:
+        """Yield the name of every episode that was announced, however it ended."""
+        for key, message in self.episodes.items():
+            yield _name(key.campaign, key.episode_id, int(message.mode), str(message.objective), str(message.car_model))
+
+    def add(self, role: str, content: Any, message: Received) -> None:
+        """Take a message.
+
+        Args:
+            role: what the topic is for: its name without a namespace.
+            content: the message, decoded.
+            message: the message as it was recorded.
+
+        Raises:
+            UsageError: there are too many states.
+        """
+        if role == EPISODE:
+            key = EpisodeKey(content.campaign, int(content.episode_id), from_stamp(content.header.stamp))
+            if self._agrees(role, key, content, message):
+                self.episodes[key] = content
+        elif role == RESULT:
+            key = EpisodeKey(content.campaign, int(content.episode_id), from_stamp(content.start))
+            if self._agrees(role, key, content, message):
+                self.results[key] = result_from_message(content)
+        else:
+            self._add_state(role, content)
+
+    def _agrees(self, role: str, key: EpisodeKey, content: Any, message: Received) -> bool:
+        """Whether all messages about the episode on this topic say the same, paddings between fields apart."""
+        known, said = self._said.setdefault((role, key), message.data), message.data
+        if known == said:
+            return True
+        schema = message.schema
+        store, name = types_in(schema.name, schema.encoding, schema.data), schema.name
+        if store.serialize_cdr(store.deserialize_cdr(known, name), name) == store.serialize_cdr(content, name):
+            return True
+        self.disputed[key] = f"two different messages on {role} are about it: who sent them?"
+        return False
+
+    def _add_state(self, role: str, message: Any) -> None:
+        stamp = from_stamp(message.header.stamp)
+        try:
+            if role == CAR:
+                car = odometry_to_car(message)
+                self.samples.add_car(stamp, car.x, car.y, car.speed)
+            else:
+                adversary = odometry_to_adversary(message)
+                self.samples.add_adversary(stamp, adversary.x, adversary.y)
+        except UsageError as error:
+            self.torn[stamp] = str(error)
+        if len(self.samples) > _MOST_STATES:
+            raise UsageError(f"holds more than {_MOST_STATES} states; split it (ros2 bag record --max-bag-duration)")
+
+    def logs(self, where: str, damage: Damage) -> Iterator[RecordedEpisode]:
+        """Yield the episodes that ended and are complete, as the messages describe them.
+
+        Args:
+            where: name of the recording, for error lines.
+            damage: told of episodes that are not yielded.
+        """
+        for key, result in self.results.items():
+            name = f"{where}: episode {key.episode_id}"
+            if key not in self.episodes:
+                damage.leave_out(
+                    f"{where}: has the result of episode {key.episode_id} but not the episode: record {EPISODE}"
+                )
+                continue
+            if key in self.disputed:
+                damage.leave_out(f"{name}: {self.disputed[key]}")
+                continue
+            try:
+                episode = message_to_episode(self.episodes[key])
+            except ValueError as error:
+                damage.leave_out(f"{name} is not valid ({shortened(str(error))})")
+                continue
+            log = self._log(episode, key, result, where, damage)
+            if log is not None:
+                yield RecordedEpisode(key, log)
+
+    def _log(self, episode: Episode, key: EpisodeKey, result: Result, where: str, damage: Damage) -> EpisodeLog | None:
+        name = f"{where}: episode {key.episode_id}"
+        if result.ticks > episode.scenario.ticks:
+            damage.leave_out(
+                f"{name}: is said to have {result.ticks} ticks, its scenario at most {episode.scenario.ticks}"
+            )
+            return None
+        torn = next((stamp for stamp in stamps(episode, key.start, result) if stamp in self.torn), None)
+        if torn is not None:
+            damage.leave_out(f"{name}: {self.torn[torn]}")
+            return None
+        missing = self.samples.missing(episode, key.start, result)
+        if not missing:
+            return self.samples.log(episode, key.start, result)
+        if result.outcome == Outcome.ABORTED:
+            return aborted(episode, result.reason)
+        damage.leave_out(
+            f"{where}: {missing} states of episode {key.episode_id} are missing: was recording begun too late, "
+            f"or were {CAR} and {ADVERSARY} not recorded?"
+        )
+        return None
+
+
+_TOPICS = {
+    CAR: "nav_msgs/msg/Odometry",
+    ADVERSARY: "nav_msgs/msg/Odometry",
+    EPISODE: "skd_msgs/msg/Episode",
+    RESULT: "skd_msgs/msg/EpisodeResult",
+}
+
+
+@dataclass(frozen=True)
+class RecordedEpisodes:
+    """What recordings hold.
+
+    Attributes:
+        episodes: the episodes that ended and count, each once, in the order of their names.
+        unfinished: names of those that were announced and never ended, sorted.
+        announced: names of all that were announced, whatever became of them.
+        files: the files that were read.
+    """
+
+    episodes: list[RecordedEpisode]
+    unfinished: list[EpisodeName]
+    announced: set[EpisodeName]
+    files: list[Path]
+
+
+@dataclass(frozen=True)
+class _Located:
+    """An episode and the file in which it was found."""
+
+    episode: RecordedEpisode
+    where: str
+
+
+def read_episodes(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
+    """Return all episodes that ended; otherwise like `read_bags`."""
+    return read_bags(paths, damage).episodes
+
+
+def read_bags(paths: Sequence[Path], damage: Damage | None = None) -> RecordedEpisodes:
+    """Return all episodes of recordings that can have happened.
+
+    Args:
+        paths: bag folders, .mcap files, or folders of them.
+        damage: told what is left out and what is to be said; by default whatever is damaged is refused.
+
+    Raises:
+        UsageError: a file cannot be read, or something is damaged and must not be left out.
+    """
+    damage = damage or Damage()
+    found: dict[EpisodeName, list[_Located]] = {}
+    announced: set[EpisodeName] = set()
+    recordings = find_recordings(paths, damage)
+    for files in recordings:
+        graphs: dict[str, GraphRecording] = {}
+        for file in files:
+            _read_file(file, graphs, damage)
+        for recording in graphs.values():
+            announced.update(recording.announced())
+            for episode in recording.logs(str(files[0]), damage):
+                found.setdefault(episode.name, []).append(_Located(episode, str(files[0])))
+    places = [place for name in sorted(found) if (place := _one_of(found[name], damage)) is not None]
+    counting = accept([LocatedLog(one.episode.log, one.where, one.episode.key.campaign) for one in places], damage)
+    episodes = [places[index].episode for index in counting]
+    return RecordedEpisodes(
+        episodes, sorted(announced - set(found)), announced, [file for files in recordings for file in files]
+    )
+
+
+def _one_of(places: Sequence[_Located], damage: Damage) -> _Located | None:
+    """Return the one recording of an episode that counts.
+
+    The same one may be given twice, and an episode may have been run again after it was aborted.
+    """
+    completed = [one for one in places if one.episode.log.outcome != Outcome.ABORTED]
+    first = (completed or places)[0]
+    different = [one for one in completed or places if _content(one.episode.log) != _content(first.episode.log)]
+    if different:
+        number = first.episode.key.episode_id
+        damage.leave_out(f"{first.where}: episode {number} is another one in {different[0].where}: give one of them")
+        return None
+    starts = {one.episode.key.start for one in completed}
+    if len(starts) > 1:
+        number = first.episode.key.episode_id
+        damage.warn(f"{first.where}: episode {number} was run {len(starts)} times with the same result: it counts once")
+    return first
+
+
+def _content(log: EpisodeLog) -> tuple[object, ...]:
+    """Return what two recordings of one episode have in common, to the last bit."""
+    spec, phi = log.episode, log.episode.safe_trajectory
+    return (
+        log.outcome,
+        *(array.tobytes() for array in (log.adversary, log.car)),
+        *(value.hex() for value in (log.impact_time, log.impact_speed, spec.multiplier)),
+        *(spec.mode, spec.seed, *shared_options(spec).values()),
+        *(spec.scenario, None if phi is None else phi.positions.tobytes()),
+    )
+
+
+def _read_file(file: Path, graphs: dict[str, GraphRecording], damage: Damage) -> None:
+    """Add the messages of a file to the graphs, by namespace; damaged ones are refused or left out.
+
+    Raises:
+        UsageError: it is no recording of this version's messages, or something must not be left out.
+    """
+    count, condition = 0, Condition()
+    senders: set[str] = set()
+    for message in read_messages(file, lambda topic: _namespace_and_role(topic) is not None, condition):
+        topic = message.channel.topic
+        namespace, role = _namespace_and_role(topic) or ("", "")
+        _check_type(message, role, file)
+        try:
+            content = message.decoded()
+        except UsageError as error:
+            damage.leave_out(f"{file}: {error}")
+            continue
+        try:
+            graphs.setdefault(namespace, GraphRecording()).add(role, content, message)
+        except UsageError as error:
+            raise UsageError(f"{file}: {error}") from error
+        except ValueError as error:
+            damage.leave_out(f"{file}: a message on {topic} is not valid ({shortened(str(error))})")
+        count += 1
+        if role == RESULT and topic not in senders and _publishers(message.channel) > 1:
+            senders.add(topic)
+            damage.warn(
+                f"{file}: {_publishers(message.channel)} nodes published {topic}, which is the simulator's alone"
+            )
+    if condition.refuted:
+        raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
+    if condition.unchecked:
+        damage.unchecked.append(file)
+    for what in condition.damage:
+        damage.leave_out(f"{file}: {what}" + (f" ({count} messages of it count)" if damage.skip else ""))
+
+
+@functools.cache
+def _namespace_and_role(topic: str) -> tuple[str, str] | None:
+    """Return the namespace of a topic of SKD's, and which of them it is."""
+    name = next((name for name in _TOPICS if topic.endswith(name)), None)
+    return None if name is None else (topic.removesuffix(name), name)
+
+
+def _publishers(channel: Channel) -> int:
+    """Return how many publishers of a topic the recorder saw: it keeps what each offered, as a list in YAML."""
+    return str(channel.metadata.get("offered_qos_profiles", "")).count("reliability:")
+
+
+def _check_type(message: Received, role: str, file: Path) -> None:
+    """Refuse a message of another type than its topic's, or of another version of SKD."""
+    schema = message.schema
+    if schema.name != _TOPICS[role]:
+        raise UsageError(f"{file}: {message.channel.topic} has type {shortened(schema.name)}, expected {_TOPICS[role]}")
+    if schema.name.startswith("skd_msgs/"):
+        theirs = types_in(schema.name, schema.encoding, schema.data).fielddefs[schema.name]
+        if theirs != typestore().fielddefs[schema.name]:
+            raise UsageError(f"{file}: {schema.name} was recorded by another version of SKD; replay it with that one")

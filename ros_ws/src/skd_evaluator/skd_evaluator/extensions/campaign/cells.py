@@ -1,0 +1,327 @@
+"""A cell of a campaign: one assessment that is ready to run, all that its figures depend on, and its row.
+
+A row is what campaign.json says of the cell. It is always made from the cell's own folder, whose files must be
+unchanged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import sha256_of
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.objective import OBJECTIVES, Objective, objectives_named
+from skd_sim.options.options import further_options, options_of, values_of
+from skd_sim.options.simulators import SIMULATORS
+from skd_sim.simulators.named_simulator import make_simulator
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
+from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
+from skd_evaluator.assessment.files.verification import rating_of
+from skd_evaluator.assessment.judge.figure_table import columns
+from skd_evaluator.assessment.judge.held_kamikazes import BUDGETS, held_attempts
+from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
+from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
+from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
+from skd_evaluator.assessment.stages.graph_options import OF_NO_RESULT, GraphOptions
+from skd_evaluator.extensions.campaign.campaign_file import Combination
+from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
+from skd_evaluator.provenance import CodeFiles, code_files, environment
+from skd_evaluator.risk.asked import RiskAsked, risk_asked
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One assessment.
+
+    Attributes:
+        name: name of its folder.
+        plan: what to assess, whatever its objective.
+        objectives: objectives of its kamikazes.
+        graph: how to run the node graph; None: its episodes run in process.
+        margin_limit: how many candidates the search for the margin may drive in each trial; 0: there is no margin.
+        curve: whether kamikazes are held to largest deviations.
+        risk: what is asked of the risk.
+        answer_limit: how long a call of a user's controller may take, s.
+        swept: the values that the campaign sweeps, by key.
+        identity: all that its figures depend on, as plain data.
+        where: its place in the campaign file, for error lines.
+        not_compared: why not all files of its car are part of its identity; empty: all that are known of are.
+    """
+
+    name: str
+    plan: Plan
+    objectives: tuple[Objective, ...]
+    graph: GraphOptions | None
+    margin_limit: int
+    curve: bool
+    risk: RiskAsked
+    answer_limit: float
+    swept: Mapping[str, Any]
+    identity: Mapping[str, Any]
+    where: str
+    not_compared: str = ""
+
+    @property
+    def key(self) -> bytes:
+        """Digest of its identity."""
+        return digest_of(self.identity)
+
+    @property
+    def wanted(self) -> int:
+        """How many episodes it has where every kamikaze collides, and every safe trajectory arrives."""
+        plan = self.plan
+        generated = plan.safe_count if plan.safe in GENERATED else 0
+        return generated + self._kamikazes + plan.collision_runs + self._of_curve
+
+    @property
+    def most(self) -> int:
+        """How many kamikazes and runs it has at most; φ that are generated anew are beside them."""
+        return ATTEMPTS_PER_WANTED * self._kamikazes + self.plan.collision_runs + self._of_curve
+
+    @property
+    def _kamikazes(self) -> int:
+        return self.plan.safe_count * self.plan.kamikaze_count * len(self.objectives)
+
+    @property
+    def _of_curve(self) -> int:
+        return self.plan.safe_count * held_attempts(self.plan) * len(BUDGETS) if self.curve else 0
+
+
+def make_cells(combinations: Iterable[Combination]) -> list[Cell]:
+    """Check what a file asks for as `skd assess` would, and return the cells.
+
+    Raises:
+        UsageError: a scenario, controller or source is not there, or does not go with the rest; says which cell.
+    """
+    cells = []
+    checked: dict[tuple[object, ...], float | None] = {}
+    recorded: dict[tuple[object, ...], Sequence[Trajectory]] = {}
+    for one in combinations:
+        try:
+            cells.append(_cell(one, checked, recorded))
+        except UsageError as error:
+            raise UsageError(f"{one.where or one.name}: {error}") from error
+    return cells
+
+
+def _cell(
+    one: Combination,
+    checked: dict[tuple[object, ...], float | None],
+    recorded: dict[tuple[object, ...], Sequence[Trajectory]],
+) -> Cell:
+    values = one.values
+    scenario = scenario_for(one.scenario, values["safe"], one.changes)
+    graph = bool(values["graph"])
+    car = CarUnderTest(values["controller"], values["multiplier"])
+    # To make a user's controller takes a process and all that its module imports: once for those that are alike.
+    alike = (
+        car, graph, values["simulator"], scenario.time_step, scenario.control_period, scenario.sensor is None,
+        *(values[option.name] for option in options_of(GraphOptions)),
+    )  # fmt: skip
+    if alike not in checked:
+        checked[alike] = check_car(values, scenario, graph=graph).control_period
+    scenario = replace(scenario, control_period=checked[alike])
+    plan = plan_of(values, scenario)
+    objectives = objectives_named(values["objective"])
+    make_simulator(plan.simulator)
+    safe: Sequence[Trajectory] | None = None
+    if plan.safe not in GENERATED:
+        source = (plan.safe, plan.safe_count, str(scenario.as_dict()))
+        if source not in recorded:
+            recorded[source] = safe_trajectories(plan, InProcessRunner(1))
+        safe = recorded[source]
+    if values["curve"] and graph:
+        raise UsageError("curve goes with assessments in process: leave out graph")
+    risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
+    files = _files_of(plan, objectives, values["controller_command"] or "")
+    return Cell(
+        one.name,
+        plan,
+        objectives,
+        GraphOptions(**values_of(GraphOptions, values)) if graph else None,
+        values["margin_limit"],
+        values["curve"],
+        risk,
+        values["startup_timeout"],
+        one.swept,
+        _identity(one, plan, objectives, safe, risk, files),
+        one.where,
+        files.why_not,
+    )
+
+
+def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> CodeFiles:
+    """Return the files of a car, and of plug-ins by which it is rated."""
+    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
+    others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
+    return code_files(plan.car, command, others)
+
+
+def _identity(
+    one: Combination,
+    plan: Plan,
+    objectives: Sequence[Objective],
+    safe: Sequence[Trajectory] | None,
+    risk: RiskAsked,
+    files: CodeFiles,
+) -> dict[str, Any]:
+    """Return all that the figures of a cell depend on."""
+    values = one.values
+    options = {option.name: option.plain(getattr(plan, option.name)) for option in options_of(CampaignOptions)}
+    options["objective"] = ",".join(objectives)
+    options["car_model"] = _sha256_of_text(plan.car_model.encode()) if plan.car_model else ""
+    further = ("graph", "margin_limit", "curve")
+    graph: dict[str, Any] = {}
+    if values["graph"]:  # else these are of no effect
+        graph = {
+            option.name: values[option.name] for option in options_of(GraphOptions) if option.name not in OF_NO_RESULT
+        }
+    return {
+        **options,
+        **{name: values[name] for name in further},
+        **{name: list(value) if isinstance(value, tuple) else value for name, value in graph.items()},
+        "behaviour": None if risk.behaviour is None else risk.behaviour.as_dict(),
+        "risk": [risk.runs, risk.subset],
+        "scenario": plan.scenario.as_dict(),
+        "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
+        "file": dict(files.digests),
+        "environment": dict(environment()),
+    }
+
+
+def _sha256_of_text(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+FIGURES = columns("campaign")
+OF_PLANS = ("knowledge", "ranking_objective")
+"""Of a row: by whom its planned figures are."""
+FIRST = ("name", "state", "controller", "multiplier", "scenario", "safe", "seed")
+CHECKED = (ASSESSMENT, EPISODES)
+OPEN, DONE, FAILED = "open", "done", "failed"
+
+Row = dict[str, Any]
+
+
+def open_row(cell: Cell) -> Row:
+    """Return the row of a cell that is to be run."""
+    plan = cell.plan
+    return {
+        "name": cell.name,
+        "state": OPEN,
+        "controller": plan.controller,
+        "multiplier": plan.car.stated_multiplier,
+        "scenario": plan.scenario.name,
+        "safe": plan.safe,
+        "seed": plan.seed,
+        **{f"sweep.{key}": value for key, value in cell.swept.items() if key not in FIRST},
+        "episodes": None,
+        **dict.fromkeys((*OF_PLANS, *FIGURES)),
+        "equivalent_multiplier_note": "",
+        "problems": [],
+        "warnings": [],
+        "sha256": {},
+    }
+
+
+def done_row(
+    cell: Cell,
+    figures: Mapping[str, Any],
+    rating: Rating,
+    *,
+    maximum_aborted: float,
+    digests: Mapping[str, str],
+) -> Row:
+    """Return the row of a cell that is done.
+
+    Args:
+        cell: the cell that is done.
+        figures: content of its assessment.json.
+        rating: its figures.
+        maximum_aborted: share of its episodes that may be aborted.
+        digests: SHA-256 of the files that hold its result.
+    """
+    rating = replace(rating, warnings=tuple(figures["warnings"]))
+    return {
+        **open_row(cell),
+        "state": DONE,
+        **{name: figures[name] for name in FIGURES},
+        "knowledge": str(figures["knowledge"]),
+        "ranking_objective": str(rating.for_deviation.plan.objective),
+        "equivalent_multiplier_note": figures["equivalent_multiplier_note"],
+        "episodes": rating.episodes,
+        "problems": why_failed(rating, maximum_aborted, figures),
+        "warnings": warnings_of(rating),
+        "sha256": dict(digests),
+    }
+
+
+def row_of(cell: Cell, folder: Path, maximum_aborted: float) -> Row | None:
+    """Return the row of a cell whose folder is there and whole; None where it is to be run.
+
+    Args:
+        cell: the cell.
+        folder: folder of its result.
+        maximum_aborted: share of its episodes that may be aborted.
+
+    Raises:
+        UsageError: the folder is of another cell, is not what was written, or contradicts itself.
+    """
+    if not folder.is_dir():
+        return None
+    try:
+        if not check_unchanged(folder, CHECKED):
+            raise UsageError(f"{folder}: has no {MANIFEST}: nobody knows whether it is what was written")
+        digests = {name: sha256_of(folder / name) for name in CHECKED}
+        figures = read_figures(folder)
+        stored = read_episodes(folder)
+        with understood(folder / ASSESSMENT):
+            _check_cell(cell, folder, figures, len(stored.safe))
+            rating = rating_of(figures, stored)
+            return done_row(cell, figures, rating, maximum_aborted=maximum_aborted, digests=digests)
+    except UsageError as error:
+        raise UsageError(f"{error}; remove {folder}, and --resume makes it again") from error
+
+
+def _check_cell(cell: Cell, folder: Path, figures: Mapping[str, Any], safe_count: int) -> None:
+    """Refuse a folder that holds the result of another cell."""
+    plan = cell.plan
+    asked = {
+        "controller": plan.controller,
+        "multiplier": plan.car.stated_multiplier,
+        "safe": plan.safe,
+        "seed": plan.seed,
+        "simulations": plan.simulations,
+        "knowledge": str(plan.knows),
+        "maximum_distance": plan.maximum_distance,
+        "scenario": json.loads(json.dumps(plan.scenario.as_dict())),
+    }
+    wrong = next((name for name, value in asked.items() if figures[name] != value), None)
+    if wrong is None and _without_knowledge(figures["options"]) != _without_knowledge(further_options(plan)):
+        wrong = "options"
+    if wrong is None and set(figures["objectives"]) != set(map(str, cell.objectives)):
+        wrong = "objectives"
+    if wrong is None and safe_count != plan.safe_count:
+        wrong = "number of φ"
+    if wrong is not None:
+        raise UsageError(f"{folder}: is the result of another cell: its {wrong} differs")
+
+
+def _without_knowledge(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options but what the adversary knows, as they are read from a file.
+
+    A plan that is to learn has to say so; after that its model implies it, and the result leaves it out.
+    """
+    return {name: value for name, value in json.loads(json.dumps(options)).items() if name != "knowledge"}

@@ -1,0 +1,414 @@
+"""Episodes on disk, each as soon as it has run: from these a campaign goes on, whatever has ended it.
+
+One SQLite database in WAL mode, one transaction an episode. A process that is killed loses nothing that it has put:
+what it wrote is the system's. With `synchronous = NORMAL` a power cut may take the latest episodes, those since the
+last checkpoint, and leaves the database whole; they are then run again and are the same. Every row carries a digest of
+all that it says, for SQLite does not check what it reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+import struct
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.errors import UsageError
+from skd_sim.inputs.outside import open_regular
+from skd_sim.options.options import options_of
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.command_ages import Timing
+from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.plan.plan import EpisodeRunner
+from skd_evaluator.errors import AssessmentError
+
+DIGEST_BYTES = 16
+_HEAD = struct.Struct("<BddqqqdIIII")
+"""Outcome, impact (time, speed), depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
+_OWN_CONTACT, _STRAYED = struct.Struct("<d"), struct.Struct("<dd")
+_NOTHING_SAID = -1.0  # no time of a contact
+"""Last, where the simulator said it: the time of the contact by its own shapes."""
+
+
+def digest(*parts: bytes) -> bytes:
+    """Return 16 bytes that no other parts have; each part is told from its neighbours."""
+    found = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    for part in parts:
+        found.update(len(part).to_bytes(8, "little"))
+        found.update(part)
+    return found.digest()
+
+
+def digest_of(content: Any) -> bytes:
+    """Return the digest of plain data, whatever the order of its keys."""
+    return digest(json.dumps(content, sort_keys=True, ensure_ascii=True).encode())
+
+
+class Specifications:
+    """Digests of episodes' specifications.
+
+    Episodes of one assessment share scenario and φ: what these come to is computed once.
+    """
+
+    def __init__(self) -> None:
+        """Know nothing yet."""
+        self._known: dict[int, tuple[object, bytes]] = {}
+
+    def digest(self, episode: Episode) -> bytes:
+        """Return a digest of all that an episode's specification says."""
+        phi = episode.safe_trajectory
+        plain = [one.plain(getattr(episode, one.name)) for one in options_of(Episode)]
+        plain += [int(episode.mode), episode.seed, episode.episode_id]
+        parts = [self._of(episode.scenario), b"" if phi is None else self._of(phi), repr(plain).encode()]
+        if episode.public is not None:  # few have another one than their own
+            parts.append(self._of(episode.public))
+        return digest(*parts)
+
+    def _of(self, thing: Scenario | Trajectory) -> bytes:
+        known = self._known.get(id(thing))
+        if known is None or known[0] is not thing:
+            found = digest_of(thing.as_dict()) if isinstance(thing, Scenario) else digest_of_trajectory(thing)
+            known = self._known[id(thing)] = (thing, found)  # kept, so that nothing else gets its id
+        return known[1]
+
+
+def digest_of_trajectory(one: Trajectory) -> bytes:
+    """Return a digest of a trajectory's positions, shape, time step and name."""
+    positions = np.ascontiguousarray(one.positions, "<f8")
+    return digest(positions.tobytes(), repr((positions.shape, float(one.time_step), one.name)).encode())
+
+
+def to_bytes(log: EpisodeLog) -> bytes:
+    """Return what happened in an episode; its specification is not part of it."""
+    adversary, car = _floats(log.adversary, 2), _floats(log.car, 3)
+    if len(adversary) != len(car):
+        raise ValueError(f"{len(adversary)} places of the adversary and {len(car)} of the car")
+    belief = np.empty((0, 4), "<f8") if log.belief is None else _floats(log.belief, 4)
+    if log.belief is not None and len(belief) != len(adversary):
+        raise ValueError(f"{len(adversary)} states and {len(belief)} rows of what was believed at them")
+    ages = np.array(log.timing.ages, "<f8")
+    reason = log.reason.encode("utf-8", "surrogatepass")
+    head = _HEAD.pack(
+        int(log.outcome), log.impact_time, log.impact_speed, log.depletions, log.clipped, log.timing.held,
+        log.timing.delay, len(adversary), len(belief), len(ages), len(reason),
+    )  # fmt: skip
+    own = b"" if log.own_contact is None else _OWN_CONTACT.pack(log.own_contact)
+    if log.strayed:
+        own = _STRAYED.pack(_NOTHING_SAID if log.own_contact is None else log.own_contact, log.strayed)
+    return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason, own))
+
+
+def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
+    """Return the log of an episode; the inverse of `to_bytes`.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        outcome, time, speed, depletions, clipped, held, delay, states, believed, ages, reason = _HEAD.unpack_from(data)
+    except struct.error as error:
+        raise ValueError("it is too short") from error
+    end = _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason
+    if len(data) not in (end, end + _OWN_CONTACT.size, end + _STRAYED.size) or believed not in (0, states):
+        raise ValueError("it is of another length than it says")
+    own: float | None = None
+    strayed = 0.0
+    if len(data) == end + _STRAYED.size:
+        own, strayed = _STRAYED.unpack_from(data, end)
+        own = None if own == _NOTHING_SAID else own
+    elif len(data) > end:
+        (own,) = _OWN_CONTACT.unpack_from(data, end)
+    sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
+    numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
+    adversary, car, belief, aged = np.split(numbers, sizes)
+    return EpisodeLog(
+        episode,
+        Outcome(outcome),
+        adversary.reshape(states, 2).copy(),
+        car.reshape(states, 3).copy(),
+        time,
+        speed,
+        depletions,
+        data[end - reason : end].decode("utf-8", "surrogatepass"),
+        clipped,
+        Timing(tuple(aged.tolist()), held, delay),
+        belief.reshape(believed, 4).copy() if believed else None,
+        own,
+        strayed,
+    )
+
+
+def _floats(array: npt.NDArray[np.float64], columns: int) -> npt.NDArray[np.float64]:
+    if array.dtype != np.float64 or array.ndim != 2 or array.shape[1] != columns:
+        raise ValueError(f"states must be n × {columns} floats, got {array.dtype} of shape {array.shape}")
+    return np.ascontiguousarray(array, "<f8")
+
+
+def flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested mappings as one, with the keys in between joined by dots."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found
+
+
+FILE_NAME = "episodes.sqlite"
+_FORMAT = 1
+_AT_ONCE = 500  # keys in one query
+_TABLE = """
+CREATE TABLE episodes (
+    cell BLOB NOT NULL,
+    specification BLOB NOT NULL,
+    objective TEXT NOT NULL,
+    episode_id INTEGER NOT NULL,
+    log BLOB NOT NULL,
+    checksum BLOB NOT NULL,
+    PRIMARY KEY (cell, specification)
+)
+"""
+_SCHEMA = [" ".join(_TABLE.split()), "None"]  # the table, and the index of its key
+"""What SQLite says of a database of ours."""
+
+
+class StoreError(AssessmentError):
+    """The store cannot be used any more; the message says what to do, and ends the whole campaign."""
+
+
+class EpisodeStore:
+    """The database; its methods may be called by any thread."""
+
+    def __init__(self, path: Path) -> None:
+        """Open it, or make it.
+
+        Raises:
+            UsageError: it is damaged, of another version of SKD, or somebody else has it open.
+            StoreError: it cannot be written.
+        """
+        self._path = path
+        self._lock = threading.Lock()
+        self._connection: sqlite3.Connection | None = None
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        if self._path.exists():
+            open_regular(self._path).close()  # of a pipe SQLite waits for what never comes
+        with self._failing():
+            # Autocommit: a statement is a transaction, and is there as soon as it has returned.
+            self._connection = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.0)
+            ask = self._connection.execute
+            for setting in ("locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = NORMAL"):
+                ask(f"PRAGMA {setting}")
+            (version,) = ask("PRAGMA user_version").fetchone()
+            (tables,) = ask("SELECT count(*) FROM sqlite_master").fetchone()
+            if tables:
+                # A view in the place of the table may never end, and a trigger do anything.
+                if [" ".join(str(sql).split()) for (sql,) in ask("SELECT sql FROM sqlite_master")] != _SCHEMA:
+                    raise sqlite3.DatabaseError("it holds something else than episodes")
+                (verdict,) = ask("PRAGMA quick_check(1)").fetchone()
+                if verdict != "ok":
+                    raise sqlite3.DatabaseError(" ".join(str(verdict).split()))
+            if not tables and not version:
+                ask("BEGIN IMMEDIATE")
+                ask(_TABLE)
+                ask(f"PRAGMA user_version = {_FORMAT}")
+                ask("COMMIT")
+            elif version != _FORMAT:
+                raise UsageError(f"{self._path}: of another version of SKD (format {version}); give another --out")
+
+    @contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Say in one line what is wrong with the database."""
+        try:
+            yield
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter of a message that quotes what is no text
+            said = " ".join(str(error).split())  # which may quote what the file holds
+            what = f"{self._path}: {said}"
+            code = getattr(error, "sqlite_errorname", "")
+            if code.startswith(("SQLITE_BUSY", "SQLITE_LOCKED")):
+                raise UsageError(f"{what}: another process has it open") from error
+            if code.startswith(("SQLITE_FULL", "SQLITE_IOERR", "SQLITE_READONLY", "SQLITE_CANTOPEN", "SQLITE_PERM")):
+                raise StoreError(
+                    f"{what}: it cannot be written; see to the disk, and go on with the same command and --resume"
+                ) from error
+            raise self._damaged(said) from error
+
+    def _damaged(self, why: str) -> StoreError:
+        return StoreError(
+            f"{self._path}: damaged ({why}); delete it and add --resume: cells that are done stay, episodes of the "
+            "others are run again and come out the same"
+        )
+
+    def _ask(self, statement: str, values: Sequence[object] = ()) -> list[tuple[bytes, ...]]:
+        with self._lock, self._failing():
+            if self._connection is None:
+                raise StoreError(f"{self._path}: closed")
+            return self._connection.execute(statement, values).fetchall()
+
+    def known(self, cell: bytes, specifications: Sequence[bytes]) -> set[bytes]:
+        """Return which of some specifications there are episodes of."""
+        found: set[bytes] = set()
+        for start in range(0, len(specifications), _AT_ONCE):
+            some = specifications[start : start + _AT_ONCE]
+            marks = ",".join("?" * len(some))
+            rows = self._ask(
+                f"SELECT specification FROM episodes WHERE cell = ? AND specification IN ({marks})",
+                (cell, *some),
+            )
+            found.update(row[0] for row in rows)
+        return found
+
+    def get(self, cell: bytes, specification: bytes, episode: Episode) -> EpisodeLog:
+        """Return what happened in an episode that there is.
+
+        Raises:
+            StoreError: it is not what was put.
+        """
+        rows = self._ask(
+            "SELECT log, checksum FROM episodes WHERE cell = ? AND specification = ?", (cell, specification)
+        )
+        try:
+            ((data, checksum),) = rows
+            if not isinstance(data, bytes) or checksum != digest(cell, specification, data):
+                raise ValueError("its checksum is another")
+            return from_bytes(data, episode)
+        except ValueError as error:
+            raise self._damaged(f"episode {episode.episode_id}: {error}") from error
+
+    def put(self, cell: bytes, specification: bytes, log: EpisodeLog) -> None:
+        """Keep what happened in an episode; when this returns, the death of this process does not take it."""
+        data = to_bytes(log)
+        episode = log.episode
+        self._ask(
+            "INSERT OR REPLACE INTO episodes VALUES (?, ?, ?, ?, ?, ?)",
+            (
+                cell, specification, str(episode.objective), episode.episode_id, data,
+                digest(cell, specification, data),
+            ),
+        )  # fmt: skip
+
+    def count(self) -> int:
+        """Return how many episodes there are."""
+        ((number,),) = self._ask("SELECT count(*) FROM episodes")
+        return int(number)
+
+    def drop(self, cell: bytes) -> None:
+        """Forget the episodes of a cell; their place is used again."""
+        self._ask("DELETE FROM episodes WHERE cell = ?", (cell,))
+
+    def keep_only(self, cells: Sequence[bytes]) -> None:
+        """Forget the episodes of all other cells."""
+        for (cell,) in self._ask("SELECT DISTINCT cell FROM episodes"):
+            if cell not in cells:
+                self.drop(cell)
+
+    def close(self) -> None:
+        """Let go of it."""
+        with self._lock:
+            if self._connection is not None:
+                with suppress(sqlite3.Error):
+                    self._connection.close()
+                self._connection = None
+
+    def remove(self) -> None:
+        """Delete it, once nothing in it is wanted any more."""
+        self.close()
+        remove_files(self._path)
+
+
+def remove_files(path: Path) -> None:
+    """Delete a store of which nothing is wanted, if there is one; nobody has it open."""
+    for suffix in ("-wal", "-shm", "-journal", ""):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+class CellStore:
+    """The part of the store that belongs to one cell."""
+
+    def __init__(self, store: EpisodeStore, cell: bytes) -> None:
+        """Use a store.
+
+        Args:
+            store: the store of the whole campaign.
+            cell: digest of all that determines an episode beside its specification.
+        """
+        self._store, self._cell = store, cell
+        self._specifications = Specifications()
+
+    def specifications(self, episodes: Sequence[Episode]) -> list[bytes]:
+        """Return the digest of each episode's specification."""
+        return [self._specifications.digest(one) for one in episodes]
+
+    def known(self, specifications: Sequence[bytes]) -> set[bytes]:
+        """Return which of some specifications there are episodes of."""
+        return self._store.known(self._cell, specifications)
+
+    def get(self, specification: bytes, episode: Episode) -> EpisodeLog:
+        """Return what happened in an episode that there is."""
+        return self._store.get(self._cell, specification, episode)
+
+    def put(self, specification: bytes, log: EpisodeLog) -> None:
+        """Keep what happened in an episode."""
+        self._store.put(self._cell, specification, log)
+
+
+class StoppedError(RuntimeError):
+    """The campaign is to end; no episode is worth waiting for any more."""
+
+
+class StoringRunner:
+    """Runs episodes, or reads what became of them; an `EpisodeRunner`.
+
+    A plan draws its episodes deterministically, so the same plan over the same store goes on where it was. An aborted
+    episode is passed on and not stored: it says something about the machine only, so it is run again when the campaign
+    is resumed.
+
+    Attributes:
+        given: how many episodes there have been so far.
+        read: how many of them had been stored before.
+    """
+
+    def __init__(self, runner: EpisodeRunner, store: CellStore, stop: threading.Event) -> None:
+        """Let `runner` do what is missing in `store`, until `stop` is set."""
+        self._runner, self._store, self._stop = runner, store, stop
+        self.given = self.read = 0
+
+    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
+        """Run all of `episodes`; see `EpisodeRunner`.
+
+        Raises:
+            StoppedError: the campaign is to end.
+            StoreError: the store is damaged, or cannot be written.
+        """
+        keys = self._store.specifications(episodes)
+        known = self._store.known(keys)
+        pairs = list(zip(keys, episodes, strict=True))
+        missing = [episode for key, episode in pairs if key not in known]
+        fresh = self._runner.run(missing) if missing else iter(())
+        for key, episode in pairs:
+            if self._stop.is_set():
+                raise StoppedError
+            if key in known:
+                log = self._store.get(key, episode)
+                self.read += 1
+            else:
+                log = next(fresh)
+                if log.outcome != Outcome.ABORTED:
+                    self._store.put(key, log)
+            self.given += 1
+            yield log

@@ -1,1 +1,0 @@
-"""Tracks of others, and what SKD itself has exported, as safe trajectories."""

@@ -1,0 +1,243 @@
+"""Export: which episodes and φ of a result are written, in which format, and what each format does not keep."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import IntArray
+from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
+from skd_sim.world.episode import Mode, Outcome
+
+from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi
+from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
+from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
+from skd_evaluator.extensions.fusion.recording import TABLE_CAR, TABLE_OTHER
+from skd_evaluator.metrics.surrogate.scenes import Course, course_of
+from skd_evaluator.report.html.subjects import Subject
+
+_IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Attributes:
+        write: writes an episode into a file.
+        name: returns the name of an episode's file.
+        losses: what of an episode the format does not keep, or not as it was, a sentence each.
+        whole_ticks: whether it knows states at whole time steps alone.
+        with_road: whether the road is a file of its own, beside those of the episodes.
+        check: raises a UsageError where a library that it needs is not installed.
+    """
+
+    write: Callable[[Path, ExportedEpisode], None]
+    name: Callable[[ExportedEpisode], str]
+    losses: tuple[str, ...]
+    whole_ticks: bool = False
+    with_road: bool = False
+    check: Callable[[], object] = lambda: None
+
+
+def _write_csv(path: Path, recorded: ExportedEpisode) -> None:
+    """Write an episode as csv: a row for each object at each time, as `skd fuse` reads two tracked objects.
+
+    Its columns are t (s), id, x, y (m, of reference points), heading (rad) and speed (m/s).
+    """
+    lines = ["t,id,x,y,heading,speed"]
+    for actor in recorded.actors:
+        name = _IDS.get(actor.name, actor.name)
+        for time, state in zip(actor.times.tolist(), actor.states.tolist(), strict=True):
+            lines.append(",".join([repr(time), name, *map(repr, state)]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _ending(suffix: str) -> Callable[[ExportedEpisode], str]:
+    return lambda recorded: f"{recorded.stem}.{suffix}"
+
+
+def _osi_is_there() -> None:
+    osi_messages()
+    osi_writer()
+
+
+_NEVER = "The car's policy is in no format: a φ has the car's start alone, a kamikaze its recorded way."
+FORMATS = {
+    "openscenario": Format(
+        write_openscenario,
+        _ending("xosc"),
+        (
+            _NEVER,
+            "A disc is the square about it.",
+            "Lanes of crossing roads are roads of their own, without a junction.",
+        ),
+        with_road=True,
+    ),
+    "osi": Format(
+        write_osi,
+        osi_name,
+        (
+            _NEVER,
+            "Times are whole nanoseconds.",
+            "A disc is the square about it.",
+            "Positions are those of the middle of boxes.",
+        ),
+        with_road=True,
+        check=_osi_is_there,
+    ),
+    "commonroad": Format(
+        write_commonroad,
+        _ending("xml"),
+        (
+            _NEVER,
+            "A kamikaze's last state is that of the tick in which the contact was, in which shapes overlap.",
+            "Positions are those of the middle of boxes.",
+            "Heights are not there.",
+        ),
+        whole_ticks=True,
+    ),
+    "csv": Format(_write_csv, _ending("csv"), (_NEVER, "Road, shapes and kinds are not there.")),
+}
+
+
+_UNKNOWN_DATE = "1970-01-01T00:00:00Z"
+
+
+@dataclass(frozen=True)
+class Export:
+    """Something that goes out.
+
+    Attributes:
+        recorded: what is written.
+        entry: what export.json says of it.
+    """
+
+    recorded: ExportedEpisode
+    entry: dict[str, Any]
+
+
+def selected_episodes(subject: Subject, episode: int | None, worst: int | None, objective: str | None) -> list[int]:
+    """Return the numbers of the episodes that are asked for; every kamikaze that was not aborted by default.
+
+    Args:
+        subject: the result.
+        episode: only those with this id.
+        worst: only so many, the worst for the car first, runs along φ among them.
+        objective: only kamikazes of this objective.
+
+    Raises:
+        UsageError: there is none.
+    """
+    episodes = subject.episodes
+    lasting = [number for number in range(len(episodes)) if np.isfinite(episodes.car[number]).all()]
+    lasting = [number for number in lasting if len(episodes.adversary[number]) > 1]
+    if objective is not None:
+        lasting = [number for number in lasting if str(episodes.objective[number]) == objective]
+    if episode is not None:
+        found = [number for number in lasting if int(episodes.episode_id[number]) == episode]
+        if not found:
+            raise UsageError(
+                f"--episode {episode}: {subject.folder} holds no such episode; skd show {subject.folder} --worst 5 "
+                "names some"
+            )
+        return found
+    fine = [number for number in lasting if episodes.outcome[number] != Outcome.ABORTED]
+    if worst is not None:
+        there = set(fine)
+        found = [number for number in episodes.worst_first().tolist() if number in there][:worst]
+    else:
+        found = [number for number in fine if episodes.mode[number] == Mode.KAMIKAZE]
+    if not found and (worst is not None or objective is not None):
+        raise UsageError(f"{subject.folder}: holds no episode of that kind: every one was aborted, or none was run")
+    return found
+
+
+def exports_of(subject: Subject, numbers: Sequence[int], *, whole_ticks: bool, with_car: bool) -> list[Export]:
+    """Return the φ of some episodes, or every φ where there is no episode, and then the episodes.
+
+    Args:
+        subject: the result.
+        numbers: numbers of its episodes.
+        whole_ticks: whether states are at whole ticks alone.
+        with_car: whether the car, as it was recorded, is in the episodes.
+    """
+    every = range(len(subject.episodes.safe))
+    indices: IntArray = np.unique(subject.episodes.safe_index[list(numbers)]) if len(numbers) else np.array(every)
+    found = [_phi(subject, int(index)) for index in indices]
+    return found + [_episode(subject, number, whole_ticks=whole_ticks, with_car=with_car) for number in numbers]
+
+
+def _phi(subject: Subject, index: int) -> Export:
+    """Return a φ: the adversary and the others, and where the car begins."""
+    phi, step = subject.episodes.safe[index], subject.episodes.time_step
+    course = Course(step * np.arange(len(phi), dtype=np.float64), phi, np.full((len(phi), 3), np.nan))
+    name = _name(subject, index)
+    title = one_line(f"SKD: safe trajectory φ {index} ({name}) of {subject.scenario.name}, {subject.label}")
+    recorded = ExportedEpisode(
+        f"phi_{index:03d}",
+        title,
+        subject.scenario,
+        actors_of(subject.scenario, course, with_car=False),
+        start_of(subject.scenario, phi),
+        float(course.times[-1]),
+        _date(subject),
+    )
+    return Export(recorded, {"mode": Mode.SAFE.name.lower(), "phi": index, "phi_name": name, "title": title})
+
+
+def _episode(subject: Subject, number: int, *, whole_ticks: bool, with_car: bool) -> Export:
+    episodes = subject.episodes
+    hit = bool(episodes.collided[number])
+    contact = None if whole_ticks else episodes.contact(number)
+    course = course_of(subject.scenario, episodes.adversary[number], episodes.car[number], contact)
+    scene = actors_of(subject.scenario, course, with_car=True)
+    x, y, heading, speed = scene[0].states[0].tolist()
+    mode, objective = Mode(int(episodes.mode[number])), str(episodes.objective[number])
+    index, id_ = int(episodes.safe_index[number]), int(episodes.episode_id[number])
+    who = f"kamikaze of objective {objective}" if objective else "run along φ"
+    outcome = Outcome(int(episodes.outcome[number])).name.lower()
+    name = _name(subject, index)
+    of = f"φ {index} ({name}) of {subject.scenario.name}, {subject.label}"
+    title = one_line(f"SKD: {who}, episode {id_}, {of}: {outcome}")  # names are anybody's, and XML takes not all
+    kind = re.sub(r"\W", "-", objective, flags=re.ASCII)
+    stem = "_".join(filter(None, ("kamikaze" if objective else "along", kind, str(id_))))
+    recorded = ExportedEpisode(
+        stem,
+        title,
+        subject.scenario,
+        scene if with_car else scene[1:],
+        (x, y, heading, speed),
+        float(course.times[-1]),
+        _date(subject),
+        whole_ticks,
+    )
+    entry = {
+        "mode": mode.name.lower(),
+        "phi": index,
+        "phi_name": name,
+        "title": title,
+        "episode_id": id_,
+        "objective": objective,
+        "outcome": outcome,
+        "impact_time": float(episodes.impact_time[number]) if hit else None,
+        "impact_speed": float(episodes.impact_speed[number]) if hit else None,
+        "contact": episodes.until_contact(number)[-1].tolist() if hit else None,
+        "deviation": float(episodes.deviation[number]) if hit else None,
+    }
+    return Export(recorded, entry)
+
+
+def _name(subject: Subject, index: int) -> str:
+    return str(subject.figures["per_safe_trajectory"][index]["name"])
+
+
+def _date(subject: Subject) -> str:
+    """Return when a result was made, so that two exports of it are the same, byte for byte."""
+    said = str((subject.figures.get("provenance") or {}).get("date", ""))
+    return said if re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", said) else _UNKNOWN_DATE

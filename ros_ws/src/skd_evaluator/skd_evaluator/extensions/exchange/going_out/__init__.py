@@ -1,1 +1,0 @@
-"""What a result holds, in the formats of others."""

@@ -1,0 +1,321 @@
+"""ASAM OSI ground truth in MCAP: reads tracks of moving objects and writes episodes.
+
+OSI's reference point of an object is the middle of its bounding box. Metadata of file and channel are those that the
+standard asks for or recommends ("OSI multi channel trace file format", OSI 3.8); so is the file's name. ASAM's own
+libraries, the optional extra `exchange`, are imported when OSI is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.inputs.printable import one_line
+from skd_sim.scenario.road import ONCOMING
+
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
+from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, stretch
+from skd_evaluator.extensions.exchange.tracks import TrackedObject, listed, track_of
+
+HOW = "python -m pip install 'skd[exchange]'"
+
+
+def osi_messages() -> Any:
+    """Return the module with the class GroundTruth.
+
+    Raises:
+        UsageError: the library is not installed.
+    """
+    return _found("osi3.osi_groundtruth_pb2")
+
+
+def osi_version() -> tuple[int, int, int]:
+    """Return the version of OSI that its messages are of.
+
+    Raises:
+        UsageError: the library is not installed.
+    """
+    module = _found("osi3.osi_version_pb2")
+    said = module.DESCRIPTOR.GetOptions().Extensions[module.current_interface_version]
+    return int(said.version_major), int(said.version_minor), int(said.version_patch)
+
+
+def osi_writer() -> Any:
+    """Return the class that writes traces as MCAP.
+
+    Raises:
+        UsageError: the library is not installed.
+    """
+    return _found("osi_utilities.tracefile.writers.multi").MultiTraceWriter
+
+
+def protobuf_version() -> str:
+    """Return the version of protobuf that messages are written with."""
+    return str(_found("google.protobuf").__version__)
+
+
+def _found(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise UsageError(f"OSI needs osi-python and asam-osi-utilities: {HOW}") from error
+
+
+SCHEMA = "osi3.GroundTruth"
+_NANOSECONDS = 1e-9
+_MOST_ROWS = 5_000_000
+
+
+def read_osi(path: Path) -> list[TrackedObject]:
+    """Return every moving object; one that SKD has exported bears its name there, any other its id.
+
+    Raises:
+        UsageError: the library is not installed, the file is damaged, a message is none of ground truth, or several
+            topics have some, whose ids need not be of the same objects.
+    """
+    kind = osi_messages().GroundTruth
+    condition, count = Condition(), 0
+    rows: dict[int, list[tuple[float, float, float]]] = {}
+    roles: dict[int, str] = {}
+    kinds: dict[int, str] = {}
+    topics: dict[str, None] = {}
+    for received in read_messages(path, lambda _topic: True, condition):
+        if received.schema.name != SCHEMA:
+            continue
+        topics[received.channel.topic] = None
+        if len(topics) > 1:
+            raise UsageError(f"{path}: has ground truth on {listed(list(topics))}; give a file with one of them")
+        message = _parsed(kind, received, path)
+        time = message.timestamp.seconds + _NANOSECONDS * message.timestamp.nanos
+        for one in message.moving_object:
+            number = int(one.id.value)
+            count += 1
+            if count > _MOST_ROWS:
+                raise UsageError(f"{path}: has more than {_MOST_ROWS} states of objects; cut it to what is wanted")
+            rows.setdefault(number, []).append((time, one.base.position.x, one.base.position.y))
+            if number not in roles:
+                roles[number] = _role(one) or (EGO if message.host_vehicle_id.value == number else str(number))
+                kinds[number] = _kind(one)
+    if condition.damage:
+        raise UsageError(f"{path}: is damaged ({condition.damage[0]})")
+    if not rows:
+        raise UsageError(f"{path}: has no moving object in ground truth of OSI")
+    if len(set(roles.values())) < len(roles):  # two that say they are the same
+        roles = {number: str(number) for number in roles}
+    found = []
+    for number, states in rows.items():
+        table = np.array(states, np.float64)
+        if len(table) >= 2:
+            track = track_of(table[:, 0], table[:, 1:], f"{path}, {roles[number]}")
+            found.append(TrackedObject(roles[number], track, kinds[number]))
+    return found
+
+
+def _parsed(kind: Any, received: Received, path: Path) -> Any:
+    try:
+        message = kind()
+        message.ParseFromString(received.data)
+    except Exception as error:  # google.protobuf's DecodeError, and whatever damaged bytes make it raise
+        raise UsageError(f"{path}: a message on {received.channel.topic} is no ground truth of OSI") from error
+    return message
+
+
+def _role(found: Any) -> str:
+    """Return what SKD has called an object; empty if it has not."""
+    for one in found.source_reference:
+        if one.type == SOURCE and len(one.identifier):
+            return str(one.identifier[0])
+    return ""
+
+
+def _kind(found: Any) -> str:
+    for one in found.source_reference:
+        if one.type == SOURCE and len(one.identifier) > 1:
+            return str(one.identifier[1])
+    if found.type == found.TYPE_VEHICLE:
+        return str(found.vehicle_classification.Type.Name(found.vehicle_classification.type))
+    return str(found.Type.Name(found.type))
+
+
+TOPIC = "ground_truth"
+_FORMAT = "osi"
+_ON_FOOT = "TYPE_PEDESTRIAN"
+_FIRST_LANE, _FIRST_BOUNDARY = 10_001, 11_001
+
+
+def osi_name(recorded: ExportedEpisode) -> str:
+    """Return the name of an episode's file, as the standard recommends it."""
+    stamp = "".join(one for one in recorded.date.partition("+")[0].rstrip("Z") if one.isalnum()) + "Z"
+    versions = "".join(map(str, osi_version())), protobuf_version().replace(".", "")
+    frames = max(len(one.times) for one in recorded.actors)
+    return f"{stamp}_gt_{versions[0]}_{versions[1]}_{frames}_{recorded.stem}.mcap"
+
+
+def write_osi(path: Path, recorded: ExportedEpisode) -> None:
+    """Write an episode.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    version, protobuf = ".".join(map(str, osi_version())), protobuf_version()
+    about = {
+        "version": version,
+        "min_osi_version": version,
+        "max_osi_version": version,
+        "min_protobuf_version": protobuf,
+        "max_protobuf_version": protobuf,
+        "zero_time": "1970-01-01T00:00:00Z",
+        "creation_time": recorded.date,
+        "description": recorded.title,
+        "authors": "SKD",
+        "data_sources": one_line(f"SKD, scenario {recorded.scenario.name}"),
+    }
+    channel = {
+        "net.asam.osi.trace.channel.osi_version": version,
+        "net.asam.osi.trace.channel.protobuf_version": protobuf,
+        "net.asam.osi.trace.channel.description": "everybody who is in the encounter",
+    }
+    writer = osi_writer()()
+    if not writer.open(path, about):
+        raise OSError(f"{path}: cannot be written")
+    try:
+        messages = ground_truth(recorded)
+        writer.add_channel(TOPIC, type(messages[0]), channel)
+        for message in messages:
+            if not writer.write_message(message, TOPIC):
+                raise OSError(f"{path}: cannot be written")
+    finally:
+        writer.close()
+
+
+def ground_truth(recorded: ExportedEpisode) -> list[Any]:
+    """Return the messages of an episode, in the order of their times."""
+    kind = osi_messages().GroundTruth
+    standing = kind()
+    standing.version.version_major, standing.version.version_minor, standing.version.version_patch = osi_version()
+    standing.map_reference = ROAD_FILE
+    if recorded.ego is not None:
+        standing.host_vehicle_id.value = EGO_ID
+    _add_lanes(standing, recorded)
+    for actor in recorded.actors:
+        if actor.is_obstacle:
+            found = standing.stationary_object.add()
+            found.id.value = actor.number
+            found.classification.type = found.classification.TYPE_OTHER
+            x, y = actor.centres[0].tolist()
+            _set_base(found.base, actor, x, y, float(actor.states[0, 2]))
+            _say_role(found, actor)
+    users = [one for one in recorded.actors if not one.is_obstacle]
+    times = max((one.times for one in users), key=len)
+    every = [(one, *_motion(one, times)) for one in users]
+    messages = []
+    for row, time in enumerate(times.tolist()):
+        message = kind()
+        message.CopyFrom(standing)
+        nanoseconds = round(time * 1e9)
+        message.timestamp.seconds, message.timestamp.nanos = divmod(nanoseconds, 1_000_000_000)
+        for actor, states, motion in every:
+            _add_user(message, actor, states[row], motion[row])
+        messages.append(message)
+    return messages
+
+
+def _motion(actor: Actor, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return middle of the box and heading of an actor at each time, n × 3; velocity, acceleration, turning, n × 5.
+
+    Between two times an actor moves as it does at the first; the last acceleration is that before it.
+    """
+    if actor.stands:
+        state = np.column_stack([actor.centres, actor.states[:, 2]])
+        return np.repeat(state, len(times), axis=0), np.zeros((len(times), 5))
+    heading, speed = actor.states[:, 2], actor.states[:, 3]
+    velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    lasting = np.diff(times)[:, None]
+    change = np.diff(np.column_stack([velocity, np.unwrap(heading)]), axis=0) / lasting
+    change = np.concatenate([change, change[-1:]]) if len(change) else np.zeros((1, 3))
+    return np.column_stack([actor.centres, heading]), np.column_stack([velocity, change])
+
+
+def _add_user(message: Any, actor: Actor, state: FloatArray, motion: FloatArray) -> None:
+    found = message.moving_object.add()
+    found.id.value = actor.number
+    x, y, heading = state.tolist()
+    _set_base(found.base, actor, x, y, heading)
+    for vector, (east, north) in (
+        (found.base.velocity, motion[:2].tolist()),
+        (found.base.acceleration, motion[2:4].tolist()),
+    ):
+        vector.x, vector.y, vector.z = east, north, 0.0
+    turn = found.base.orientation_rate
+    turn.roll, turn.pitch, turn.yaw = 0.0, 0.0, float(motion[4])
+    word = actor.word(_FORMAT)
+    if word == _ON_FOOT:
+        found.type = found.TYPE_PEDESTRIAN
+    else:
+        found.type = found.TYPE_VEHICLE
+        vehicle = found.vehicle_classification
+        vehicle.type = vehicle.Type.Value(word)
+        wheel, (length, _, height) = 0.3, actor.size
+        rear = found.vehicle_attributes.bbcenter_to_rear
+        rear.x, rear.y, rear.z = -0.3 * length, 0.0, wheel - 0.5 * height
+        found.vehicle_attributes.radius_wheel = wheel
+    _say_role(found, actor)
+
+
+def _set_base(base: Any, actor: Actor, x: float, y: float, heading: float) -> None:
+    length, width, height = actor.size
+    base.dimension.length, base.dimension.width, base.dimension.height = length, width, height
+    base.position.x, base.position.y, base.position.z = float(x), float(y), 0.5 * height
+    turned = base.orientation
+    turned.roll, turned.pitch, turned.yaw = 0.0, 0.0, math.remainder(heading, math.tau)
+
+
+def _say_role(found: Any, actor: Actor) -> None:
+    said = found.source_reference.add()
+    said.type = SOURCE
+    said.identifier.append(actor.name)
+    if actor.body is not None:
+        said.identifier.append(actor.body.kind)
+
+
+def _add_lanes(message: Any, recorded: ExportedEpisode) -> None:
+    """Add the lanes, each between two boundaries of its own, as long as the episode needs them."""
+    road = recorded.scenario.road
+    numbers = sorted(road.every_lane)
+    ids = {number: _FIRST_LANE + index for index, number in enumerate(numbers)}
+    for index, number in enumerate(numbers):
+        lane = road.every_lane[number]
+        low, high = stretch(recorded.scenario, [recorded], 0 if lane.beside else number)
+        edges = [road.edge(side, low, high, number) for side in (-1.0, 1.0)]
+        if lane.direction == ONCOMING:  # its own left is the road's right
+            edges = [edges[1][::-1], edges[0][::-1]]
+        found = message.lane.add()
+        found.id.value = ids[number]
+        said = found.classification
+        said.type, said.subtype = said.TYPE_DRIVING, said.SUBTYPE_NORMAL
+        said.is_host_vehicle_lane, said.centerline_is_driving_direction = number == 0, True
+        for x, y in (0.5 * (edges[0] + edges[1])).tolist():
+            point = said.centerline.add()
+            point.x, point.y, point.z = x, y, 0.0
+        for place, (edge, edge_ids) in enumerate(
+            zip(edges, (said.left_lane_boundary_id, said.right_lane_boundary_id), strict=True)
+        ):
+            boundary = message.lane_boundary.add()
+            boundary.id.value = _FIRST_BOUNDARY + 2 * index + place
+            edge_ids.add().value = boundary.id.value
+            boundary.classification.type = boundary.classification.TYPE_SOLID_LINE
+            boundary.classification.color = boundary.classification.COLOR_WHITE
+            for x, y in edge.tolist():
+                point = boundary.boundary_line.add()
+                point.position.x, point.position.y, point.position.z = x, y, 0.0
+        if lane.beside:
+            sides = ((said.left_adjacent_lane_id, -1), (said.right_adjacent_lane_id, 1))
+            for adjacent, side in sides:
+                beside = number + (-side if lane.direction == ONCOMING else side)
+                if beside in ids and road.every_lane[beside].beside:
+                    adjacent.add().value = ids[beside]
