@@ -31,7 +31,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 
 NAMES = ("trigger", "deceleration", "deceleration_noise", "speed_noise")

@@ -39,7 +39,7 @@ from skd_evaluator.metrics.statistics.difference import Difference, difference
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 
 FIRST_SEED = 1000

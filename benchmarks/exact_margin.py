@@ -23,7 +23,7 @@ from skd_evaluator.assessment.stages.asked import scenario_for
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.world.episode import Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15, 1.3, 1.5)
 

@@ -23,7 +23,7 @@ from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.surrogate.scenes import scene_of
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 FIGURES = ("clearance", "required_deceleration", "hit")
 RUNS = 2

@@ -24,10 +24,10 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.distances.frechet import discrete_frechet
 from skd_evaluator.metrics.skd import compute_skd
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 _MULTIPLIERS = (0.5, 1.0, 1.15)
 _SAFE_COUNT = 5

@@ -33,7 +33,7 @@ from skd_evaluator.metrics.statistics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 from tally import Tally
 
 SIZES = ((10, 25), (20, 25))

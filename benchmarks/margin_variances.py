@@ -21,7 +21,7 @@ from skd_evaluator.metrics.statistics.clustered import variance_components
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CARS = (1.0, 1.05)
 

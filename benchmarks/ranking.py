@@ -44,7 +44,7 @@ from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.difference import Difference, difference
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from skd_sim.scenario.scenario import load_scenario
 from wide_encounters import HITS, TRUTHS, Manner, outcomes

@@ -21,9 +21,9 @@ from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.crossings import Encounter
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 from wide_encounters import HITS
 
 ALONG_ATTEMPTS = 25

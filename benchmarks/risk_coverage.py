@@ -36,8 +36,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.contact import sweep
-from skd_sim.world.motion import next_speed, travelled
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory, next_speed, travelled
 
 PART = 20_000
 """Crude crossings of a worker's task."""

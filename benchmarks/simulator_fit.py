@@ -24,8 +24,8 @@ from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.simulator import Frame, WorldSimulator
 
 NOISE = 0.02  # m
 TRIALS = (12, 24)

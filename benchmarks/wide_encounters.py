@@ -20,7 +20,7 @@ from skd_evaluator.assessment.plan.plan import Stage, episode_id
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 EARLIER_OR_LATER = 1.0  # s, to either side: 8.3 m of the car's way, against the 2.5 m of an assessment's draw
 PACES = (0.5, 1.5)  # times that of φ: at 2.5 m/s from a walk, 1.25 m/s, to a run, 3.75 m/s

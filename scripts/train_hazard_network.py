@@ -17,15 +17,21 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from skd_sim.hazard.network import HazardNetwork, save_network
-from skd_sim.hazard.perception import SCALE, WIDEST_WALKER, Perception
-from skd_sim.hazard.region import MARGIN, MARGIN_TIME, on_collision_course
+from skd_sim.controllers.cal import (
+    MARGIN,
+    MARGIN_TIME,
+    SCALE,
+    WIDEST_WALKER,
+    HazardNetwork,
+    Perception,
+    on_collision_course,
+    save_network,
+)
 from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.definition import Obstacle
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario
 from skd_sim.world.contact import to_car_frame
-from skd_sim.world.sensors.laser import PlanarLaser
+from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import World
 

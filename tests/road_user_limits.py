@@ -10,10 +10,10 @@ import numpy as np
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.arrays import FloatArray
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 ON_FOOT = {"child": 2.0, "runner": 3.0}  # m/s², in any direction
 WHEELED = {  # m/s² to speed up, to brake, to the side; rad in a tick; m of the tightest circle

@@ -17,7 +17,7 @@ PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")  # each may import thos
 ROS = ("rclpy", "launch", "launch_ros", "rosbag2_py")
 ROS_FOLDERS = ("ros",)
 ORDERS = {  # from above to below: a folder imports from those behind it alone
-    "skd_sim": "ros simulators controllers hazard world options kernels inputs",
+    "skd_sim": "ros simulators controllers world options kernels inputs",
     "skd_adversary": "ros safe_trajectories crossing car_models pomdp",
     "skd_evaluator": (
         "cli ros driving assessment.stages assessment.learning risk margin report bags assessment metrics"

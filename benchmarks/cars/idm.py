@@ -11,11 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from skd_sim.controllers.pedals import sub_steps
+from skd_sim.controllers.carla_agent import sub_steps
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
-from skd_sim.world.motion import next_speed, travelled
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
 
 EXPONENT = 4  # δ
 

@@ -9,8 +9,7 @@ import pytest
 from skd_adversary.adversary import PlanningAdversary, make_adversary
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.state import CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.column_stack([np.arange(-3.5, 3.0, 0.75), np.zeros(9)]), CROSSING.time_step)

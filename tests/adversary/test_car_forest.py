@@ -22,7 +22,7 @@ from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.state import AdversaryState, CarState
 

@@ -25,7 +25,7 @@ from skd_adversary.pomdp.planner import Planner
 from skd_adversary.pomdp.search import PlannerOptions
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.objective import OBJECTIVES
+from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 CROSSING = load_scenario("crossing")

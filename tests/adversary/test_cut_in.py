@@ -9,11 +9,10 @@ import pytest
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.metrics.distances.deviation import deviation
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 from skd_sim.world.world import make_world
 
 SCENARIO = load_scenario("cut_in")

@@ -12,11 +12,11 @@ from skd_adversary.crossing.objective.frechet import OBJECTIVE, REWARDS
 from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, action_velocity
 from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.contact import first_contact
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 BENT = np.array([(-3.5, 0.0), (-2.75, 0.0), (-2.2, 0.5), (-1.4, 0.5), (-0.7, 0.5), (0.1, 0.0), (0.9, 0.0), (2.4, 0.0)])

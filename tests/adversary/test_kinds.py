@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from road_user_limits import BODIES, beyond, straight, tally, with_kind
 from skd_adversary.crossing.road_user.wheeled import BRAKE, BRAKE_LEFT, ridden, settled
-from skd_sim.scenario.kinds import ROAD_USERS
-from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.protocol import regulatory_trajectories
+from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS
 
 ROUNDING = 1e-6
 WHEELED = [kind for kind, body in BODIES.items() if "length" in body]

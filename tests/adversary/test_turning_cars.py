@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from skd_adversary.crossing.road import curved
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.metrics.distances.deviation import deviation
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario

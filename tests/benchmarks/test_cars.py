@@ -23,8 +23,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 EYES = Eyes(CROSSING)

@@ -13,7 +13,7 @@ from shapely import box, distance, points
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 STEADY = replace(

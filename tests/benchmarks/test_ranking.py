@@ -16,7 +16,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 from wide_encounters import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,

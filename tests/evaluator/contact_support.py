@@ -14,8 +14,8 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.metrics.risks import Touch
 from skd_sim.controllers import Controller
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, EpisodeLog
-from skd_sim.world.simulator import Frame, WorldSimulator
 
 STEP = 5e-4  # s between the moments that are looked at
 UNSURE = 2e-3  # m to the corner's beginning within which it is not said which side touches

@@ -11,8 +11,7 @@ from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import Contact, World
 
 CROSSING = load_scenario("crossing")

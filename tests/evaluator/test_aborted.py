@@ -27,7 +27,7 @@ from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
 from test_campaign import attempt, straight
 from test_warnings import PLAN, assessed

@@ -13,8 +13,8 @@ from skd_evaluator.margin import ahead
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.margin.exact.exact_search import search_least_way
 from skd_evaluator.metrics.distances import frechet_kernels
-from skd_sim.kernels import code_cache
-from skd_sim.kernels.code_cache import is_kept
+from skd_sim.kernels import compilation
+from skd_sim.kernels.compilation import is_kept
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_it_ends_with_the_one_that_began_it(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_a_kernel_is_kept_once_it_has_been_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(code_cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
     assert not is_kept(search_least_way)
     (tmp_path / f"{frechet_kernels.__name__}.measure-0123.kernel").touch()
     assert not is_kept(search_least_way)

@@ -25,7 +25,7 @@ from skd_evaluator.margin.basic_margins import (
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key
 from skd_evaluator.metrics.equivalent_multiplier import Difference
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, seed=3, safe_count=3, kamikaze_count=4)

@@ -18,7 +18,7 @@ from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.batched_car import batched_car
 from skd_evaluator.risk.crossings import Crossings, Encounter
-from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
 

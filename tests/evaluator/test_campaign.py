@@ -29,10 +29,10 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)

@@ -29,8 +29,8 @@ from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.ros import session as session_module
-from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Mode
+from skd_sim.world.timing import Timing
 
 SIZES = {"safe_count": 1, "kamikaze_count": 2, "collision_runs": 3, "simulations": 20, "objective": "deviation"}
 SIZES |= {"margin_limit": 8, "behaviour": "none"}

@@ -13,7 +13,7 @@ from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]

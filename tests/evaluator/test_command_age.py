@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.judge.command_age import command_age
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.timing import Timing
 
 EPISODE = Episode(load_scenario("crossing"), Mode.SAFE, 0, 0)
 NOTHING = np.zeros((1, 2)), np.zeros((1, 3))

@@ -20,16 +20,15 @@ from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, SensingController, make_controller
-from skd_sim.controllers.user_controller import user_controller
+from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
+from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.objective import Objective
 from skd_sim.ros.lockstep import End, Limits, Lockstep, Source, Start, Step, frame_stamp
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.randomness import Role, generator
+from skd_sim.simulators.simulator import Frame, WorldSimulator
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
 from skd_sim.world.sensors import make_laser
-from skd_sim.world.simulator import Frame, WorldSimulator
 from skd_sim.world.state import AdversaryState, CarState
 
 POINTS = [(-3.5 + 0.75 * k, 0.1 * k) for k in range(8)]

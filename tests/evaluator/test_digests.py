@@ -27,7 +27,7 @@ from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState

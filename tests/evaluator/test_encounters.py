@@ -27,7 +27,7 @@ from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator, FrameSource
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
 BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)

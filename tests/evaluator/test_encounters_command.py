@@ -13,8 +13,8 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError
-from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 

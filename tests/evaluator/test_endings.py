@@ -16,10 +16,10 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 MIRROR = np.array([-1.0, 1.0])

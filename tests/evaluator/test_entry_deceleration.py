@@ -12,7 +12,7 @@ from skd_evaluator.metrics.entry_deceleration import deceleration_at_entry
 from skd_sim.scenario.road import Part, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING, CUT_IN = load_scenario("crossing"), load_scenario("cut_in")
 STEP = CROSSING.time_step

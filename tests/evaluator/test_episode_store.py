@@ -29,12 +29,11 @@ from skd_evaluator.extensions.campaign.episode_store import (
     to_bytes,
 )
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
+from skd_sim.world.timing import Timing
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

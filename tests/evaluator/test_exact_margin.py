@@ -20,8 +20,7 @@ from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_sim.controllers import BasicController
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import Contact, World, make_world
 

@@ -29,7 +29,7 @@ from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
 from skd_evaluator.risk.single import single_crossing
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 
 PLAN = Plan(

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 
 MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"

@@ -12,8 +12,8 @@ from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.cluster_worker import _have, sent
 from skd_evaluator.provenance import code_files, code_paths, provenance
 from skd_sim.errors import UsageError
+from skd_sim.options.adversary import Knowledge
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.options.knowledge import Knowledge
 from skd_sim.scenario.scenario import load_scenario
 
 CROSSING = load_scenario("crossing")

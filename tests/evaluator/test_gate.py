@@ -30,7 +30,7 @@ from skd_evaluator.report.junit import junit_xml
 from skd_evaluator.report.summary import csv_table, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 

@@ -22,12 +22,11 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.asked import plan_of
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.adversary import Knowledge
 from skd_sim.options.options import EpisodeOptions, options_from_text, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 PHI = Trajectory(np.array([(-3.0, 0.0), (0.0, 0.0), (3.0, 0.0)]), CROSSING.time_step)

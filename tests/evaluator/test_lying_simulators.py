@@ -16,13 +16,11 @@ from skd_evaluator import assess
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_sim.controllers import BasicController
-from skd_sim.options.simulators import SIMULATORS
+from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.simulator import Frame, WorldSimulator
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.simulators.simulator import Frame, WorldSimulator
+from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, kind_of
+from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step
@@ -203,7 +201,7 @@ def test_one_that_ends_its_process_aborts_its_episodes_by_name():
 
 
 SOURCE = """
-from skd_sim.world.simulator import WorldSimulator
+from skd_sim.simulators.simulator import WorldSimulator
 class Prints(WorldSimulator):
     def step(self, acceleration, velocity):
         print('{"margin": 9}')

@@ -23,12 +23,10 @@ from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_m
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
-from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.randomness import controller_generator, controller_seed
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, controller_generator, controller_seed
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 from skd_sim.world.world import make_world
 
 POINTS = [(-3.5 + 0.75 * k, 0.3 * math.sin(k)) for k in range(8)]

@@ -9,7 +9,7 @@ from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.mean_deviation import Attempts, MeanDeviation, mean_deviation
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 STEP = 0.3
 

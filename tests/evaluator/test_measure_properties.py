@@ -18,7 +18,7 @@ from skd_evaluator.metrics.statistics.statistics import mean, normal_interval, s
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 STEP = CROSSING.time_step

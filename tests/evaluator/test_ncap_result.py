@@ -14,8 +14,8 @@ from skd_evaluator.extensions.ncap.result import RESULT, Cell, Grid, Ncap, as_da
 from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.known_scenarios import SCENARIOS, lineage
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS, lineage
 
 KMH = 1.0 / 3.6
 

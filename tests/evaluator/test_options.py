@@ -19,14 +19,20 @@ from skd_evaluator.cli.commands.assess import graph_options
 from skd_evaluator.cli.options import add_commands
 from skd_sim.errors import UsageError
 from skd_sim.options import options as table
-from skd_sim.options.graph_options import SimulatorOptions
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import BOTH, Objective
-from skd_sim.options.options import FIELDS, EpisodeOptions, option, options_from_text, options_of, options_to_text
+from skd_sim.options.adversary import BOTH, Knowledge, Objective
+from skd_sim.options.options import (
+    FIELDS,
+    EpisodeOptions,
+    SimulatorOptions,
+    option,
+    options_from_text,
+    options_of,
+    options_to_text,
+)
 from skd_sim.ros.from_messages import message_to_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-2.0, 0.0), (2.0, 0.0)]), CROSSING.time_step, "across")

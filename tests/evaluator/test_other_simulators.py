@@ -14,11 +14,11 @@ from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.report.warnings import contact_warnings
 from skd_sim.errors import UsageError
-from skd_sim.options.simulators import SIMULATORS
+from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.simulator import Frame, WorldSimulator
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 

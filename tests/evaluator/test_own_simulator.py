@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.aborts import AbortKind
-from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.simulator import Frame, SimulatorError, WorldSimulator
+from skd_sim.simulators.simulator import Frame, SimulatorError, WorldSimulator
+from skd_sim.world.episode import AbortKind, Episode, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import Contact
 

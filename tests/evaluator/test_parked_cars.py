@@ -19,11 +19,10 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.distances.least_way import LeastWay
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 NORTH = float(np.pi / 2)

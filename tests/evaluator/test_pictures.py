@@ -24,7 +24,7 @@ from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.pictures import save_sweep, save_trajectories
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

@@ -16,7 +16,7 @@ from skd_evaluator.assessment.stages.written import picture_names
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.terminal import headline_table
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective, objectives_named
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from test_campaign import StubRunner, attempt, quiet, straight

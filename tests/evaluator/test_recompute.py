@@ -25,11 +25,10 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, abort_reason, kind_of
+from skd_sim.world.state import Trajectory
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "examples" / "recompute"

@@ -31,13 +31,12 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.errors import AssessmentError
-from skd_sim.scenario.known_scenarios import shipped_scenarios
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.command_ages import Timing
+from skd_sim.scenario.scenario_file import shipped_scenarios
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
+from skd_sim.world.timing import Timing
 
 CROSSING = load_scenario("crossing")
 STARTS, LIMIT = CROSSING.car.start_speed, CROSSING.collision.hit_speed

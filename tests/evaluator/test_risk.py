@@ -23,10 +23,10 @@ from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, 
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20)

@@ -23,7 +23,7 @@ from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
 from skd_evaluator.metrics.statistics.difference import Difference
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)

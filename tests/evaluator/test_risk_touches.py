@@ -26,7 +26,7 @@ from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 WALKERS = load_behaviour("walkers")
 CROSSING = load_scenario("crossing")

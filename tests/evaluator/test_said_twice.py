@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.files.episodes_npz import Column, read_arrays
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import parse_json
+from skd_sim.inputs.files import parse_json
 
 
 @pytest.mark.parametrize("text", ['{"margin": 9.9, "margin": 0.6}', '[{"a": {"b": 1, "margin": 2, "margin": 2}}]'])

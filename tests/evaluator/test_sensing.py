@@ -12,13 +12,12 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.cli.main import main
 from skd_evaluator.errors import AssessmentError
 from skd_sim.controllers import SensingController
-from skd_sim.controllers.user_controller import user_controller
+from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.sensors import PlanarLaser, Scan
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 CROSSING = load_scenario("crossing")
 ACROSS = Trajectory(np.array([(-3.5 + 0.75 * tick, 0.0) for tick in range(8)]), CROSSING.time_step)

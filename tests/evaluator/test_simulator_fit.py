@@ -128,7 +128,7 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
 def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
     from skd_evaluator.assessment.run.runner import run_episode
     from skd_sim.world.episode import Episode, Mode
-    from skd_sim.world.trajectory import Trajectory
+    from skd_sim.world.state import Trajectory
 
     speeds: list[float] = [float(states[0, 3])]
     step, inner = shown.step, shown._inner

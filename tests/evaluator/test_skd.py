@@ -12,7 +12,7 @@ from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_evaluator.metrics.statistics.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 STEP = 0.3
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from skd_evaluator.report.side_by_side import equal_remarks
 from skd_evaluator.report.terminal import few_safe_trajectories, narrow_table, print_table
 from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.options.registry import Registry
 
 NOISY = """

@@ -16,9 +16,9 @@ from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
 

@@ -17,11 +17,10 @@ from skd_evaluator.assessment.learning.waiting import CHOICES, TRIALS, with_wait
 from skd_evaluator.assessment.plan.plan import Plan, split_episode_id
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 CROSSING = load_scenario("crossing")
 STANDS = Trajectory(np.zeros((4, 2)), CROSSING.time_step)

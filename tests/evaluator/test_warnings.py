@@ -13,8 +13,7 @@ from skd_evaluator.assessment.stages.findings import figure_warnings, too_many_a
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_evaluator.report.warnings import margin_warnings
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.episode import EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason
 from test_campaign import attempt, straight
 
 CROSSING = load_scenario("crossing")

@@ -19,8 +19,7 @@ from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.aborts import AbortKind, abort_reason, counted_reasons, kind_of
-from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.episode import AbortKind, Mode, Outcome, abort_reason, counted_reasons, kind_of
 
 
 class Over(ExecutorRunner):

@@ -23,7 +23,7 @@ from skd_evaluator.report.html.rows import figure_rows
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.summary import csv_table
 from skd_evaluator.report.terminal import details_table
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 FIGURE = "margin_p10"
 LABEL = "margin that 10 % of the attempts do not exceed (m)"

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import shapely
 import yaml
-from skd_sim.options.frames import FRAMES
+from skd_sim.options.options import FRAMES
 from skd_sim.scenario.scenario import load_scenario
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from skd_evaluator.extensions.exchange.scene import ExportedEpisode, actors_of, start_of
 from skd_evaluator.metrics.surrogate.scenes import Course, course_of
-from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS
 
 ROOT = Path(__file__).resolve().parents[2]
 READERS = Path(os.environ.get("SKD_READERS", ROOT / ".venv-readers")) / "bin" / "python"

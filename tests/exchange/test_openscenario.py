@@ -14,11 +14,10 @@ from exchange_support import checked, passes, recorded, safe, scenarios, walk
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.extensions.exchange.scene import stretch
 from skd_evaluator.extensions.exchange.xml_formats import opendrive, write_openscenario, write_road
-from skd_sim.scenario.kinds import ROAD_USERS, called
-from skd_sim.scenario.known_scenarios import SCENARIOS
 from skd_sim.scenario.road import ONCOMING
-from skd_sim.scenario.road_user import Other, Waypoint
+from skd_sim.scenario.road_user import ROAD_USERS, Other, Waypoint, called
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS
 
 
 def written(folder: Path, one) -> Path:

@@ -15,10 +15,10 @@ from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.ros.evaluator import assessment_to_message
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}
 IN_WORDS = {"equivalent_multiplier", "equivalent_multiplier_ci95", "margin_converged"}

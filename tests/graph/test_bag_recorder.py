@@ -20,8 +20,8 @@ from skd_sim.ros.commands import message_class
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, CLOCK, EGO_ODOMETRY
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.stamps import period_stamp, tick_stamp
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
+from skd_sim.world.timing import period_stamp, tick_stamp
 
 START, TICKS, PERIODS = 1_000_000_000, 3, 3
 DRIVE, WALK = "/cmd_vel", "/adversary/velocity_command"

@@ -49,9 +49,8 @@ from skd_sim.ros.to_messages import acceleration_command, episode_to_message, to
 from skd_sim.ros_environment.installation import MessagePackage, build_messages, find_compiler
 from skd_sim.ros_environment.variables import is_sourced
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.carla_objects import objects
+from skd_sim.simulators.carla import Placement, objects
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.placement import Placement
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
@@ -352,7 +351,7 @@ def test_the_file_of_actors_has_everybody() -> None:
 
 @pytest.mark.parametrize(("argument", "code"), [("cyclist", 0), ("nothing_such", 2), ("", 2)])
 def test_the_file_is_written_by_one_command(argument: str, code: int) -> None:
-    command = [sys.executable, "-m", "skd_sim.simulators.carla_objects", *([argument] if argument else [])]
+    command = [sys.executable, "-m", "skd_sim.simulators.carla", *([argument] if argument else [])]
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert finished.returncode == code
     if code == 0:

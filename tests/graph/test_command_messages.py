@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy
 from skd_sim.errors import UsageError
-from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import NAMED_FORMATS, CarCommands, Quantity, car_commands
 from std_msgs.msg import Float64MultiArray, Header
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Outcome, kind_of
 
 COME_LATE = 5000  # episodes: some ten seconds, within which a node that has been started is there
 LOST = {"lockstep": {}, "real_time": {"pacing": "real_time", "rate_factor": 2.0, "slip_limit": PATIENCE}}

@@ -28,12 +28,12 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.options.simulators import WORLD
+from skd_sim.options.car_under_test import WORLD
 from skd_sim.ros import support
 from skd_sim.ros.commands import message_class
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
-from skd_sim.world.stamps import NANOSECONDS
+from skd_sim.world.timing import NANOSECONDS
 from tf2_msgs.msg import TFMessage
 
 HEARD = {

@@ -12,7 +12,7 @@ from skd_sim.ros.support import EpisodeFollower
 from skd_sim.ros.to_messages import episode_to_message
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.stamps import NANOSECONDS, period_stamp
+from skd_sim.world.timing import NANOSECONDS, period_stamp
 
 START = NANOSECONDS
 SCENARIO = load_scenario("crossing")

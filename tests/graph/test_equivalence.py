@@ -21,12 +21,11 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.sensors import Scan
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory
 
 DIGESTED = (
     "car", "episode_id", "impact_speed", "impact_time", "mode", "objective", "offsets", "outcome", "positions",

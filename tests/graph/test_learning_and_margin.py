@@ -23,8 +23,7 @@ from skd_evaluator.assessment.stages.pipeline import learned_plan
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.credibility import not_credible
 from skd_sim.controllers import BasicController
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
 BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p", "controller:=basic"]

@@ -16,8 +16,7 @@ from graph_support import assert_same_log
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
 
 PERIODS = 100
 """The car's decisions in a tick: an episode of nine ticks has some 800 states."""

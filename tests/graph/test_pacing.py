@@ -21,8 +21,7 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
 from skd_sim.world.state import AdversaryState, CarState
 
 STALL = 0.5  # s

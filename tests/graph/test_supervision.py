@@ -15,8 +15,7 @@ from common import wait_until
 from graph_support import Skd, of_node, whole_graph
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Episode, Outcome
+from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
 
 
 @pytest.mark.parametrize(

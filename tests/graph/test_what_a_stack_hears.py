@@ -18,13 +18,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profi
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2
-from skd_sim.options.graph_options import StateOptions
+from skd_sim.options.options import StateOptions
 from skd_sim.ros import state_publisher
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.simulator import Frame, WorldSimulator
-from skd_sim.world.stamps import period_stamp
+from skd_sim.world.timing import period_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 

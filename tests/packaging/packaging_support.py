@@ -13,8 +13,7 @@ from typing import Any
 import yaml
 from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.cli.options import add_commands
-from skd_sim.options.graph_options import SimulatorOptions
-from skd_sim.options.options import options_of
+from skd_sim.options.options import SimulatorOptions, options_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "ros_ws" / "src"

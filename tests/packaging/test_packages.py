@@ -19,7 +19,7 @@ from packaging_support import (
 )
 from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions
-from skd_sim.options.graph_options import SimulatorOptions
+from skd_sim.options.options import SimulatorOptions
 from skd_sim.ros.support import settings_of
 
 PACKAGES = ("skd_msgs", *PYTHON_PACKAGES)

@@ -11,7 +11,7 @@ import numpy as np
 from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.world.episode import EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 
 def crossing(pace: float, ticks: int, name: str) -> Trajectory:

@@ -15,7 +15,7 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifes
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.bags.checks import find_recordings
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog
 

@@ -14,8 +14,7 @@ from skd_evaluator.assessment.learning.attempts import own_attempts
 from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros.recording import bag_name
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog
 

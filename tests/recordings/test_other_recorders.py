@@ -18,10 +18,10 @@ from skd_sim.controllers import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
-from skd_sim.world.command_ages import Timing
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import Timing
 
 Write = Callable[..., Path]
 Refused = Callable[..., str]

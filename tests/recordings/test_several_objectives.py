@@ -15,7 +15,7 @@ from recordings_support import attempts, crossing
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, judge_all
 from skd_evaluator.assessment.plan.plan import Plan, kamikaze_set, split_episode_id
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Source, Step
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
-from skd_sim.world.simulator import Frame
-from skd_sim.world.stamps import tick_stamp
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import tick_stamp
 from skd_sim.world.world import Contact
 
 CROSSING = load_scenario("crossing")

@@ -8,11 +8,11 @@ import sys
 
 import numpy as np
 import pytest
-from skd_sim.kernels.arithmetic import arithmetic_digest
+from skd_sim.kernels.compilation import arithmetic_digest
 
 
 def test_another_process_finds_the_same():
-    code = "from skd_sim.kernels.arithmetic import arithmetic_digest; print(arithmetic_digest())"
+    code = "from skd_sim.kernels.compilation import arithmetic_digest; print(arithmetic_digest())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == arithmetic_digest()
 

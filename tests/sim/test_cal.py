@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from skd_sim.controllers import CalController, Controller, SensingController, make_controller
-from skd_sim.controllers.cal import CalState
+from skd_sim.controllers.cal import FEATURES, CalState, HazardNetwork
 from skd_sim.errors import UsageError
-from skd_sim.hazard.network import HazardNetwork
-from skd_sim.hazard.perception import FEATURES
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario

@@ -6,8 +6,7 @@ from skd_sim.controllers import CarlaAgent
 from skd_sim.controllers.carla_agent import speed_factor
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.motion import next_speed, travelled
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, next_speed, travelled
 
 CROSSING = load_scenario("crossing")
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.simulators.carla_conversion import (
+from skd_sim.simulators.carla import (
+    Placement,
     adversary_from_odometry,
     car_from_odometry,
     pedals,
     walker_control,
     yaw_of,
 )
-from skd_sim.world.placement import Placement
 from skd_sim.world.state import AdversaryState, CarState
 
 COORDINATES = st.floats(-1e3, 1e3)

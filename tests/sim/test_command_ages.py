@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.world.command_ages import CommandAges, Schedule
+from skd_sim.world.timing import CommandAges, Schedule
 
 STEP = 100  # ns of simulation time between states
 

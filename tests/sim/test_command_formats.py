@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.ros.commands import follow_speed
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.dynamics.basic import CommandLimits
 
 BOUNDS = CommandLimits(-8.0, 3.0)
 SPEEDS = st.floats(0.0, 40.0)

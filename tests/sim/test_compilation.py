@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from common import PATIENCE
-from skd_sim.kernels.code_cache import digest_of
-from skd_sim.kernels.compilation import kernel, specialise
+from skd_sim.kernels.compilation import digest_of, kernel, specialise
 
 NUMBERS = """
 GRAVITY = 9.81
@@ -238,7 +237,7 @@ def test_digest_tells_every_two_values_apart_and_repeats():
 def test_digest_does_not_depend_on_the_process(mine):
     (mine / "print_digest.py").write_text(
         "import sys; sys.path.insert(0, sys.argv[0] and '.')\nfrom helpers_of_mine import fall\n"
-        "from skd_sim.kernels.code_cache import digest_of\nprint(digest_of(fall))\n"
+        "from skd_sim.kernels.compilation import digest_of\nprint(digest_of(fall))\n"
     )
     found = {run(mine, "print_digest.py", PYTHONHASHSEED=seed).stdout for seed in ("1", "2", "3")}
     assert len(found) == 1

@@ -12,25 +12,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.dynamics.actuator import apply_brake, new_brake
 from skd_sim.world.dynamics.multi_body import (
+    BMW_320I,
     FRONT,
+    GRAVITY,
     HEIGHT,
     PITCH,
     PITCH_RATE,
     REAR,
     SPEED,
     STATES,
+    TYRE,
     VERTICAL_SPEED,
     WHEELS,
     YAW,
     WheelInput,
     full_derivative,
+    peak_slip,
     straight_derivative,
+    straight_force,
 )
-from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, rest_state
-from skd_sim.world.dynamics.tyre import peak_slip, straight_force
-from skd_sim.world.dynamics.vehicle import BMW_320I, GRAVITY, TYRE
+from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, apply_brake, new_brake, rest_state
 from skd_sim.world.state import CarState
 
 BASE = load_scenario("crossing_multi_body")

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.dynamics.multi_body import (
+    BMW_320I,
     FRONT,
     HEIGHT,
     JOINTS,
@@ -19,18 +20,21 @@ from skd_sim.world.dynamics.multi_body import (
     PITCH,
     REAR,
     ROLL,
+    SOURCE_TYRE,
     SPEED,
     STATES,
     STEERING,
+    TYRE,
     VERTICAL_SPEED,
     WHEELS,
     YAW,
     YAW_RATE,
+    Tyre,
+    Vehicle,
     WheelInput,
     full_derivative,
 )
 from skd_sim.world.dynamics.multi_body_car import MultiBodyCar, rest_state
-from skd_sim.world.dynamics.vehicle import BMW_320I, SOURCE_TYRE, TYRE, Tyre, Vehicle
 from skd_sim.world.state import CarState
 from vehiclemodels.init_mb import init_mb
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb

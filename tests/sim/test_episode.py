@@ -5,8 +5,7 @@ import pytest
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")  # path edge 1.15 m
 MEETING = load_scenario("citr_crossing")  # path edge 0.85 m

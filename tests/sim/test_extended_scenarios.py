@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from skd_sim.errors import UsageError
-from skd_sim.scenario.known_scenarios import is_named
 from skd_sim.scenario.scenario import changed_scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario_file import is_named
 
 
 def written(folder: Path, name: str, text: str) -> str:

@@ -11,11 +11,10 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import Other
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.simulators.simulator import Frame, Simulator, WorldSimulator
+from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.heading import on_grid
-from skd_sim.world.simulator import Frame, Simulator, WorldSimulator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 FRAME = 0.05
 

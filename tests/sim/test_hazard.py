@@ -11,12 +11,22 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
-from skd_sim.hazard.network import HazardNetwork, load_network, save_network, shipped_network
-from skd_sim.hazard.perception import GAP, SCALE, Perception, associate, segment
-from skd_sim.hazard.region import REACTION_TIME, STANDOFF, on_collision_course
-from skd_sim.scenario.definition import Obstacle
+from skd_sim.controllers.cal import (
+    GAP,
+    REACTION_TIME,
+    SCALE,
+    STANDOFF,
+    HazardNetwork,
+    Perception,
+    associate,
+    load_network,
+    on_collision_course,
+    save_network,
+    segment,
+    shipped_network,
+)
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Obstacle, load_scenario
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
 from train_hazard_network import digest, fit, generate_scenes, probabilities_of, train
@@ -192,7 +202,7 @@ def test_the_same_seed_gives_the_same_weights():
 
 
 def test_the_shipped_record_is_of_the_shipped_weights():
-    folder = resources.files("skd_sim") / "hazard"
+    folder = resources.files("skd_sim") / "controllers"
     record = json.loads((folder / "hazard_network.json").read_text(encoding="utf-8"))
     assert digest(shipped_network()) == record["weights"]["sha256"]
     strict = {row["threshold"]: row for row in record["held_out"]["detection"]}[0.9]

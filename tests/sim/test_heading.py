@@ -4,7 +4,7 @@ import math
 
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.world.heading import heading_of, on_grid
+from skd_sim.world.state import heading_of, on_grid
 
 
 @given(st.floats(-100.0, 100.0))

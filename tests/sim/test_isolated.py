@@ -31,7 +31,7 @@ from skd_sim.controllers.isolated import (
     set_call_limit,
 )
 from skd_sim.errors import AssessmentError, UsageError
-from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import AbortKind, kind_of
 
 SLEEPS = "import os, sys, time; open(sys.argv[1] + '/' + str(os.getpid()), 'w').close(); time.sleep(1000)"
 

@@ -9,12 +9,10 @@ import shapely
 import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_sim.scenario.definition import Obstacle, Sensor
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Obstacle, Scenario, Sensor, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.sensors import PlanarLaser, make_laser
-from skd_sim.world.sensors.laser import disc_range, rectangle_range
+from skd_sim.world.sensors import PlanarLaser, disc_range, make_laser, rectangle_range
 from skd_sim.world.state import AdversaryState, CarState
 
 CROSSING = load_scenario("crossing")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.world.dynamics.limits import GRIP, command_limits
+from skd_sim.world.dynamics.basic import GRIP, command_limits
 from skd_sim.world.world import World
 
 CROSSING = load_scenario("crossing")

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_bench import LIMITS, START, TIME_STEP, Bench, Message, frame, send, stamp
 from skd_sim.ros.lockstep import Action, End, Repeat, Step
-from skd_sim.world.aborts import AbortKind, kind_of
-from skd_sim.world.episode import Outcome
+from skd_sim.world.episode import AbortKind, Outcome, kind_of
 from skd_sim.world.world import Contact
 
 

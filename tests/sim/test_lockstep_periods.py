@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_bench import ADVERSARY, CAR, CROSSING, START, TIME_STEP, Bench, Message, frame, send, stamp
 from skd_sim.ros.lockstep import Action, End, Start, Step
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
-from skd_sim.world.simulator import Frame
-from skd_sim.world.stamps import period_stamp
+from skd_sim.world.timing import period_stamp
 
 THRICE = dataclasses.replace(CROSSING, control_period=0.1)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from lockstep_bench import LIMITS, START, Bench, stamp
 from skd_sim.ros.lockstep import LEAD, End, Repeat, Step
-from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.world.episode import AbortKind, kind_of
 
 QUIET = 0.02
 

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 if importlib.util.find_spec("metadrive") is None:
     pytest.skip("MetaDrive is not installed: python -m pip install '.[metadrive]'", allow_module_level=True)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from skd_sim.controllers import make_controller
 from skd_sim.errors import UsageError
 from skd_sim.simulators.metadrive.pedals import Measured, Pedals
-from skd_sim.simulators.named_simulator import make_simulator, repeats_itself
+from skd_sim.simulators.simulator import make_simulator, repeats_itself
 
 PEDALS = Pedals(
     tuple(Measured(one, -20.0 * min(one, 0.4) - 5.0 * max(0.0, one - 0.4)) for one in Pedals.BRAKES),

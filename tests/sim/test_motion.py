@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.world.motion import braking_distance, draw_relative, next_speed, travelled
+from skd_sim.world.state import braking_distance, draw_relative, next_speed, travelled
 
 SPEED = 25.0 / 3.0  # m/s, 30 km/h
 STEP = 0.3  # s

@@ -10,14 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
-from skd_sim.scenario.checks import check_way
-from skd_sim.scenario.definition import Obstacle
 from skd_sim.scenario.road import road_pose
-from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Obstacle, Scenario, check_way, load_scenario, scenario_from_dict
+from skd_sim.world.contact import clearance, runs_into
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.obstruction import clearance, runs_into
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, Trajectory
 
 CROSSING = load_scenario("crossing")
 PARKED = Obstacle(-2.6, -3.0, math.pi / 2, 4.3, 1.8)

@@ -16,9 +16,8 @@ from skd_sim.controllers import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.sensors.laser import PlanarLaser
-from skd_sim.world.state import CarState, RoadUserState, Scene
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.sensors import PlanarLaser
+from skd_sim.world.state import CarState, RoadUserState, Scene, Trajectory
 
 BASE = load_scenario("crossing").as_dict()
 ASIDE = Trajectory(np.tile([-6.0, 0.0], (30, 1)), 0.3)  # an adversary who stays away
@@ -143,7 +142,7 @@ def test_who_stands_is_in_the_adversarys_way() -> None:
 
 
 def test_another_simulator_has_to_place_them() -> None:
-    from skd_sim.simulators.named_simulator import NamedSimulator
+    from skd_sim.simulators.simulator import NamedSimulator
 
     simulator = NamedSimulator()
     simulator._simulator, simulator._name = object(), "elsewhere"  # type: ignore[assignment]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import parse_json, read_bytes, read_json, read_text, read_xml
+from skd_sim.inputs.files import finite_number, parse_json, read_bytes, read_json, read_text, read_xml
 
 _LAUGHS = "".join(f'<!ENTITY l{n} "{f"&l{n - 1};" * 10}">' for n in range(1, 10))
 

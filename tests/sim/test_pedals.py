@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from skd_sim.controllers.pedals import DRAG, MAXIMUM_ACCELERATION, Pid, pedal_acceleration, sub_steps
+from skd_sim.controllers.carla_agent import DRAG, MAXIMUM_ACCELERATION, Pid, pedal_acceleration, sub_steps
 
 
 def test_pedals():

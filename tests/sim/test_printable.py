@@ -7,7 +7,7 @@ import unicodedata
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_sim.inputs.printable import one_line, printable
+from skd_sim.inputs.files import one_line, printable
 
 
 @given(st.text())

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Role, generator
 
 
 def test_roles_keep_their_numbers() -> None:

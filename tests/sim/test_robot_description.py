@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import pytest
-from skd_sim.options.frames import Frames
+from skd_sim.options.options import Frames
 from skd_sim.ros.state_publisher import robot_description
-from skd_sim.scenario.known_scenarios import shipped_scenarios
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import shipped_scenarios
 
 
 def numbers(element: ElementTree.Element | None, key: str) -> list[float]:

@@ -16,9 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import schema_of
-from skd_sim.scenario.definition import Scenario
-from skd_sim.scenario.known_scenarios import shipped_scenarios
-from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario_file import shipped_scenarios
 
 BASE = load_scenario("crossing").as_dict()
 FULL = load_scenario("cpnco").as_dict() | {

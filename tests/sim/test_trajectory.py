@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 POINTS = np.arange(10.0).reshape(5, 2)
 

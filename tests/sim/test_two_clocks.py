@@ -10,13 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.contact import rectangle_distance, to_car_frame
-from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
 from skd_sim.world.sensors import PlanarLaser
-from skd_sim.world.simulator import Frame, WorldSimulator
-from skd_sim.world.stamps import period_of, period_stamp, tick_stamp
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import period_of, period_stamp, tick_stamp
 from skd_sim.world.world import World, make_world
 
 CROSSING = load_scenario("crossing")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_sim.controllers import make_controller
-from skd_sim.controllers.user_controller import user_controller
+from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.sensors import Scan

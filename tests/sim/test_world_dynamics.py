@@ -11,11 +11,9 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.contact import first_contact, rectangle_distance, to_car_frame
-from skd_sim.world.dynamics.basic import BasicCar
-from skd_sim.world.dynamics.interface import make_dynamics
+from skd_sim.world.dynamics.basic import BasicCar, make_dynamics
 from skd_sim.world.dynamics.multi_body_car import MultiBodyCar
-from skd_sim.world.motion import draw_relative, next_speed, travelled
-from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.state import AdversaryState, CarState, draw_relative, next_speed, travelled
 from skd_sim.world.world import World
 
 BASIC = load_scenario("crossing")

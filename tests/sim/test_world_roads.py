@@ -13,7 +13,7 @@ from shapely import affinity
 from skd_sim.scenario.road import Part, Road, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.dynamics.basic import along_road
-from skd_sim.world.sensors.laser import PlanarLaser
+from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
 from skd_sim.world.world import World
 

@@ -8,13 +8,11 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.options.adversary import Knowledge
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.knowledge import Knowledge
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.randomness import Role, generator
-from skd_sim.world.state import CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import Episode, Mode, Role, generator
+from skd_sim.world.state import CarState, Trajectory
 
 from skd_adversary.car_models.car_model_file import fitted_car
 from skd_adversary.car_models.fitted_car import FittedCar

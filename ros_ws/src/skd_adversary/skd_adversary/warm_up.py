@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_sim.options.car_dynamics import BASIC, DYNAMICS
-from skd_sim.options.car_under_test import DEFAULT
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
+from skd_sim.options.car_under_test import BASIC, DEFAULT, DYNAMICS
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_adversary.car_models.car_forest import TICK, gridded, pack
 from skd_adversary.car_models.car_model_file import car_model_text

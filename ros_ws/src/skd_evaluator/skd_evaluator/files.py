@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import real_path
+from skd_sim.inputs.files import real_path
 
 MARKERS: Final = (
     "assessment.json", "sweep.json", "episode.json", "probe.json", "car_model.yaml", "comparison.json", "show.json",

@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import sha256_of
-from skd_sim.kernels.arithmetic import arithmetic_digest
+from skd_sim.inputs.files import sha256_of
+from skd_sim.kernels.compilation import arithmetic_digest
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 
 from skd_evaluator.files import MARKERS

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from skd_sim.scenario.scenario import load_scenario as load_scenario
     from skd_sim.simulators.framed_simulator import FramedSimulator as FramedSimulator
     from skd_sim.simulators.framed_simulator import FrameSource as FrameSource
+    from skd_sim.simulators.simulator import Frame as Frame
+    from skd_sim.simulators.simulator import Simulator as Simulator
+    from skd_sim.simulators.simulator import WorldSimulator as WorldSimulator
     from skd_sim.world.episode import Episode as Episode
     from skd_sim.world.episode import EpisodeLog as EpisodeLog
     from skd_sim.world.episode import Mode as Mode
     from skd_sim.world.episode import Outcome as Outcome
-    from skd_sim.world.sensors.scan import Scan as Scan
-    from skd_sim.world.simulator import Frame as Frame
-    from skd_sim.world.simulator import Simulator as Simulator
-    from skd_sim.world.simulator import WorldSimulator as WorldSimulator
+    from skd_sim.world.sensors import Scan as Scan
     from skd_sim.world.state import AdversaryState as AdversaryState
     from skd_sim.world.state import CarState as CarState
     from skd_sim.world.state import RoadUserState as RoadUserState
     from skd_sim.world.state import Scene as Scene
-    from skd_sim.world.trajectory import Trajectory as Trajectory
+    from skd_sim.world.state import Trajectory as Trajectory
 
 __all__ = [
     "AdversaryState",
@@ -62,20 +62,20 @@ _WHERE = {
     "Controller": "skd_sim.controllers.protocol",
     "Episode": "skd_sim.world.episode",
     "EpisodeLog": "skd_sim.world.episode",
-    "Frame": "skd_sim.world.simulator",
+    "Frame": "skd_sim.simulators.simulator",
     "FrameSource": "skd_sim.simulators.framed_simulator",
     "FramedSimulator": "skd_sim.simulators.framed_simulator",
     "Mode": "skd_sim.world.episode",
     "Outcome": "skd_sim.world.episode",
     "RoadUserState": "skd_sim.world.state",
-    "Scan": "skd_sim.world.sensors.scan",
+    "Scan": "skd_sim.world.sensors",
     "Scenario": "skd_sim.scenario.scenario",
     "Scene": "skd_sim.world.state",
     "SensingController": "skd_sim.controllers.protocol",
-    "Simulator": "skd_sim.world.simulator",
-    "Trajectory": "skd_sim.world.trajectory",
+    "Simulator": "skd_sim.simulators.simulator",
+    "Trajectory": "skd_sim.world.state",
     "UsageError": "skd_sim.errors",
-    "WorldSimulator": "skd_sim.world.simulator",
+    "WorldSimulator": "skd_sim.simulators.simulator",
     "kernel": "skd_sim.kernels.compilation",
     "load_scenario": "skd_sim.scenario.scenario",
 }

@@ -42,7 +42,7 @@ def test_scenarios_are_installed():
 
 def test_network_of_cal_is_installed():
     """Both its files."""
-    folder = Path(importlib.util.find_spec(PACKAGE).origin).parent / "hazard"
+    folder = Path(importlib.util.find_spec(PACKAGE).origin).parent / "controllers"
     assert [path.stat().st_size > 0 for path in sorted(folder.glob("hazard_network.*"))] == [True, True]
 
 

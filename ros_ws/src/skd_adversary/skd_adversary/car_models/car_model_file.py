@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import parse_json, read_bytes
 from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
-from skd_sim.inputs.outside import parse_json, read_bytes
 from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
 from skd_sim.scenario.scenario import Scenario
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from skd_sim.world.motion import braking_distance
+from skd_sim.world.state import braking_distance
 
 from skd_adversary.car_models.fitted_car import Parameter, Prior
 from skd_adversary.car_models.intervals import Estimate

@@ -16,7 +16,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.obstruction import runs_into
+from skd_sim.world.contact import runs_into
 
 from skd_adversary.crossing.interfaces import (
     advance_car,

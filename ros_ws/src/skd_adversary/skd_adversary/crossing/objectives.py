@@ -1,12 +1,12 @@
 """The objectives that there are, by name: a module each, imported when it is asked for.
 
-SKD's own, and those of installed packages, stand in `skd_sim.options.objective.OBJECTIVES`.
+SKD's own, and those of installed packages, stand in `skd_sim.options.adversary.OBJECTIVES`.
 """
 
 from __future__ import annotations
 
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import OBJECTIVES
+from skd_sim.options.adversary import OBJECTIVES
 
 from skd_adversary.crossing.parts import ObjectiveModel
 

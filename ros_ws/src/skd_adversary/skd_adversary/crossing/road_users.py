@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from skd_sim.errors import UsageError
-from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
 
 from skd_adversary.crossing.parts import RoadUserModel

@@ -9,8 +9,8 @@ import numpy as np
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from skd_sim.options.frames import MAP_FRAME
-from skd_sim.options.objective import DEFAULT_OBJECTIVES
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES
+from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_car
 from skd_sim.ros.support import (
     BELIEVED_CAR,

@@ -1,6 +1,6 @@
 """Safe trajectories φ from files, plain csv and the recordings of the CITR dataset, and those of a regulator's test."""
 
-from skd_sim.scenario.known_scenarios import REGULATORY
+from skd_sim.scenario.scenario_file import REGULATORY
 
 from skd_adversary.safe_trajectories.citr import is_citr, read_citr
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory

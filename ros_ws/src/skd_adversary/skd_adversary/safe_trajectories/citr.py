@@ -20,11 +20,10 @@ import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.scenario.checks import check_way
 from skd_sim.scenario.road import right_and_along
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario import Scenario, check_way
 from skd_sim.world.contact import first_contact, to_car_frame
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_adversary.crossing.road_user import pedestrian
 from skd_adversary.safe_trajectories.car_frame import seen_from_car

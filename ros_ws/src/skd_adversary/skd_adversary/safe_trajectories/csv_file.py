@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
-from skd_sim.scenario.checks import check_way, start_clearance
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario import Scenario, check_way, start_clearance
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.table import read_table, resample, too_fast

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.scenario.checks import check_way
-from skd_sim.scenario.known_scenarios import REGULATORY
 from skd_sim.scenario.protocol import regulatory_trajectories
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.scenario.scenario import Scenario, check_way
+from skd_sim.scenario.scenario_file import REGULATORY
+from skd_sim.world.state import Trajectory
 
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import is_there, read_text
+from skd_sim.inputs.files import finite_number, is_there, read_text
 
 _MOST = 1_000_000
 """Rows of a file, each of which takes some two hundred bytes of memory."""

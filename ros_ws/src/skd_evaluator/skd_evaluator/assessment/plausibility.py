@@ -19,7 +19,7 @@ from skd_adversary.crossing.safe_path import path_velocities
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import basic_acceleration
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_dynamics import DYNAMICS
+from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.road import (
     HEADING_NORTH,
     beside_road,
@@ -31,8 +31,7 @@ from skd_sim.scenario.road_user import Body
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance, sweep, to_car_frame
 from skd_sim.world.dynamics.basic import along_road
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 from skd_adversary.car_models import Recording
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import folders_in, read_json
+from skd_sim.inputs.files import folders_in, read_json
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.episodes_npz import Array, Column, episode_columns, read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged

@@ -12,9 +12,8 @@ from textwrap import dedent
 
 import yaml
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import is_there, read_json, read_text, real_path, sha256_of
-from skd_sim.world.aborts import counts_in_words
-from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.inputs.files import is_there, read_json, read_text, real_path, sha256_of
+from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 
 from skd_evaluator.assessment.files.result_folder import MANIFEST, read_manifest
 from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id

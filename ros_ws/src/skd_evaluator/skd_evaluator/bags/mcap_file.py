@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular
+from skd_sim.inputs.files import open_regular
 from skd_sim.ros_environment.installation import PREFIX, message_package, packages_without_wheel
 
 

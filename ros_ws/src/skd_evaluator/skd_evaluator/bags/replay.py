@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.options.options import options_of, shared_options
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.assessment.judge.repeatability import standing

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.report.terminal import counted

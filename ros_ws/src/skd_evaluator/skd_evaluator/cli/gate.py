@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import real_path
+from skd_sim.inputs.files import finite_number, real_path
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file

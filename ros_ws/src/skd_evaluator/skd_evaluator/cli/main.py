@@ -12,7 +12,7 @@ from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 from skd_sim.start import import_lasting
 
 from skd_evaluator.cli.output import give_up, keep_for_json

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from skd_sim.options.objective import OBJECTIVES
+from skd_sim.options.adversary import OBJECTIVES
 
 from skd_evaluator.assessment.plan.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import (

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 
 from skd_evaluator.cli import options
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 from rich.table import Table
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import YesNo, limits, read_model
-from skd_sim.inputs.outside import read_json
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged

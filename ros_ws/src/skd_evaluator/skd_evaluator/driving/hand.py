@@ -19,9 +19,8 @@ from skd_adversary.adversary import Adversary
 from skd_sim.controllers import make_controller
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.named_simulator import NamedSimulator
+from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.episode import Episode, EpisodeLog
-from skd_sim.world.simulator import Frame
 from skd_sim.world.state import CarState
 
 from skd_evaluator.assessment.run.runner import run_episode

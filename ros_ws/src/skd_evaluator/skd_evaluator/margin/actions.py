@@ -19,8 +19,7 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.crossing.safe_path import path_velocity
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_dynamics import DYNAMICS
-from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
 

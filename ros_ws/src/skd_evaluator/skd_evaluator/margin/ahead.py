@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
-from skd_sim.kernels.code_cache import is_kept
+from skd_sim.kernels.compilation import is_kept
 
 from skd_evaluator.assessment.run.workers import available_workers, in_background
 from skd_evaluator.margin.assessment_margin import warm_up_margins

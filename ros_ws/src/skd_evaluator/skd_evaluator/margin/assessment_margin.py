@@ -14,8 +14,8 @@ from typing import Any
 
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.errors import UsageError
-from skd_sim.options.simulators import is_own_world
-from skd_sim.simulators.named_simulator import repeats_itself
+from skd_sim.options.car_under_test import is_own_world
+from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
 from skd_evaluator.assessment.judge.rating import Rating

@@ -21,11 +21,10 @@ import numpy.typing as npt
 from skd_adversary.crossing.road_user.pedestrian import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.car_dynamics import BASIC
-from skd_sim.options.simulators import WORLD
+from skd_sim.options.car_under_test import BASIC, WORLD
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner

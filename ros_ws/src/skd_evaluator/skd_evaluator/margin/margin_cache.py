@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json
+from skd_sim.inputs.files import read_json
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 DEFINITION = 2
 """Of the margin of an attempt: one more whenever what `exact_margin` gives for the same episode changes."""

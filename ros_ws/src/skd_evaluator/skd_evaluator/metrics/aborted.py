@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
 _TOTAL: Final = "episodes"
 _ALONG: Final = ("collision_rate", "hit_rate")

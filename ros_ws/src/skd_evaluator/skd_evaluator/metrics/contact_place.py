@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 
 from skd_sim.arrays import FloatArray
-from skd_sim.options.car_dynamics import DYNAMICS
+from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
 from skd_sim.world.episode import EpisodeLog, Outcome, until_contact
-from skd_sim.world.motion import travelled
+from skd_sim.world.state import travelled
 
 Pose = tuple[float, float, float]
 """x, y, m, and heading, rad."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from skd_sim.scenario.road import right_and_along
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.distances.measures import Measure, Pair
 

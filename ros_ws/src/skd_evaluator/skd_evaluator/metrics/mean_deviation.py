@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.distances.deviation import deviation_pairs
 from skd_evaluator.metrics.distances.measures import Measure

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
 from skd_evaluator.metrics.distances.measures import Measure, Pair

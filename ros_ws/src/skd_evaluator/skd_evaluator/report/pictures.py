@@ -19,7 +19,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.judge.assessment import Assessment

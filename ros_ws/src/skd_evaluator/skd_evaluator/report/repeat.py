@@ -7,11 +7,11 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from skd_sim.options.adversary import Knowledge, default_knowledge
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.knowledge import Knowledge, default_knowledge
 from skd_sim.options.options import Option, options_of
-from skd_sim.scenario.known_scenarios import is_named
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import is_named
 from skd_sim.world.episode import Mode
 
 from skd_evaluator.assessment.plan.options import CampaignOptions

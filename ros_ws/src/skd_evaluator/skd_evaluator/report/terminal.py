@@ -13,9 +13,9 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
+from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.metrics.credibility import not_credible

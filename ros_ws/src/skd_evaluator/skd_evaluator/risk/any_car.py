@@ -12,8 +12,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, Trajectory
 
 from skd_evaluator.assessment.judge.struck import ADVERSARY, struck
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id

@@ -13,10 +13,9 @@ from typing import Any, Final
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.options.simulators import is_own_world
-from skd_sim.simulators.named_simulator import repeats_itself
-from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.randomness import Role, generator
+from skd_sim.options.car_under_test import is_own_world
+from skd_sim.simulators.simulator import repeats_itself
+from skd_sim.world.episode import EpisodeLog, Role, generator
 
 from skd_evaluator.assessment.judge.failures import Walkers, failures_of
 from skd_evaluator.assessment.judge.rating import Rating

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.metrics.behaviour.walking import normals_of

@@ -12,7 +12,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import road_pose
 from skd_sim.world.contact import sweep, to_car_frame
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.motion import next_speed, travelled
+from skd_sim.world.state import next_speed, travelled
 
 from skd_evaluator.metrics.behaviour.walking import walk
 from skd_evaluator.risk.crossings import Crossings, Encounter, Ends

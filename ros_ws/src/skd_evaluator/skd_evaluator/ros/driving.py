@@ -15,13 +15,13 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from skd_adversary.adversary import Adversary, make_adversary
 from skd_adversary.ros.adversary_node import AdversaryNode
-from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import Quantity, car_commands
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary
 from skd_sim.ros.support import ADVERSARY_ODOMETRY, STREAM, spin
-from skd_sim.world.command_ages import CommandAges
 from skd_sim.world.episode import Episode, EpisodeLog
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import CommandAges
 
 from skd_evaluator.driving.hand import Drive, HandFor, LeftError, Show, Wish
 from skd_evaluator.driving.situation import Onlooker

@@ -27,8 +27,8 @@ from skd_msgs.msg import Assessment as AssessmentMsg
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 from skd_sim.errors import UsageError
-from skd_sim.options.graph_options import CommandOptions
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import is_own_world
+from skd_sim.options.options import CommandOptions
 from skd_sim.ros.commands import car_commands
 from skd_sim.ros.discovery import kind_name, living_publishers, second_publisher
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
@@ -48,12 +48,10 @@ from skd_sim.ros.support import (
     GraphNode,
 )
 from skd_sim.ros.to_messages import episode_to_message, to_stamp
-from skd_sim.simulators.named_simulator import NamedSimulator
-from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
-from skd_sim.world.simulator import Frame
-from skd_sim.world.stamps import NANOSECONDS, next_start, tick_stamp
+from skd_sim.simulators.simulator import Frame, NamedSimulator
+from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Outcome, abort_reason, kind_of
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import NANOSECONDS, next_start, tick_stamp
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 

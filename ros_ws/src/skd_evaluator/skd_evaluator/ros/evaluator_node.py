@@ -15,9 +15,8 @@ from pathlib import Path
 
 from rclpy.executors import ExternalShutdownException
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.graph_options import CommandOptions
-from skd_sim.options.objective import objectives_named
-from skd_sim.options.options import options_of, values_of
+from skd_sim.options.adversary import objectives_named
+from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import Setting, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 

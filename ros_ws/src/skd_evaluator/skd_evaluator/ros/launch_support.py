@@ -16,8 +16,7 @@ from launch.launch_context import LaunchContext
 from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
-from skd_sim.options.graph_options import SimulatorOptions
-from skd_sim.options.options import options_of
+from skd_sim.options.options import SimulatorOptions, options_of
 from skd_sim.start import remedy_for_executables
 
 from skd_evaluator.assessment.plan.options import CampaignOptions

@@ -24,12 +24,10 @@ from typing import IO
 
 from skd_sim.controllers.isolated import FAILED_STARTS
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import printable
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.simulators import WORLD
+from skd_sim.inputs.files import printable
+from skd_sim.options.car_under_test import WORLD, CarUnderTest
 from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
-from skd_sim.world.aborts import AbortKind, abort_reason, kind_of
-from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.episode import AbortKind, EpisodeLog, Outcome, abort_reason, kind_of
 
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError

@@ -31,7 +31,7 @@ from skd_sim.ros.support import (
 )
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
-from skd_sim.world.stamps import period_stamp, tick_stamp
+from skd_sim.world.timing import period_stamp, tick_stamp
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skd_sim.errors import UsageError
-from skd_sim.options.graph_options import LOCKSTEP
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
+from skd_sim.options.options import LOCKSTEP
 from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
-from skd_sim.world.aborts import counts_in_words
+from skd_sim.world.episode import counts_in_words
 
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.judge.repeatability import Fresh

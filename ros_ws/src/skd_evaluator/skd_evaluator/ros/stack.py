@@ -34,8 +34,8 @@ from skd_sim.ros.discovery import (
     why_no_command,
 )
 from skd_sim.ros.support import EGO_ODOMETRY
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.stamps import NANOSECONDS, stamp_fault
+from skd_sim.world.episode import AbortKind, abort_reason
+from skd_sim.world.timing import NANOSECONDS, stamp_fault
 
 _WAKE = 0.1  # s
 _FAREWELL = 2.0  # s in which all nodes together have to be down at the end

@@ -13,17 +13,16 @@ import numpy as np
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
-from skd_sim.options.frames import MAP_FRAME
+from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
 from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
 from skd_sim.ros.to_messages import to_stamp
-from skd_sim.scenario.kinds import height_of
 from skd_sim.scenario.road import Road, road_pose, road_position
-from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog
-from skd_sim.world.stamps import period_of, tick_stamp
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import period_of, tick_stamp
 from std_msgs.msg import Float64
 from visualization_msgs.msg import Marker, MarkerArray
 

@@ -3,7 +3,7 @@
 from skd_sim.controllers.basic import PAPER_MULTIPLIERS, BasicController, basic_acceleration
 from skd_sim.controllers.cal import CalController
 from skd_sim.controllers.carla_agent import CarlaAgent
-from skd_sim.controllers.factory import make_controller
+from skd_sim.controllers.loading import make_controller
 from skd_sim.controllers.protocol import (
     BatchController,
     Controller,

@@ -1,23 +1,316 @@
 """The paper's ML controller: the longitudinal law of Conditional Affordance Learning (Sauer et al. 2018).
 
-Its states are Cruising and Hazard Stop. The probability of a hazard comes from the network in `skd_sim.hazard`, which
-sees the car's laser scans; somebody who has just come into view is assumed to run towards the path, until their motion
-is seen. It decides 20 times a second, each time on a scan of its own.
+Its states are Cruising and Hazard Stop. The probability of a hazard comes from a network that sees the car's laser
+scans; somebody who has just come into view is assumed to run towards the path, until their motion is seen. It decides
+20 times a second, each time on a scan of its own.
+
+What the network learns is a substitute for the label of a hazard stop, which was never published. The car's *stopping
+zone* is the ground that it cannot help covering: as wide as the car, from the front bumper to where it stands if it
+reacts for one tick and then brakes fully, and 1 m more. An adversary is on a collision course within braking range if
+its disc, kept at its present velocity, meets the zone before the car would stand.
+
+From scans to the network's input: neighbouring returns belong together unless a gap parts them (jump distance
+segmentation). Each segment is an object: its centre and its width. A scan shows only the near side of a pedestrian: if
+it is a disc, the centroid of the returns lies before its centre by π/4 of the radius, in the beams' direction, which
+turns as the car drives past. Its velocity is the way from the nearest object of the scan `WINDOW` ago, in the world
+frame, so that the car's own motion is out of it; over less, the scanner's noise would outweigh a step.
 """
 
 from __future__ import annotations
 
+import functools
+import math
+from collections import deque
 from enum import Enum
+from importlib import resources
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from skd_sim.controllers.pedals import CONTROL_PERIOD, KILOMETRES_PER_HOUR, Pid, pedal_acceleration
+from skd_sim.arrays import FloatArray
+from skd_sim.controllers.carla_agent import CONTROL_PERIOD, KILOMETRES_PER_HOUR, Pid, pedal_acceleration
 from skd_sim.errors import UsageError
-from skd_sim.hazard.network import HazardNetwork, shipped_network
-from skd_sim.hazard.perception import Perception
+from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.sensors.scan import Scan
+from skd_sim.world.contact import first_contact
+from skd_sim.world.sensors import FloatRanges, Scan
 from skd_sim.world.state import AdversaryState, CarState
+
+REACTION_TIME = 0.3  # s: one tick
+STANDOFF = 1.0  # m ahead of the bumper that stay free
+MARGIN = 0.1  # m around the zone, of the label
+MARGIN_TIME = 0.08  # s that the label follows the course for longer
+
+
+@kernel
+def stopping_zone(speed: float, deceleration: float) -> float:
+    """Return how far (m) the stopping zone reaches ahead of the bumper.
+
+    Args:
+        speed: speed of the car, m/s.
+        deceleration: deceleration of the car at full brake, m/s² (> 0).
+    """
+    return speed * REACTION_TIME + speed * speed / (2.0 * deceleration) + STANDOFF
+
+
+@kernel
+def time_to_stand(speed: float, deceleration: float) -> float:
+    """Return the time (s) from now to standstill, the reaction included; arguments as `stopping_zone`."""
+    return REACTION_TIME + speed / deceleration
+
+
+@kernel
+def on_collision_course(
+    ahead: float,
+    left: float,
+    velocity_ahead: float,
+    velocity_left: float,
+    speed: float,
+    half_width: float,
+    radius: float,
+    deceleration: float,
+    margin: float,
+    margin_time: float,
+) -> bool:
+    """Return whether an adversary's course meets the stopping zone before the car would stand.
+
+    Args:
+        ahead: how far the adversary's centre is ahead of the front bumper, m.
+        left: how far the adversary's centre is to the left of the car's axis, m.
+        velocity_ahead: velocity of the adversary over ground, along the car's axis, m/s.
+        velocity_left: velocity of the adversary over ground, to the left, m/s.
+        speed: speed of the car, m/s.
+        half_width: half width of the car, m.
+        radius: radius of the adversary, m.
+        deceleration: deceleration of the car at full brake, m/s² (> 0).
+        margin: by how much the zone is widened, m; 0 for the collision course itself.
+        margin_time: by how much longer the course is followed, s; 0 for the collision course itself.
+    """
+    horizon = time_to_stand(speed, deceleration) + margin_time
+    reach = stopping_zone(speed, deceleration) + margin
+    ahead_after, left_after = ahead + horizon * velocity_ahead, left + horizon * velocity_left
+    contact = first_contact(ahead, left, ahead_after, left_after, reach, 0.0, half_width + margin, radius)
+    return contact <= 1.0
+
+
+WINDOW = 0.3  # s over which a velocity is taken, as far as scans come more often
+GAP = 0.4  # m between returns of different objects
+WALKER_RADIUS = 0.25  # m, about half the width of a standing adult
+NEAR_SIDE = math.pi / 4.0  # mean of √(1 − u²) over u in (−1, 1)
+WIDEST_WALKER = 1.0  # m; a wider object is taken to stand: what is seen of it changes more than it moves
+FASTEST_WALKER = 4.0  # m/s
+UNKNOWN_WALKER = 8.0 / 3.6  # m/s, of one whose velocity has not been seen: the running adult of Euro NCAP's AEB VRU
+MAXIMUM_OBJECTS = 64
+FEATURES = 9
+"""Inputs of the network, see `network_input`."""
+SCALE = 0.25  # per metre or second: brings the inputs to the order of one
+
+
+@kernel
+def segment(ranges: FloatRanges, first: float, increment: float, gap: float) -> FloatArray:
+    """Return the objects of a scan, k × 3: centre ahead and left of the sensor, width (m).
+
+    The centre of a wide object is the centroid of its returns, that of a possible pedestrian is a part of a radius
+    behind.
+
+    Args:
+        ranges: range of each beam, m; infinite where nothing came back.
+        first: bearing of the first beam, rad.
+        increment: angle between neighbouring beams, rad.
+        gap: distance of consecutive returns that belong to different objects, m.
+    """
+    objects = np.empty((MAXIMUM_OBJECTS, 3))
+    count = points = 0
+    sum_ahead = sum_left = start_ahead = start_left = last_ahead = last_left = 0.0
+    for beam in range(len(ranges) + 1):
+        closing = beam == len(ranges)
+        ahead = left = 0.0
+        if not closing:
+            distance = float(ranges[beam])
+            if not math.isfinite(distance):
+                continue
+            bearing = first + beam * increment
+            ahead, left = distance * math.cos(bearing), distance * math.sin(bearing)
+        if points > 0 and (closing or math.hypot(ahead - last_ahead, left - last_left) > gap):
+            objects[count, 0] = sum_ahead / points
+            objects[count, 1] = sum_left / points
+            objects[count, 2] = math.hypot(last_ahead - start_ahead, last_left - start_left)
+            if objects[count, 2] <= WIDEST_WALKER:
+                behind = 1.0 + NEAR_SIDE * WALKER_RADIUS / max(1e-6, math.hypot(objects[count, 0], objects[count, 1]))
+                objects[count, 0] *= behind
+                objects[count, 1] *= behind
+            count += 1
+            points = 0
+            if count == MAXIMUM_OBJECTS:
+                break
+        if points == 0:
+            sum_ahead = sum_left = 0.0
+            start_ahead, start_left = ahead, left
+        sum_ahead += ahead
+        sum_left += left
+        points += 1
+        last_ahead, last_left = ahead, left
+    return objects[:count].copy()
+
+
+@kernel
+def associate(now: FloatArray, before: FloatArray, known: FloatArray, duration: float) -> FloatArray:
+    """Return the velocities of each object, k × 4, m/s: over the last step and over the one before it.
+
+    An object that is wide, or has no predecessor near enough, is new: it is taken to stand, and column 2 is nan. One
+    whose predecessor was new is taken to have moved before as it does now.
+
+    Args:
+        now: k × 3 objects in the world frame: centre x and y, width (m).
+        before: j × 3 objects one scan earlier, in the same form.
+        known: j × 4 velocities of those; nan in column 2 for one that was new.
+        duration: time between the scans, s.
+    """
+    velocities = np.zeros((len(now), 4))
+    for index in range(len(now)):
+        nearest, match = FASTEST_WALKER * duration, -1
+        if now[index, 2] <= WIDEST_WALKER:
+            for other in range(len(before)):
+                distance = math.hypot(now[index, 0] - before[other, 0], now[index, 1] - before[other, 1])
+                if before[other, 2] <= WIDEST_WALKER and distance < nearest:
+                    nearest, match = distance, other
+        if match < 0:
+            velocities[index, 2] = math.nan
+            continue
+        for axis in range(2):
+            velocities[index, axis] = (now[index, axis] - before[match, axis]) / duration
+        new = math.isnan(known[match, 2])
+        for axis in range(2):
+            velocities[index, 2 + axis] = velocities[index, axis] if new else known[match, axis]
+    return velocities
+
+
+@kernel
+def network_input(objects: FloatArray, velocities: FloatArray, speed: float, deceleration: float) -> FloatArray:
+    """Return the network's input, k × FEATURES, one row per object, mirrored to the left and scaled.
+
+    The columns: the object ahead of the bumper and to the left; the same when the car would stand if it braked now, by
+    the object's velocity over the last step; likewise by that over the step before; width; how far the
+    stopping zone reaches; how long the car needs to stand.
+
+    Args:
+        objects: k × 3 in the car's frame: centre ahead of the bumper and left, width (m).
+        velocities: k × 4 over ground in the axes of that frame, m/s, as `associate` gives them.
+        speed: speed of the car now, m/s.
+        deceleration: deceleration of the car at full brake, m/s².
+    """
+    rows = np.empty((len(objects), FEATURES))
+    horizon = time_to_stand(speed, deceleration)
+    for index in range(len(objects)):
+        va, vl, before_va, before_vl = velocities[index]
+        if math.isnan(before_va):
+            before_va, before_vl = va, vl
+        ahead, left = objects[index, 0], objects[index, 1]
+        side = 1.0 if left >= 0.0 else -1.0
+        rows[index, 0] = ahead
+        rows[index, 1] = side * left
+        rows[index, 2] = ahead + horizon * va
+        rows[index, 3] = side * (left + horizon * vl)
+        rows[index, 4] = ahead + horizon * before_va
+        rows[index, 5] = side * (left + horizon * before_vl)
+        rows[index, 6] = objects[index, 2]
+        rows[index, 7] = stopping_zone(speed, deceleration)
+        rows[index, 8] = horizon
+    return rows * SCALE
+
+
+class Perception:
+    """Objects ahead and their velocities, from one scan each control period."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Begin an episode of a scenario, which must have a sensor."""
+        assert scenario.sensor is not None
+        self._bumper = scenario.car.front - scenario.sensor.mount_ahead  # ahead of the sensor, m
+        self._mount = scenario.sensor.mount_ahead
+        self._deceleration = scenario.car.deceleration
+        scans = max(1, round(WINDOW / scenario.control_duration))
+        self._window = scans * scenario.control_duration
+        nothing = np.empty((0, 3)), np.empty((0, 4))
+        # Objects and their velocities of the scans within the window, the oldest first.
+        self._past: deque[tuple[FloatArray, FloatArray]] = deque([nothing] * scans, maxlen=scans)
+
+    def update(self, scan: Scan, car: CarState) -> None:
+        """Take a scan, and the car's state (odometry) at it."""
+        self.objects = segment(scan.ranges, scan.angle_min, scan.angle_increment, GAP)
+        cos, sin = math.cos(car.heading), math.sin(car.heading)
+        world = self.objects.copy()
+        world[:, 0] = car.x + cos * (self._mount + self.objects[:, 0]) - sin * self.objects[:, 1]
+        world[:, 1] = car.y + sin * (self._mount + self.objects[:, 0]) + cos * self.objects[:, 1]
+        drift = associate(world, *self._past[0], self._window)
+        self._past.append((world, drift))
+        self.objects[:, 0] -= self._bumper
+        self.velocities = np.empty_like(drift)
+        for x, y in ((0, 1), (2, 3)):
+            self.velocities[:, x] = cos * drift[:, x] + sin * drift[:, y]
+            self.velocities[:, y] = cos * drift[:, y] - sin * drift[:, x]
+
+    def features(self, speed: float) -> FloatArray:
+        """Return the network's input at the last scan, at a speed (m/s)."""
+        return network_input(self.objects, self.velocities, speed, self._deceleration)
+
+    def cautious_features(self, speed: float) -> FloatArray:
+        """Return the input for a possible pedestrian that has just come into view, as if it ran towards the path.
+
+        Until the window is over its velocity is not known.
+        """
+        new = np.isnan(self.velocities[:, 2]) & (self.objects[:, 2] <= WIDEST_WALKER)
+        objects = self.objects[new]
+        velocities = np.zeros((len(objects), 4))
+        velocities[:, 1] = velocities[:, 3] = -np.sign(objects[:, 1]) * UNKNOWN_WALKER
+        return network_input(objects, velocities, speed, self._deceleration)
+
+
+_ROWS_AT_ONCE = 512
+
+
+class HazardNetwork(NamedTuple):
+    """Weights; inputs and outputs by the convention `row @ weights + bias`."""
+
+    w1: FloatArray
+    b1: FloatArray
+    w2: FloatArray
+    b2: FloatArray
+    w3: FloatArray
+    b3: FloatArray
+
+    def probability(self, features: FloatArray) -> FloatArray:
+        """Return the probability of a hazard for each row of features (k × FEATURES).
+
+        Sums instead of matrix products: their order, and with it the bits, do not depend on a BLAS or on k.
+        """
+        parts = [self._forward(features[at : at + _ROWS_AT_ONCE]) for at in range(0, len(features), _ROWS_AT_ONCE)]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _forward(self, features: FloatArray) -> FloatArray:
+        hidden = np.maximum(0.0, (features[:, :, None] * self.w1).sum(axis=1) + self.b1)
+        hidden = np.maximum(0.0, (hidden[:, :, None] * self.w2).sum(axis=1) + self.b2)
+        logit = (hidden[:, :, None] * self.w3).sum(axis=1)[:, 0] + self.b3[0]
+        return np.asarray(0.5 + 0.5 * np.tanh(0.5 * logit))  # the logistic function, and no overflow
+
+
+def save_network(network: HazardNetwork, target: Path) -> None:
+    """Write the weights; the file's bytes depend on nothing but them."""
+    np.savez(target, **network._asdict())
+
+
+def load_network(source: Path | BinaryIO) -> HazardNetwork:
+    """Read what `save_network` wrote."""
+    with np.load(source) as file:
+        return HazardNetwork(*(file[name] for name in HazardNetwork._fields))
+
+
+@functools.cache
+def shipped_network() -> HazardNetwork:
+    """Return the network that comes with the package; `hazard_network.json` beside it says how it was trained."""
+    with (resources.files("skd_sim") / "controllers" / "hazard_network.npz").open("rb") as file:
+        return load_network(file)  # type: ignore[arg-type]
+
 
 SPEED_LIMIT = 30.0  # km/h, and from here on all of these are published
 HAZARD_PROBABILITY = 0.9

@@ -24,7 +24,7 @@ from typing import Any, Final, NoReturn, TypeVar
 import numpy as np
 
 from skd_sim.errors import AssessmentError, UsageError
-from skd_sim.world.aborts import AbortKind, abort_reason
+from skd_sim.world.episode import AbortKind, abort_reason
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")

@@ -12,10 +12,8 @@ from typing import Any, Protocol, TypeGuard, runtime_checkable
 import numpy as np
 
 from skd_sim.errors import UsageError
-from skd_sim.scenario.checks import check_control_period
-from skd_sim.scenario.definition import CONTROL_PERIODS
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.sensors.scan import Scan
+from skd_sim.scenario.scenario import CONTROL_PERIODS, Scenario, check_control_period
+from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene
 
 

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, StrictBool, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.inputs.yaml_file import name_of_key, short
 
 Model = TypeVar("Model")

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import LARGEST_WHOLE, open_regular
+from skd_sim.inputs.files import LARGEST_WHOLE, open_regular
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""

@@ -1,9 +1,13 @@
-"""The car under test, by the name of its controller, and what is known of it. Light: every command begins with it."""
+"""The car under test, its dynamics, and the simulator that moves it, by name, with what is known of each.
+
+Imports none of them: every command begins with it.
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Final
 
 from skd_sim.options.registry import Registry
 
@@ -118,3 +122,54 @@ class CarUnderTest:
     def file_name(self) -> str:
         """Its name in names of files and campaigns."""
         return f"{self.controller}-C{self.multiplier:g}" if self.has_multiplier else self.controller
+
+
+@dataclass(frozen=True)
+class DynamicsKind:
+    """What is known of a car's dynamics before they are made.
+
+    Attributes:
+        target: `package.module:function` that makes them for a scenario.
+        tyres: whether the car has tyres of its own, on which the road's friction acts and which limit every brake.
+        known: whether their answer to a command follows from what is recorded and the episode's draws.
+        steers: whether the car can follow a road with curves.
+        scenario: a shipped scenario that has them.
+    """
+
+    target: str
+    tyres: bool
+    known: bool
+    steers: bool
+    scenario: str
+
+
+BASIC = "basic"
+DYNAMICS = {
+    BASIC: DynamicsKind(
+        "skd_sim.world.dynamics.basic:BasicCar", tyres=False, known=True, steers=True, scenario="crossing"
+    ),
+    "multi_body": DynamicsKind(
+        "skd_sim.world.dynamics.multi_body_car:MultiBodyCar",
+        tyres=True,
+        known=False,
+        steers=False,
+        scenario="crossing_multi_body",
+    ),
+}
+
+
+WORLD: Final = "world"
+SIMULATORS: Final = Registry(
+    "simulator",
+    "skd.simulators",
+    {
+        WORLD: "skd_sim.simulators.simulator:WorldSimulator",
+        "metadrive": "skd_sim.simulators.metadrive.simulator:MetaDriveSimulator",
+    },
+)
+"""Classes of `skd_sim.simulators.simulator.Simulator`, made without arguments."""
+
+
+def is_own_world(name: str) -> bool:
+    """Return whether a simulator is SKD's own, for which it is known what other commands would have led to."""
+    return name == WORLD

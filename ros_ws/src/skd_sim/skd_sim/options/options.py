@@ -1,11 +1,9 @@
-"""The options of an episode, each in one place, and what a table of options is.
+"""The options of episodes and of the node graph, each in one place, and what a table of options is.
 
-A field of `EpisodeOptions` that `option` makes is an option: by its entry here it is on the command line, a parameter
-of the evaluator's node with a description, a launch argument, in messages and bags, and in results. Light: every
-command begins with it.
+A field of a table that `option` makes is an option: by its entry here it is on the command line, a parameter of the
+node that needs it, a launch argument, in messages and bags, and in results. Light: every command begins with it.
 """
 
-# ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
 from __future__ import annotations
 
 import dataclasses
@@ -13,15 +11,17 @@ import functools
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, cast
+from functools import partial
+from typing import Any, Final, NamedTuple, cast
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import parse_json
-from skd_sim.options.car_under_test import DEFAULT, CarUnderTest
-from skd_sim.options.knowledge import Knowledge, implied_knowledge
-from skd_sim.options.objective import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Objective
+from skd_sim.inputs.files import parse_json
+from skd_sim.options.adversary import BOTH, DEFAULT_SIMULATIONS, OBJECTIVES, Knowledge, Objective, implied_knowledge
+from skd_sim.options.car_under_test import DEFAULT, SIMULATORS, WORLD, CarUnderTest
 from skd_sim.options.registry import Registry
-from skd_sim.options.simulators import SIMULATORS, WORLD
+
+# ruff: noqa: RUF009 - `option` makes a field, as `dataclasses.field` does
+
 
 COMMANDS: Final = ("assess", "sweep", "episode")
 """Those that run kamikazes."""
@@ -348,3 +348,163 @@ def options_from_text(text: str, where: str) -> dict[str, Any]:
     if strange := set(found) & FIELDS:
         raise UsageError(f"{where}: {min(strange)} has a field of its own")
     return values_of(EpisodeOptions, found)
+
+
+MAP_FRAME = "map"
+"""The world frame: ENU (REP 103), with the crossing point as its origin."""
+ADVERSARY_FRAME = "adversary"
+"""The adversary's own frame; no transform leads to it, for it is the truth about somebody else."""
+
+
+class Frames(NamedTuple):
+    """Frames of the car under test.
+
+    Attributes:
+        odom: frame of the odometry. It coincides with `map`, since the odometry is exact and does not drift.
+        base: frame of the car's body, at its reference point, on the ground, x ahead.
+        laser: frame of the laser scanner.
+    """
+
+    odom: str = "odom"
+    base: str = "base_link"
+    laser: str = "laser"
+
+
+FRAMES = Frames()
+"""What most stacks call them."""
+
+
+graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
+_RATED = tuple(name for name in GRAPH_COMMANDS if name != "drive")
+"""Commands of what is rated; what one only watches goes by the wall clock."""
+_command_option = partial(graph_option, external_only=True)
+
+LOCKSTEP = "lockstep"
+REAL_TIME = "real_time"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandOptions:
+    """The table of what a car under test publishes, which whoever hears it needs. See `skd_sim.ros.commands`."""
+
+    command_type: str = _command_option(
+        "accel_stamped",
+        "type of the message in which the controller under test publishes its commands: accel_stamped (an "
+        "acceleration, m/s²); twist_stamped, twist or ackermann (a speed to reach, m/s); or the name of any message "
+        "type, such as my_msgs/msg/Command",
+        metavar="TYPE",
+    )
+    command_field: str = _command_option(
+        "",
+        "which number in a message type of your own is the command, such as longitudinal.acceleration or axes[1]",
+        metavar="FIELD",
+        unset="none; a message type of your own needs one",
+    )
+    command_quantity: str = _command_option(
+        "acceleration",
+        "what the command in a message type of your own is: an acceleration (m/s²), or a speed to reach (m/s)",
+        choices=Names(("acceleration", "speed")),
+    )
+    command_topic: str = _command_option(
+        "ego/acceleration_command", "topic on which the controller publishes its commands", metavar="TOPIC"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateOptions:
+    """The table of how a simulator's node says what it sees."""
+
+    scan_rate: float = graph_option(
+        0.0,
+        "how many laser scans and point clouds are published in a simulated second, as near as the control periods "
+        "allow. With 0 they are published with every state of the car",
+        low=0.0,
+        high=1000.0,
+        metavar="HZ",
+    )
+    odom_frame: str = graph_option(FRAMES.odom, "name of the coordinate frame of the car's odometry", metavar="FRAME")
+    base_frame: str = graph_option(FRAMES.base, "name of the coordinate frame of the car", metavar="FRAME")
+    laser_frame: str = graph_option(FRAMES.laser, "name of the coordinate frame of the car's laser", metavar="FRAME")
+    own_localisation: bool = graph_option(
+        False, "the controller itself publishes the transform map → odom, so that the simulator must not"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatorOptions(CommandOptions, StateOptions):
+    """The table of what every simulator's node is told."""
+
+    pacing: str = graph_option(
+        LOCKSTEP,
+        "when the simulator advances: lockstep (as soon as the commands of car and adversary have arrived), or "
+        "real_time (by the wall clock, whether or not a command has arrived)",
+        choices=Names((LOCKSTEP, REAL_TIME)),
+        commands=_RATED,
+    )
+    rate_factor: float = graph_option(
+        1.0,
+        "with real_time: how many simulated seconds pass in a second of the wall clock",
+        low=0.01,
+        high=100.0,
+        metavar="F",
+    )
+    slip_limit: float = graph_option(
+        0.05,
+        "with real_time: how late the simulator may begin a control period, in seconds of the wall clock (or half a "
+        "period, if that is more). An episode in which it begins one later is aborted, for it says nothing about the "
+        "car",
+        low=0.001,
+        high=3600.0,
+        metavar="S",
+        commands=_RATED,
+    )
+    quiet_time: float | None = graph_option(
+        None,
+        "with lockstep, for a controller that follows /clock and does not answer each state: the simulator goes on as "
+        "soon as the controller has published a command since the last state, and after this many seconds of the wall "
+        "clock at the latest. Until then its last command holds",
+        float,
+        low=0.0,
+        high=10.0,
+        metavar="S",
+        unset="the simulator waits until each state is answered",
+        external_only=True,
+        commands=_RATED,
+    )
+    command_timeout: float = graph_option(
+        5.0,
+        "an episode is aborted after this many seconds of the wall clock without a command",
+        low=0.05,
+        high=3600.0,
+        metavar="S",
+    )
+    startup_timeout: float = graph_option(
+        60.0,
+        "an episode is aborted after this many seconds of the wall clock without its first command: nodes need time to "
+        "start. Without the node graph: how many seconds a call of your own controller may take",
+        low=0.05,
+        high=3600.0,
+        metavar="S",
+        graph_only=False,
+    )
+    maximum_acceleration: float = graph_option(
+        3.0,
+        "greatest acceleration with which the car follows a speed that is commanded, m/s²",
+        low=0.1,
+        high=20.0,
+        metavar="A",
+    )
+    maximum_deceleration: float = graph_option(
+        8.0,
+        "greatest deceleration with which the car follows a speed that is commanded, m/s²",
+        low=0.1,
+        high=20.0,
+        metavar="A",
+    )
+    initial_pose: bool = graph_option(
+        False,
+        "publish the car's start pose on /initialpose (geometry_msgs/PoseWithCovarianceStamped, frame map) before the "
+        "first state of each episode",
+        commands=(),
+        graph_only=False,
+    )

@@ -23,21 +23,27 @@ from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
 from skd_sim.ros.support import STREAM, Setting, declare, run_node
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.carla_conversion import (
+from skd_sim.simulators.carla import (
+    ADVERSARY,
+    CONTROL,
+    EGO,
+    OBSTACLE,
+    ODOMETRY,
+    OTHER,
+    Placement,
     adversary_from_odometry,
+    blueprints,
     box_from_odometry,
     car_from_odometry,
     pedals,
     walker_control,
+    walks,
 )
-from skd_sim.simulators.carla_objects import ADVERSARY, CONTROL, EGO, OBSTACLE, ODOMETRY, OTHER, blueprints, walks
 from skd_sim.simulators.framed_simulator import FramedSimulator, States
-from skd_sim.world.aborts import AbortKind
-from skd_sim.world.dynamics.limits import CommandLimits
-from skd_sim.world.heading import on_grid
-from skd_sim.world.placement import Placement
-from skd_sim.world.simulator import SimulatorError
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+from skd_sim.simulators.simulator import SimulatorError
+from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.episode import AbortKind
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 _SETTINGS = (
     *SIMULATOR_SETTINGS,

@@ -16,10 +16,10 @@ from enum import StrEnum
 from typing import Any, cast
 
 from skd_sim.errors import UsageError
-from skd_sim.options.graph_options import CommandOptions
+from skd_sim.options.options import CommandOptions
 from skd_sim.options.registry import reason_of
 from skd_sim.ros.from_messages import from_stamp
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.dynamics.basic import CommandLimits
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
 

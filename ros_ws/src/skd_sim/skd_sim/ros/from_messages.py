@@ -11,16 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skd_sim.inputs.outside import parse_json
+from skd_sim.inputs.files import parse_json
 from skd_sim.options.options import FIELDS, options_from_text, options_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.heading import heading_of
-from skd_sim.world.randomness import controller_generator
+from skd_sim.world.episode import Episode, Mode, controller_generator
 from skd_sim.world.sensors import Scan
-from skd_sim.world.stamps import NANOSECONDS
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, CarState, Trajectory, heading_of
+from skd_sim.world.timing import NANOSECONDS
 
 
 def from_stamp(stamp: Any) -> int:

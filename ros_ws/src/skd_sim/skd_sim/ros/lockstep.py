@@ -18,11 +18,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.command_ages import CommandAges
-from skd_sim.world.episode import Outcome
-from skd_sim.world.simulator import Frame
-from skd_sim.world.stamps import NANOSECONDS, period_stamp, stamp_fault
+from skd_sim.simulators.simulator import Frame
+from skd_sim.world.episode import AbortKind, Outcome, abort_reason
+from skd_sim.world.timing import NANOSECONDS, CommandAges, period_stamp, stamp_fault
 
 
 class Senders(Protocol):
@@ -181,7 +179,7 @@ class End(NamedTuple):
         outcome: how the episode ended.
         frame: frame at the end of the episode.
         stamp: stamp of that frame, ns.
-        reason: why the episode was aborted, beginning with a kind of `skd_sim.world.aborts`; empty if it was not.
+        reason: why the episode was aborted, beginning with a kind of `skd_sim.world.episode`; empty if it was not.
     """
 
     outcome: Outcome

@@ -20,9 +20,7 @@ from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
 
 from skd_sim.errors import UsageError
-from skd_sim.options.frames import MAP_FRAME
-from skd_sim.options.graph_options import REAL_TIME, CommandOptions, SimulatorOptions, StateOptions
-from skd_sim.options.options import values_of
+from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, SimulatorOptions, StateOptions, values_of
 from skd_sim.ros.commands import Quantity, car_commands, follow_speed
 from skd_sim.ros.discovery import kind_name, living_publishers, publisher_names, why_no_command
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
@@ -40,12 +38,10 @@ from skd_sim.ros.support import (
     settings_of,
 )
 from skd_sim.ros.to_messages import to_stamp
-from skd_sim.simulators.named_simulator import NamedSimulator
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.command_ages import Schedule
-from skd_sim.world.dynamics.limits import CommandLimits
-from skd_sim.world.episode import Episode, Outcome
-from skd_sim.world.simulator import Frame, Simulator, SimulatorError, require_others
+from skd_sim.simulators.simulator import Frame, NamedSimulator, Simulator, SimulatorError, require_others
+from skd_sim.world.dynamics.basic import CommandLimits
+from skd_sim.world.episode import AbortKind, Episode, Outcome, abort_reason
+from skd_sim.world.timing import Schedule
 from skd_sim.world.world import Contact
 
 SIMULATOR_SETTINGS = settings_of(SimulatorOptions)

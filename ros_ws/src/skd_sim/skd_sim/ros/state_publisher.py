@@ -19,8 +19,7 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from skd_sim.options.frames import FRAMES, MAP_FRAME, Frames
-from skd_sim.options.graph_options import StateOptions
+from skd_sim.options.options import FRAMES, MAP_FRAME, Frames, StateOptions
 from skd_sim.ros.support import (
     ADVERSARY_DETECTIONS,
     ADVERSARY_ODOMETRY,
@@ -47,12 +46,11 @@ from skd_sim.ros.to_messages import (
     to_orientation,
     to_stamp,
 )
-from skd_sim.scenario.kinds import height_of
-from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Episode
 from skd_sim.world.sensors import InertialUnit, PlanarLaser, make_laser
-from skd_sim.world.simulator import Frame
 from skd_sim.world.state import CarState, RoadUserState, Scene
 
 

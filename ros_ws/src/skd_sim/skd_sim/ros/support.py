@@ -17,13 +17,12 @@ from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 
 from skd_sim.errors import AssessmentError, UsageError
-from skd_sim.inputs.suggestion import nearest
+from skd_sim.inputs.files import nearest
 from skd_sim.interruption import END_LIMIT, Interruption, end_within
-from skd_sim.options.graph_options import CommandOptions
-from skd_sim.options.options import options_of
+from skd_sim.options.options import CommandOptions, options_of
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.stamps import period_of
+from skd_sim.world.timing import period_of
 
 CLOCK = "/clock"
 TF = "/tf"

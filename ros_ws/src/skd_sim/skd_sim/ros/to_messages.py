@@ -15,14 +15,12 @@ from sensor_msgs.msg import Imu, LaserScan, PointCloud2, PointField
 from skd_msgs.msg import Episode as EpisodeMsg
 from tf2_msgs.msg import TFMessage
 
-from skd_sim.options.frames import ADVERSARY_FRAME, FRAMES, MAP_FRAME, Frames
-from skd_sim.options.options import FIELDS, options_of, options_to_text
+from skd_sim.options.options import ADVERSARY_FRAME, FIELDS, FRAMES, MAP_FRAME, Frames, options_of, options_to_text
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode
-from skd_sim.world.randomness import controller_seed
+from skd_sim.world.episode import Episode, controller_seed
 from skd_sim.world.sensors import Inertia, Scan
-from skd_sim.world.stamps import NANOSECONDS
 from skd_sim.world.state import AdversaryState, CarState
+from skd_sim.world.timing import NANOSECONDS
 
 _VARIANCE = 1e-6  # of each number, in SI units squared. All are true; but filters invert covariances, and zeros have no
 # inverse, and to a sensor_msgs/Imu they say that nothing is known of it.

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_text
+from skd_sim.inputs.files import read_text
 from skd_sim.ros_environment.variables import is_sourced, node_variables
 
 PREFIX = "SKD_MESSAGE_PREFIX"

@@ -1,7 +1,8 @@
 """Road users: the adversary, and the others of a scenario: bystanders, parked and moving vehicles, a car ahead.
 
 A body is a disc, or a box that points the way it moves. The others answer to nobody: where they are depends on the time
-alone. The car under test sees them and can hit them; whoever stands is in the adversary's way as an obstacle is.
+alone. The car under test sees them and can hit them; whoever stands is in the adversary's way as an obstacle is. What
+is special to a kind stands in a module of its own, above this package.
 """
 
 from __future__ import annotations
@@ -9,15 +10,15 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.model import Frozen, OnLane, limits
-from skd_sim.world.heading import on_grid
-from skd_sim.world.state import RoadUserState
+from skd_sim.options.registry import Registry
+from skd_sim.world.state import RoadUserState, on_grid
 
 HEIGHT = 1.8
 """How high a road user is drawn, m; nothing but pictures and boxes in messages depends on it."""
@@ -209,3 +210,27 @@ class Other(Body):
             heading = float(on_grid(self.heading(heading, vx, vy)))
             found.append(RoadUserState(float(x[tick]), float(y[tick]), vx, vy, heading))
         return found
+
+
+_OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
+ROAD_USERS: Final = Registry(
+    "road user", "skd.road_users", {kind: f"skd_adversary.crossing.road_user.{kind}:ROAD_USER" for kind in _OWN}
+)
+"""Of the key `adversary.kind` of a scenario. Others of a scenario may be of these kinds, or of any that has a name."""
+
+CAR: Final = "car"
+"""The kind of the car under test."""
+
+
+def height_of(kind: str) -> float:
+    """Return how high a road user of a kind is drawn, m."""
+    return float(ROAD_USERS.find(kind).height) if kind in ROAD_USERS else HEIGHT
+
+
+def called(body: Body, where: str) -> str:
+    """Return what another simulator, or a format, calls a road user of a body's kind.
+
+    A kind that has no word for it there is called as the kind car is if its body is a box, else as a pedestrian is.
+    """
+    word = ROAD_USERS.find(body.kind).called.get(where) if body.kind in ROAD_USERS else None
+    return str(word or ROAD_USERS.find(CAR if body.is_box else "pedestrian").called[where])

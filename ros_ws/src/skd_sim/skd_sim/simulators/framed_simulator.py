@@ -14,10 +14,10 @@ import numpy as np
 
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.contact import sweep
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.world.dynamics.basic import CommandLimits
 from skd_sim.world.episode import Episode
-from skd_sim.world.simulator import Frame
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
 from skd_sim.world.world import Contact, make_world
 

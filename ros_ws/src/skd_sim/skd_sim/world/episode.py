@@ -1,19 +1,61 @@
-"""One episode: its specification, how it ends, and the log of what happened."""
+"""One episode: its specification, its random draws, how it ends or is aborted, and the log of what happened.
+
+`SeedSequence(campaign_seed, spawn_key=(episode_id, role))` makes an episode's draws independent of the number of
+workers and of the order in which episodes run. There is no global random state.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, StrEnum
+
+import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import check_knowledge
+from skd_sim.options.adversary import check_knowledge
 from skd_sim.options.options import EpisodeOptions
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.command_ages import UNTIMED, Timing
-from skd_sim.world.state import AdversaryState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import AdversaryState, Trajectory
+from skd_sim.world.timing import UNTIMED, Timing
+
+
+class Role(IntEnum):
+    """Who draws. Values are part of the reproducibility contract: never renumber."""
+
+    CAR = 0
+    START = 1
+    SENSOR = 2
+    PLANNER = 3
+    CONTROLLER = 4
+    SCAN = 5
+    PROBE = 6
+    ORDER = 9
+    WALKER = 10
+    RISK = 11
+
+
+def generator(campaign_seed: int, episode_id: int, role: Role, *part: int) -> np.random.Generator:
+    """Return the generator of one role in one episode, or of a numbered part of it, such as a tick."""
+    sequence = np.random.SeedSequence(campaign_seed, spawn_key=(episode_id, int(role), *part))
+    return np.random.Generator(np.random.PCG64(sequence))
+
+
+def controller_seed(campaign_seed: int, episode_id: int) -> bytes:
+    """Return the seed of what a controller under test draws: a SHA-256 digest from which neither number can be read.
+
+    The id says whether somebody tries to be hit.
+    """
+    return hashlib.sha256(f"{campaign_seed} {episode_id} {int(Role.CONTROLLER)}".encode()).digest()
+
+
+def controller_generator(seed: bytes) -> np.random.Generator:
+    """Return the generator that a controller under test is handed, of a `controller_seed`."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int.from_bytes(seed))))
 
 
 class Mode(IntEnum):
@@ -122,7 +164,7 @@ class EpisodeLog:
         impact_time: s since the start, at the first contact; nan without a collision.
         impact_speed: speed of the car at the first contact, m/s; nan without a collision.
         depletions: how often the adversary's belief had to be redrawn.
-        reason: why it was aborted, else empty; begins with a kind of `skd_sim.world.aborts`.
+        reason: why it was aborted, else empty; begins with a kind of `skd_sim.world.episode`.
         clipped: how many commands asked more of the car than it can do.
         timing: how old the commands were; known of the graph only.
         belief: n × 4, what a planning adversary believed of the car when it decided at each tick: mean and standard
@@ -171,3 +213,43 @@ def until_contact(positions: FloatArray, duration: float) -> FloatArray:
     moved = positions.copy()
     moved[-1] = positions[-2] + (duration - (len(positions) - 2)) * (positions[-1] - positions[-2])
     return moved
+
+
+class AbortKind(StrEnum):
+    """Kind of fault. A reason is a kind, a colon and what is known of it."""
+
+    NO_ANSWER = "no answer"  # who has to answer was silent for too long
+    LOST = "messages lost"  # on the way; nobody in particular is to blame
+    NOT_STARTED = "not started"  # nobody was ever there
+    ENDED = "process ended"  # by itself, or killed
+    NOT_FINITE = "not a finite number"
+    WRONG_STAMP = "wrong stamp"  # an answer to another tick
+    SECOND_SENDER = "second sender"  # more than one answer, or more than one who answers
+    REFUTED = "refuted"  # by where car and adversary were
+    SLIPPED = "pacing slipped"  # the simulator did not keep real time
+    FAILED = "failed"  # it said so itself
+    OTHER = "other"
+
+
+def abort_reason(kind: AbortKind, what: str) -> str:
+    """Return the reason of an aborted episode, in one line."""
+    return f"{kind}: {' '.join(what.split())}"
+
+
+def kind_of(reason: str) -> AbortKind:
+    """Return the kind of a reason; `OTHER` if it names none."""
+    head = reason.partition(":")[0]
+    return AbortKind(head) if head in frozenset(AbortKind) else AbortKind.OTHER
+
+
+def counted_reasons(reasons: Iterable[str]) -> dict[str, dict[str, int | str]]:
+    """Return kind → how often, and the first reason of that kind; the most frequent first."""
+    all_reasons = list(reasons)
+    counts = Counter(map(kind_of, all_reasons))
+    first = {kind_of(reason): reason for reason in reversed(all_reasons)}
+    return {str(kind): {"count": count, "first": first[kind]} for kind, count in counts.most_common()}
+
+
+def counts_in_words(reasons: Iterable[str]) -> str:
+    """Return in a few words how many reasons there are of each kind, the most frequent first."""
+    return ", ".join(f"{one['count']} {kind}" for kind, one in counted_reasons(reasons).items())

@@ -11,12 +11,9 @@ from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import sweep
-from skd_sim.world.dynamics.interface import CarDynamics, Noise, make_dynamics
-from skd_sim.world.dynamics.limits import command_limits
-from skd_sim.world.episode import Episode
-from skd_sim.world.heading import on_grid
-from skd_sim.world.randomness import Role, generator
-from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+from skd_sim.world.dynamics.basic import CarDynamics, Noise, command_limits, make_dynamics
+from skd_sim.world.episode import Episode, Role, generator
+from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 
 class Contact(NamedTuple):

@@ -18,7 +18,7 @@ from skd_sim.controllers import basic_acceleration
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.motion import draw_relative, next_speed, travelled
+from skd_sim.world.state import draw_relative, next_speed, travelled
 
 from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER
 from skd_adversary.crossing.interfaces import on_road

@@ -15,7 +15,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.motion import draw_relative, next_speed, travelled
+from skd_sim.world.state import draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.fitted_car import LONGEST_DELAY, FittedCar
 from skd_adversary.crossing.car import basic

@@ -14,7 +14,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.motion import travelled
+from skd_sim.world.state import travelled
 
 from skd_adversary.car_models.car_forest import CarForest, features_of, leaf_of
 from skd_adversary.crossing.car import basic

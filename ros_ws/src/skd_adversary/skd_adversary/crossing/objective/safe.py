@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.obstruction import runs_into
+from skd_sim.world.contact import runs_into
 
 from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, within
 from skd_adversary.crossing.interfaces import move, on_road, steer, velocity

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from skd_sim.options.car_dynamics import BASIC, DYNAMICS
+from skd_sim.options.car_under_test import BASIC, DYNAMICS
 
 _SAYS_NOTHING = frozenset({"name", "description", "sensor", "control_period"})
 """Keys of a scenario that say nothing about the encounter, and on which no safe trajectory depends."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from skd_sim.inputs.printable import one_line
-from skd_sim.options.simulators import WORLD
+from skd_sim.inputs.files import one_line
+from skd_sim.options.car_under_test import WORLD
 
 from skd_evaluator.assessment.compare.encounter_difference import (
     FRICTION,

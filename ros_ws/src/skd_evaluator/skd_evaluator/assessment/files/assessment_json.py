@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean, read_json
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.judge import figure_table as table

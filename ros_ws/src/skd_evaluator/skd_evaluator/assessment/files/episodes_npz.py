@@ -22,7 +22,7 @@ import numpy.typing as npt
 from skd_adversary.adversary import BelievedCar
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular
+from skd_sim.inputs.files import open_regular
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
 

@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, NoReturn
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_text, real_path, sha256_of
+from skd_sim.inputs.files import read_text, real_path, sha256_of
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.files import MARKERS, PREFIX, make_temporary, note_in_place, remove

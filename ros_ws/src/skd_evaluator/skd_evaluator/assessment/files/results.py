@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes

@@ -15,11 +15,11 @@ from typing import Any, cast
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import folders_in, read_json, sha256_of
-from skd_sim.options.objective import Objective
+from skd_sim.inputs.files import folders_in, read_json, sha256_of
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures

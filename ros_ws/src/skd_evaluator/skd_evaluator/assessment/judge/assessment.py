@@ -11,7 +11,7 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.struck import closing_speed
 from skd_evaluator.assessment.plan.plan import (

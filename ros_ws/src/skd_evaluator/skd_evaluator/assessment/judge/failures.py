@@ -25,7 +25,7 @@ import scipy
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Role, generator
 
 from skd_evaluator.assessment.plan.plan import Stage, episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES

@@ -10,11 +10,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.options.options import further_options
-from skd_sim.world.aborts import counted_reasons
-from skd_sim.world.episode import EpisodeLog, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
 from skd_evaluator.assessment.judge.command_age import command_age

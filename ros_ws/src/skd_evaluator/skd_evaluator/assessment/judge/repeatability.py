@@ -21,11 +21,11 @@ import numpy as np
 from skd_sim.controllers import with_control_period
 from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.errors import UsageError
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import is_own_world
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Stage, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import is_own_world
 from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.assessment.judge.rating import Rating

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from skd_adversary.safe_trajectories import count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.assessment.plan.options import GENERATED

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
 from skd_evaluator.errors import AssessmentError

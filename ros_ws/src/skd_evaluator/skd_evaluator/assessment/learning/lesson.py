@@ -17,10 +17,10 @@ from skd_adversary.car_models import Recording, learn_car, observe
 from skd_adversary.car_models.car_model_file import car_model_text
 from skd_adversary.car_models.fitted_car import FittedCar
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import Knowledge
+from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.learning.attempts import SEED, finished, own_attempts
 from skd_evaluator.assessment.learning.kept_models import day_of, files_of, folder_of, keep_model, kept_model

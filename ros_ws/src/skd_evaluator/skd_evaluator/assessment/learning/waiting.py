@@ -14,9 +14,9 @@ import numpy as np
 from skd_adversary.car_models.car_model_file import car_model_text
 from skd_adversary.car_models.fitted_car import FittedCar
 from skd_adversary.crossing.car import basic, forest
-from skd_sim.options.objective import Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.learning.attempts import finished, own_attempts
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress

@@ -20,14 +20,12 @@ from skd_adversary.crossing.road_users import check_kind
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.options.knowledge import check_knowledge
+from skd_sim.options.adversary import check_knowledge
+from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import shared_options
-from skd_sim.options.simulators import is_own_world
-from skd_sim.scenario.checks import check_way
-from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.randomness import Role, generator
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.scenario.scenario import Scenario, check_way
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.options import GENERATED, OWN, WALKERS, CampaignOptions
 from skd_evaluator.errors import AssessmentError

@@ -16,9 +16,8 @@ from skd_sim.controllers import with_control_period
 from skd_sim.options.car_under_test import DEFAULT, CarUnderTest
 from skd_sim.scenario.road import beside_road
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.randomness import Role, generator
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import Episode, Mode, Role, generator
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Stage, episode_id, split_episode_id
 

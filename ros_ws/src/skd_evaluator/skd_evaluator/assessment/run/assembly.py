@@ -8,9 +8,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.world.command_ages import UNTIMED, Timing
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
-from skd_sim.world.stamps import tick_stamp
+from skd_sim.world.timing import UNTIMED, Timing, tick_stamp
 
 _State = TypeVar("_State", bound=tuple[float, ...])
 

@@ -16,8 +16,7 @@ from typing import Any
 from skd_sim.controllers.isolated import CALL_LIMIT
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.episode import Episode
+from skd_sim.world.episode import AbortKind, Episode, abort_reason
 
 from skd_evaluator.assessment.run.cluster_worker import (
     SentController,

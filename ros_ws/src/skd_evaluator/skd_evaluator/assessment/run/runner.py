@@ -16,13 +16,19 @@ from skd_sim.controllers import (
     require_sensor,
     sight_of,
 )
-from skd_sim.options.simulators import is_own_world
-from skd_sim.simulators.named_simulator import NamedSimulator
-from skd_sim.world.aborts import AbortKind, abort_reason
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.randomness import controller_generator, controller_seed
+from skd_sim.options.car_under_test import is_own_world
+from skd_sim.simulators.simulator import NamedSimulator, Simulator, SimulatorError, require_others
+from skd_sim.world.episode import (
+    AbortKind,
+    Episode,
+    EpisodeLog,
+    Mode,
+    Outcome,
+    abort_reason,
+    controller_generator,
+    controller_seed,
+)
 from skd_sim.world.sensors import make_laser
-from skd_sim.world.simulator import Simulator, SimulatorError, require_others
 
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import aborted

@@ -16,17 +16,13 @@ from skd_adversary.crossing.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.controllers import control_period_of, make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
-from skd_sim.controllers.user_controller import UserController
+from skd_sim.controllers.loading import UserController
 from skd_sim.kernels.compilation import kernel
-from skd_sim.options.car_dynamics import DYNAMICS
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
 from skd_sim.scenario.road import is_straight_north
 from skd_sim.world.contact import sweep
-from skd_sim.world.dynamics.basic import drive_straight
-from skd_sim.world.dynamics.limits import command_limits
-from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.randomness import Role, controller_generator, controller_seed, generator
+from skd_sim.world.dynamics.basic import command_limits, drive_straight
+from skd_sim.world.episode import Episode, Mode, Role, controller_generator, controller_seed, generator
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from skd_sim.world.world import first_car_state
 

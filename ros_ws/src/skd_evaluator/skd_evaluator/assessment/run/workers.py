@@ -41,11 +41,10 @@ from skd_sim.controllers.isolated import (
 )
 from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted

@@ -6,9 +6,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skd_sim.world.aborts import counted_reasons
-from skd_sim.world.dynamics.limits import clipped_line, command_limits
-from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.dynamics.basic import clipped_line, command_limits
+from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
 
 from skd_evaluator.assessment.judge.rating import Rating, hit_too_often
 from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.graph_options import LOCKSTEP, CommandOptions, SimulatorOptions, graph_option
-from skd_sim.options.options import Lists, Names, options_of
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import CarUnderTest, is_own_world
+from skd_sim.options.options import LOCKSTEP, CommandOptions, Lists, Names, SimulatorOptions, graph_option, options_of
 
 JUMP, INITIAL_POSE, LIFECYCLE, RESTART = "jump", "initialpose", "lifecycle", "restart"
 COMPOSED, SEPARATE = "composed", "separate"

@@ -9,9 +9,9 @@ from typing import Any
 
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import real_path
+from skd_sim.inputs.files import real_path
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.known_scenarios import SCENARIOS, is_named, lineage
+from skd_sim.scenario.scenario_file import SCENARIOS, is_named, lineage
 
 from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR, OWN, SYNTHETIC
 from skd_evaluator.metrics.behaviour import WALKERS

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from skd_sim.options.objective import objectives_named
+from skd_sim.options.adversary import objectives_named
 from skd_sim.options.options import option, options_of, read_options
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
-from skd_sim.options.objective import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
+from skd_sim.options.car_under_test import is_own_world
 from skd_sim.options.options import options_of
-from skd_sim.options.simulators import is_own_world
 from skd_sim.world.episode import Episode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.held_kamikazes import with_budgets
 from skd_evaluator.assessment.judge.rating import Rating, rate

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 from scipy import special
+from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.objective import Objective
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.assessment.plan.plan import Plan, Progress

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import is_own_world
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.named_simulator import make_simulator
-from skd_sim.world.aborts import AbortKind, kind_of
+from skd_sim.simulators.simulator import make_simulator
+from skd_sim.world.episode import AbortKind, kind_of
 
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.run.workers import ExecutorRunner

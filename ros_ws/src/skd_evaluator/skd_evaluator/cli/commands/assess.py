@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import Objective, objectives_named
+from skd_sim.options.adversary import Objective, objectives_named
 from skd_sim.options.options import values_of
-from skd_sim.simulators.named_simulator import make_simulator
-from skd_sim.world.aborts import counts_in_words
-from skd_sim.world.episode import EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.simulators.simulator import make_simulator
+from skd_sim.world.episode import EpisodeLog, Mode, counts_in_words
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment

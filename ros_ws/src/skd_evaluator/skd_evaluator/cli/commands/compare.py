@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import real_path
+from skd_sim.inputs.files import real_path
 from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, compare, ranking_figure

@@ -10,7 +10,7 @@ from typing import Final
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CONTROLLERS
 from skd_sim.options.registry import Registry
-from skd_sim.scenario.known_scenarios import REGULATORY, SCENARIOS
+from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS
 
 from skd_evaluator.assessment.plan.options import GENERATED, NO_BEHAVIOUR
 from skd_evaluator.cli.parser import commands_of, make_parser

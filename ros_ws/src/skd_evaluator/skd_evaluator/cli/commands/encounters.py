@@ -12,9 +12,9 @@ from skd_adversary.crossing.road_users import check_kind
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import as_yaml
-from skd_sim.scenario.known_scenarios import SCENARIOS, is_named
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.scenario.scenario_file import SCENARIOS, is_named
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.plan.plan import Plan

@@ -12,7 +12,7 @@ from typing import Any
 
 from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
-from skd_sim.options.objective import objectives_named
+from skd_sim.options.adversary import objectives_named
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.judge.figure_table import columns

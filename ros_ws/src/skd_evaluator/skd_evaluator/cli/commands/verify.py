@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.files.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json

@@ -26,13 +26,12 @@ from typing import Annotated, Any
 from pydantic import Field
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Frozen, read_model
-from skd_sim.inputs.outside import is_there
-from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option, options_of, read_options
-from skd_sim.scenario.known_scenarios import SCENARIOS, is_named
+from skd_sim.scenario.scenario_file import SCENARIOS, is_named
 
 from skd_evaluator.assessment.plan.options import (
     NO_BEHAVIOUR,

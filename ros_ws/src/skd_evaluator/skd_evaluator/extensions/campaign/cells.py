@@ -14,13 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import sha256_of
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.objective import OBJECTIVES, Objective, objectives_named
+from skd_sim.inputs.files import sha256_of
+from skd_sim.options.adversary import OBJECTIVES, Objective, objectives_named
+from skd_sim.options.car_under_test import SIMULATORS, CarUnderTest
 from skd_sim.options.options import further_options, options_of, values_of
-from skd_sim.options.simulators import SIMULATORS
-from skd_sim.simulators.named_simulator import make_simulator
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.simulators.simulator import make_simulator
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes

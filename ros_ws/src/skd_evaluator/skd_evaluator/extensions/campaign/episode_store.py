@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import open_regular
+from skd_sim.inputs.files import open_regular
 from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.command_ages import Timing
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
+from skd_sim.world.timing import Timing
 
 from skd_evaluator.assessment.plan.plan import EpisodeRunner
 from skd_evaluator.errors import AssessmentError

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json, sha256_of
+from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.result_folder import write_manifests

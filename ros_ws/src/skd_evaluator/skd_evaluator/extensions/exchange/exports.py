@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import IntArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_writer, write_osi

@@ -14,7 +14,7 @@ from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.csv_file import safe_trajectory
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import is_there, read_json, read_xml
+from skd_sim.inputs.files import is_there, read_json, read_xml
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Mode

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 from skd_sim.scenario.road import ONCOMING
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
-from skd_sim.scenario.kinds import CAR, called, height_of
 from skd_sim.scenario.road import right_and_along, road_pose
-from skd_sim.scenario.road_user import Body
+from skd_sim.scenario.road_user import CAR, Body, called, height_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.surrogate.scenes import Course, scene_of, velocities
 

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import is_there, open_regular
-from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.inputs.files import finite_number, is_there, open_regular
+from skd_sim.scenario.road_user import ROAD_USERS
 
 from skd_evaluator.extensions.exchange.tracks import TrackedObject, listed, track_of
 

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
+from skd_sim.inputs.files import finite_number
 
 from skd_evaluator.extensions.fusion.track import Track
 

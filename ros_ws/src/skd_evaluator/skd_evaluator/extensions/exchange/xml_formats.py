@@ -21,9 +21,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.inputs.printable import one_line
-from skd_sim.scenario.kinds import CAR, height_of
+from skd_sim.inputs.files import one_line
 from skd_sim.scenario.road import ONCOMING, Road, right_and_along, road_curvature, road_pose
+from skd_sim.scenario.road_user import CAR, height_of
 from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator.extensions.exchange.scene import EGO, ROAD_FILE, Actor, ExportedEpisode, stretch

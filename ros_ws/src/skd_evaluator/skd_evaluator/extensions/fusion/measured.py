@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.scenario.road import right_and_along, road_pose
 from skd_sim.scenario.scenario import Scenario
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 
 from skd_evaluator.extensions.fusion.figures import Figure
 from skd_evaluator.extensions.fusion.trial import Trial

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import read_text
+from skd_sim.inputs.files import finite_number, read_text
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.bags.read import ADVERSARY, CAR

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from skd_sim.errors import UsageError
-from skd_sim.inputs.numbers import finite_number
-from skd_sim.inputs.outside import read_text, real_path
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean, finite_number, read_text, real_path
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.extensions.fusion.figures import FIGURES, checked_value

@@ -10,9 +10,9 @@ from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.dynamics.limits import clipped_line, command_limits
+from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.assessment import judge
 from skd_evaluator.assessment.judge.repeatability import undisturbed_drives

@@ -10,8 +10,8 @@ from typing import Any, Final, Protocol
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.scenario.known_scenarios import lineage
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario_file import lineage
 
 from skd_evaluator.assessment.judge.static_tests import Tested, place_of
 from skd_evaluator.extensions.ncap.layout import Layout, headline, layout_of, reasons

@@ -12,8 +12,8 @@ from statistics import fmean
 from typing import Annotated, Any, Final
 
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
-from skd_sim.inputs.outside import read_json
 
 from skd_evaluator.assessment.files.result_folder import hold, read_manifest
 from skd_evaluator.extensions.ncap.colours import COLOURS, GREEN, colour_of

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json, read_text
-from skd_sim.scenario.known_scenarios import is_named
+from skd_sim.inputs.files import read_json, read_text
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import is_named
 
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.points import points_of, with_calculator

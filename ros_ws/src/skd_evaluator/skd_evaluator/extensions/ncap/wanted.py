@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from skd_sim.errors import UsageError
-from skd_sim.scenario.known_scenarios import lineage
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.scenario.scenario_file import lineage
 
 from skd_evaluator.extensions.ncap.matrices import Matrix, MatrixPoint, matrix_of
 from skd_evaluator.extensions.ncap.result import rounded_kmh

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.episode import Episode
-from skd_sim.world.motion import next_speed, travelled
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.episode import Episode, Role, generator
+from skd_sim.world.state import next_speed, travelled
 from skd_sim.world.world import make_world
 
 from skd_evaluator.margin.actions import WAY_COUNT

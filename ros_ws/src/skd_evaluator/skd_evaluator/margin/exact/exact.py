@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
-from skd_sim.world.episode import Episode
-from skd_sim.world.randomness import controller_generator, controller_seed
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.episode import Episode, controller_generator, controller_seed
+from skd_sim.world.state import Trajectory
 from skd_sim.world.world import Contact, make_world
 
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_foretold, way_velocity

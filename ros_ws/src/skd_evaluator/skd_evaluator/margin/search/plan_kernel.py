@@ -17,8 +17,7 @@ from skd_adversary.crossing.crossing import within
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import is_straight_north, road_pose, road_position
-from skd_sim.world.contact import first_contact, rectangle_distance, sweep
-from skd_sim.world.obstruction import runs_into
+from skd_sim.world.contact import first_contact, rectangle_distance, runs_into, sweep
 
 from skd_evaluator.margin.search.surrogate import SITUATION, nearest_sample
 

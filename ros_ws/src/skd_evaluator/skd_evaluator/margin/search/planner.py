@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_pose, road_position
-from skd_sim.world.dynamics.interface import make_dynamics
-from skd_sim.world.episode import EpisodeLog, Outcome
-from skd_sim.world.randomness import Role, generator
+from skd_sim.world.dynamics.basic import make_dynamics
+from skd_sim.world.episode import EpisodeLog, Outcome, Role, generator
 
 from skd_evaluator.margin.actions import FIRST_HALF
 from skd_evaluator.margin.search import plan_kernel

@@ -19,7 +19,7 @@ from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.metrics.distances.deviation import deviation

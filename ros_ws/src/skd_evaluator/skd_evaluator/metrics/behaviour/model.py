@@ -13,10 +13,10 @@ from typing import Annotated, Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.inputs.model import Finite, Frozen, OneOf, read_model
-from skd_sim.inputs.suggestion import did_you_mean
 from skd_sim.inputs.yaml_file import parse_yaml, read_text, to_yaml
-from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.road_user import ROAD_USERS
 
 from skd_evaluator.metrics.behaviour import NO_BEHAVIOUR, WALKERS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.distances.measures import Measure, Pair
 from skd_evaluator.metrics.statistics.prior import PREFIXES

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from skd_sim.scenario.protocol import time_of_meeting
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
 from skd_evaluator.report.scenery import car_outline, draw_car, draw_ghosts, draw_road

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import folders_in, read_json, real_path
+from skd_sim.inputs.files import folders_in, read_json, real_path
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.outside import read_json, real_path
-from skd_sim.options.objective import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.inputs.files import read_json, real_path
+from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood

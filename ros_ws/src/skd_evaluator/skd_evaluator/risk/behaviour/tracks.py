@@ -14,7 +14,7 @@ from skd_adversary.safe_trajectories.table import read_table, resample, too_fast
 from skd_adversary.safe_trajectories.track_checks import LONGEST_HOLE, check_once
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.bags.checks import Damage

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.simulators.metadrive.installed import METADRIVE, require_metadrive
+from skd_sim.simulators.metadrive.pedals import METADRIVE, require_metadrive
 from skd_sim.world.state import AdversaryState, CarState
 
 CONTROL_PERIOD: Final = 0.1

@@ -1,19 +1,46 @@
-"""What MetaDrive's pedals do, measured: from an acceleration to a pedal and back.
+"""MetaDrive's pedals, measured: from an acceleration to a pedal and back; and whether MetaDrive is installed.
 
 MetaDrive has one number for both pedals: from 0 to 1 the throttle, from 0 to −1 the brake. Its wheels brake by
 impulses, so a longer step of the physics brakes less. With no pedal at all its cars roll against a small brake of
-their own; under the slightest throttle or brake they do not.
+their own; under the slightest throttle or brake they do not. Imports nothing of MetaDrive.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from skd_sim.world.dynamics.limits import CommandLimits
+from skd_sim.errors import UsageError
+from skd_sim.world.dynamics.basic import CommandLimits
+
+METADRIVE: Final = "metadrive"
+"""What the simulator is called on the command line."""
+VERSION: Final = "0.4.3"
+_DISTRIBUTION: Final = "metadrive-simulator"
+
+
+def require_metadrive() -> None:
+    """Refuse to go on without MetaDrive.
+
+    Raises:
+        UsageError: it is not installed, or in another version; says how it is installed.
+    """
+    try:
+        found = importlib.metadata.version(_DISTRIBUTION)
+    except importlib.metadata.PackageNotFoundError:
+        found = ""
+    if found != VERSION or importlib.util.find_spec("metadrive") is None:
+        there = f"version {found} is installed" if found else "it is not installed"
+        raise UsageError(
+            f"simulator {METADRIVE} needs MetaDrive {VERSION}, and {there}: in the folder of SKD, "
+            '.venv/bin/python -m pip install -e ".[metadrive]" (Python 3.11)'
+        )
+
 
 FULL_SPEED: Final = 25.0 / 3.0
 """Speed from which stops are measured at least, m/s: 30 km/h."""

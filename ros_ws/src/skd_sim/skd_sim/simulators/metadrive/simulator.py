@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.framed_simulator import FramedSimulator
-from skd_sim.simulators.metadrive.installed import VERSION, require_metadrive
+from skd_sim.simulators.metadrive.pedals import VERSION, require_metadrive
+from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Episode
-from skd_sim.world.simulator import Frame
 
 
 class MetaDriveSimulator:
@@ -85,6 +85,6 @@ class MetaDriveSimulator:
 def _frames(scenario: Scenario) -> Any:
     """Return the frames of MetaDrive; its imports say hello on standard output, where results go."""
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    from skd_sim.simulators.metadrive.frames import MetaDriveFrames
+    from skd_sim.simulators.metadrive.stage import MetaDriveFrames
 
     return MetaDriveFrames(scenario)

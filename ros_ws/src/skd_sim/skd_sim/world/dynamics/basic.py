@@ -1,20 +1,117 @@
-"""The paper's basic car: the speed follows the command at once, up to noise (section "The Cars")."""
+"""The interface of a car's dynamics, the limits of its commands, and the paper's basic car.
+
+The speed of the basic car follows the command at once, up to noise (section "The Cars").
+
+Brakes of the basic car hold `car.brake_limit` or what the tyres do, whichever is less, but at least `car.deceleration`,
+which is what the scenario says that this car can do. The multi-body car has tyres of its own; only its brake is limited
+here. Nobody speeds up faster than the tyres hold.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.kernels.stream import stream_of
+from skd_sim.options.car_under_test import DYNAMICS
+from skd_sim.options.registry import load
 from skd_sim.scenario.road import is_straight_north, road_pose, road_position
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.dynamics.interface import Noise
-from skd_sim.world.heading import on_grid
-from skd_sim.world.motion import draw_relative, next_speed, travelled
-from skd_sim.world.state import CarState
+from skd_sim.world.dynamics.multi_body import GRAVITY, TYRE
+from skd_sim.world.state import CarState, draw_relative, next_speed, on_grid, travelled
+
+
+class Noise(NamedTuple):
+    """Relative perturbations of a car's motion, drawn once a tick.
+
+    Attributes:
+        speed: relative noise of the speed.
+        acceleration: relative noise of the acceleration.
+    """
+
+    speed: float
+    acceleration: float
+
+
+class CarDynamics(Protocol):
+    """A car that can be driven.
+
+    Same start, same commands, same noise: same path, to the last bit.
+    """
+
+    def reset(self, car: CarState) -> None:
+        """Put the car on the road at this state, rolling freely, and forget everything before."""
+
+    def draw(self, rng: np.random.Generator) -> Noise:
+        """Draw the noise of a tick; the same number of draws whatever the car does."""
+
+    def advance(self, acceleration: float, duration: float, noise: Noise) -> FloatArray:
+        """Drive on under one command.
+
+        Args:
+            acceleration: commanded acceleration, m/s², which the car may follow or not.
+            duration: time to drive, s: a control period of the scenario, or a part of it.
+            noise: relative noise of the acceleration, and of the speed over this duration.
+
+        Returns:
+            n × 4 with n ≥ 2: x, y (m), heading (rad) and speed (m/s) at n uniform times from now to the end of the
+            duration. Between two of them the car may be taken to move uniformly.
+        """
+
+
+def make_dynamics(scenario: Scenario) -> CarDynamics:
+    """Return the dynamics that the scenario names in `car.dynamics`."""
+    # Loaded here: who drives the basic car need not wait for the multi-body model.
+    name = scenario.car.dynamics
+    return cast(CarDynamics, load(DYNAMICS[name].target, f"car.dynamics {name}")(scenario))
+
+
+GRIP = TYRE.p_dx1 * GRAVITY
+"""m/s² that tyres hold on a dry road: those of the multi-body car, 11.5."""
+
+
+class CommandLimits(NamedTuple):
+    """Least and greatest acceleration that a command can mean, m/s²."""
+
+    least: float
+    greatest: float
+
+    def clip(self, acceleration: float) -> float:
+        """Return a command within the limits; one that is there already stays as it is, to the bit.
+
+        Raises:
+            ValueError: it is not finite.
+        """
+        if not math.isfinite(acceleration):
+            raise ValueError(f"a command must be a finite number (m/s²), got {acceleration}")
+        return min(self.greatest, max(self.least, acceleration))
+
+
+def command_limits(scenario: Scenario) -> CommandLimits:
+    """Return the limits of a scenario's car."""
+    car, grip = scenario.car, scenario.road.friction * GRIP
+    brake = car.brake_limit if DYNAMICS[car.dynamics].tyres else min(car.brake_limit, grip)
+    return CommandLimits(-max(car.deceleration, brake), grip)
+
+
+def clipped_line(counts: Sequence[int], low: float, high: float) -> str:
+    """Return what is said of commands that asked more than a car can do.
+
+    Args:
+        counts: of such commands, one for each episode that has any.
+        low: least acceleration of the car, m/s².
+        high: greatest.
+    """
+    return (
+        f"{sum(counts)} commands in {len(counts)} episodes asked more than this car can do; they were clipped to "
+        f"{low:.3g} … {high:.3g} m/s²"
+    )
+
 
 _SAGITTA = 1e-4  # m
 

@@ -1,5 +1,9 @@
 """The multi-body car on the road: command → brake and engine → wheels → motion, at 1 ms.
 
+The brake has a dead time and then a pressure that changes at a limited rate, as every friction brake. UN Regulation
+13-H allows a passenger car 0.6 s from the pedal to the required deceleration; the equation of its stopping distance,
+0.1·v [km/h], stands for a loss of 0.36 s.
+
 Fourth-order Runge-Kutta. The stiffest part is a wheel's spin against its tyre, whose rate grows as 1/speed; below about
 4 m/s a step is therefore divided. Below `LOW_SPEED` slip is not defined any more and the car rolls as one body: of a
 stop from 25/3 m/s that is the last 1/770 of the way.
@@ -14,26 +18,64 @@ import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.dynamics.actuator import apply_brake, new_brake
-from skd_sim.world.dynamics.interface import Noise
+from skd_sim.world.dynamics.basic import Noise
 from skd_sim.world.dynamics.multi_body import (
+    BMW_320I,
     FRONT,
+    GRAVITY,
     HEIGHT,
     PITCH,
     REAR,
     SPEED,
     STATES,
+    TYRE,
     WHEELS,
     YAW,
+    Tyre,
+    Vehicle,
     WheelInput,
     X,
     Y,
     derivative,
+    peak_slip,
 )
-from skd_sim.world.dynamics.tyre import peak_slip
-from skd_sim.world.dynamics.vehicle import BMW_320I, GRAVITY, TYRE, Tyre, Vehicle
-from skd_sim.world.motion import draw_relative
-from skd_sim.world.state import CarState
+from skd_sim.world.state import CarState, draw_relative
+
+_NOW, _NEXT, _QUEUE = 0, 1, 2  # places in the state: brake now (m/s²), next place of the queue to read, the queue
+
+
+def new_brake(delay: float, step: float) -> FloatArray:
+    """Return the state of a released brake.
+
+    Args:
+        delay: dead time, s; rounded to whole steps.
+        step: duration of a step, s.
+    """
+    return np.zeros(_QUEUE + round(delay / step))
+
+
+@kernel
+def apply_brake(brake: FloatArray, demand: float, rate: float, step: float) -> float:
+    """Advance the brake by one step and return the deceleration (m/s², ≥ 0) that its mean torque in it stands for.
+
+    Args:
+        brake: state, changed in place.
+        demand: deceleration commanded now, m/s², ≥ 0.
+        rate: limit on build-up and on release, m/s³.
+        step: duration of a step, s.
+    """
+    length = brake.size - _QUEUE
+    delayed = demand
+    if length > 0:
+        place = _QUEUE + int(brake[_NEXT])
+        delayed = brake[place]
+        brake[place] = demand
+        brake[_NEXT] = (brake[_NEXT] + 1.0) % length
+    change = rate * step
+    before = brake[_NOW]
+    brake[_NOW] = before + min(change, max(-change, delayed - before))
+    return float(0.5 * (before + brake[_NOW]))
+
 
 LOW_SPEED = 0.3  # m/s
 _STEP = 0.001  # s

@@ -14,7 +14,7 @@ import numpy as np
 from skd_adversary.safe_trajectories.track_checks import once_more, repeated
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 from skd_evaluator.assessment.files.result_folder import write_json

@@ -12,7 +12,7 @@ from typing import Any
 
 from rich.table import Table
 from skd_sim.errors import UsageError
-from skd_sim.scenario.kinds import ROAD_USERS
+from skd_sim.scenario.road_user import ROAD_USERS
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder

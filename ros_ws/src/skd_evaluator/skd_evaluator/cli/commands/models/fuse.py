@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder

@@ -11,10 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.simulators import is_own_world
+from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.simulators.named_simulator import make_simulator
+from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json

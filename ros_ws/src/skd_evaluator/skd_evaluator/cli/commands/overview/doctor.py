@@ -106,7 +106,7 @@ def _version(module: str) -> str:
 
 def _kernels() -> Finding:
     """Return whether compiled kernels can be kept, and how many are."""
-    from skd_sim.kernels.code_cache import cache_folder
+    from skd_sim.kernels.compilation import cache_folder
 
     folder = cache_folder()
     count = len(list(folder.glob("*.kernel")))

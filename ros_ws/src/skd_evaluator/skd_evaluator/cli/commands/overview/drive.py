@@ -13,10 +13,9 @@ from typing import Any
 
 from skd_adversary.safe_trajectories import count_safe_trajectories
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
-from skd_sim.options.graph_options import REAL_TIME
-from skd_sim.options.knowledge import Knowledge
-from skd_sim.options.options import options_of, values_of
+from skd_sim.inputs.files import one_line
+from skd_sim.options.adversary import Knowledge
+from skd_sim.options.options import REAL_TIME, options_of, values_of
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.encounter_difference import encounter_difference, has_tyres

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.printable import one_line
+from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.compare.comparison import Comparison, compare
 from skd_evaluator.assessment.files.result_folder import write_json

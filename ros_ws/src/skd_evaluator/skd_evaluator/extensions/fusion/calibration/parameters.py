@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from skd_sim.options.car_dynamics import DYNAMICS
+from skd_sim.options.car_under_test import DYNAMICS
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 
 TYRES = "multi_body"

@@ -15,10 +15,9 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, Mode, Outcome
-from skd_sim.world.simulator import Frame, WorldSimulator
-from skd_sim.world.state import CarState
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import CarState, Trajectory
 
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError

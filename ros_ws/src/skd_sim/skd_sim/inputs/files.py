@@ -1,4 +1,7 @@
-"""Files that others wrote: only regular files are opened, for a pipe would never begin, and read up to a limit."""
+"""Reading of outside data: files, JSON, XML and numbers, checked; and how names out of them are shown.
+
+Only regular files are opened, for a pipe would never begin, and they are read up to a limit.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ import json
 import math
 import os
 import stat
+import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any, NoReturn
 from xml.etree import ElementTree
@@ -191,3 +195,52 @@ def read_xml(path: Path, largest: int = LARGEST) -> ElementTree.Element:
 
 def _size(count: int) -> str:
     return f"{count // 2**20} MiB" if count >= 2**20 else f"{count // 1024} KiB"
+
+
+def finite_number(text: str, what: str) -> float:
+    """Return the number that a text says.
+
+    Args:
+        text: as it stands in the file.
+        what: it is, and where, for messages.
+
+    Raises:
+        UsageError: it is none, or is not finite.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise UsageError(f"{what} must be a number, got {text[:40]!r}") from None
+    if not math.isfinite(value):
+        raise UsageError(f"{what} must be finite, got {text[:40]}")
+    return value
+
+
+def printable(text: str) -> str:
+    """Return text in which control and format characters are written as escapes, but for tabs and ends of lines."""
+    if text.isprintable():
+        return text
+    return "".join(
+        one.encode("unicode_escape").decode() if unicodedata.category(one)[0] == "C" and one not in "\n\t" else one
+        for one in text
+    )
+
+
+def one_line(text: str) -> str:
+    """Return the same in one line: what begins a new one is a blank."""
+    return printable(" ".join(text.splitlines()))
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that is nearest; none where none is near."""
+    from difflib import get_close_matches  # only where something is wrong
+
+    by_case = {one.lower(): one for one in known}
+    near = get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    return by_case[near[0]] if near else None
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?` with the known name that is nearest; empty where none is near."""
+    near = nearest(name, known)
+    return "" if near is None else f"; did you mean {near!r}?"

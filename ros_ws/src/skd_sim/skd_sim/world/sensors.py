@@ -1,12 +1,13 @@
-"""A planar laser scanner on the car: ray casting, range noise and dropouts.
+"""Sensors of the car: a planar laser scanner (ray casting, range noise, dropouts) and an inertial unit.
 
-It sees the adversary, the others and the parked obstacles of the scenario, discs or boxes, and not the car that carries
-it. A beam that hits nothing within the maximum range, or is lost, reads +inf (REP 117).
+The laser sees the adversary, the others and the parked obstacles of the scenario, discs or boxes, and not the car that
+carries it. A beam that hits nothing within the maximum range, or is lost, reads +inf (REP 117). Without ROS.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,81 @@ from numpy.typing import NDArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import NO_CONTACT, to_car_frame
-from skd_sim.world.episode import Episode
-from skd_sim.world.randomness import Role, generator
-from skd_sim.world.sensors.scan import FloatRanges, Scan
+from skd_sim.world.episode import Episode, Role, generator
 from skd_sim.world.state import AdversaryState, CarState, RoadUserState
+
+FloatRanges = NDArray[np.float32]
+
+
+class Scan(NamedTuple):
+    """Ranges by bearing, in the frame of the sensor (x ahead, y left); as single precision as on the wire.
+
+    Attributes:
+        ranges: range of each beam, m; +inf where nothing came back (REP 117).
+        angle_min: bearing of the first beam, rad, counter-clockwise from straight ahead.
+        angle_increment: angle between neighbouring beams, rad.
+        range_max: greatest range that is measured, m.
+    """
+
+    ranges: FloatRanges
+    angle_min: float
+    angle_increment: float
+    range_max: float
+
+    def points(self) -> FloatRanges:
+        """Return where something came back: n × 3, m, in the frame of the sensor, in its plane (z = 0)."""
+        hit = np.flatnonzero(np.isfinite(self.ranges))
+        bearings = self.angle_min + hit * self.angle_increment
+        found = np.zeros((len(hit), 3), np.float32)
+        found[:, 0] = self.ranges[hit] * np.cos(bearings)
+        found[:, 1] = self.ranges[hit] * np.sin(bearings)
+        return found
+
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+
+
+class Inertia(NamedTuple):
+    """What is measured, in the frame of the car (x ahead, y left, z up).
+
+    Attributes:
+        heading: heading of the car in the world, counter-clockwise from East, rad (REP 103).
+        yaw_rate: rate at which the heading changes, rad/s.
+        acceleration: proper acceleration, m/s²: standing still it is gravity's, upwards (REP 145).
+    """
+
+    heading: float
+    yaw_rate: float
+    acceleration: tuple[float, float, float]
+
+
+class InertialUnit:
+    """Tells accelerations from one state to the next, as means over the time in between."""
+
+    def __init__(self) -> None:
+        """Begin an episode: at its first state only the heading is known."""
+        self._newest: tuple[int, CarState] | None = None
+        self._measured = Inertia(0.0, 0.0, (0.0, 0.0, STANDARD_GRAVITY))
+
+    def measure(self, car: CarState, stamp: int) -> Inertia:
+        """Return what is measured at a state; for one that was seen already, the same again.
+
+        Args:
+            car: true state of the car.
+            stamp: time stamp of the state, ns; never before those of earlier calls.
+        """
+        if self._newest is None:
+            self._measured = Inertia(car.heading, 0.0, (0.0, 0.0, STANDARD_GRAVITY))
+        elif stamp > self._newest[0]:
+            before = self._newest[1]
+            seconds = (stamp - self._newest[0]) * 1e-9
+            turned = math.remainder(car.heading - before.heading, 2.0 * math.pi)
+            yaw_rate = turned / seconds
+            # Speed is along the heading, so the acceleration to the side is that of turning.
+            ahead, left = (car.speed - before.speed) / seconds, 0.5 * (car.speed + before.speed) * yaw_rate
+            self._measured = Inertia(car.heading, yaw_rate, (ahead, left, STANDARD_GRAVITY))
+        self._newest = stamp, car
+        return self._measured
 
 
 @kernel

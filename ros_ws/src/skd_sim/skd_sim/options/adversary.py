@@ -1,4 +1,4 @@
-"""What a kamikaze's plan is rewarded for, and its default budget. Light: the command line imports it at every start."""
+"""What the adversary knows of the car, and what its plan is rewarded for. Light: every command begins with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,57 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import Final, cast
 
+from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.registry import Registry
+
+
+class Knowledge(StrEnum):
+    """What a kamikaze knows of the car."""
+
+    NOTHING = "nothing"  # the car is taken for a basic one, with any C
+    LEARNED = "learned"  # a model that was fitted to logs of the car
+    KNOWN = "known"  # the law by which the car brakes, and C
+
+
+def implied_knowledge(car: CarUnderTest, car_model: str) -> Knowledge:
+    """Return the knowledge of an episode that states none: learned with a car model, known where C is, else nothing.
+
+    Args:
+        car: the car under test.
+        car_model: text of the model that the episode carries; empty: none.
+    """
+    if car_model:
+        return Knowledge.LEARNED
+    return Knowledge.KNOWN if car.is_known else Knowledge.NOTHING
+
+
+def default_knowledge(car: CarUnderTest) -> Knowledge:
+    """Return the knowledge of an assessment by default: known where C is, else learned."""
+    return Knowledge.KNOWN if car.is_known else Knowledge.LEARNED
+
+
+def check_knowledge(knowledge: Knowledge, car: CarUnderTest, *, model: bool) -> None:
+    """Refuse knowledge that this car does not allow.
+
+    Args:
+        knowledge: what the adversary knows of the car.
+        car: the car under test.
+        model: whether a car model is given.
+
+    Raises:
+        UsageError: C of a car that has none, or a car model that would not be used.
+    """
+    if model and knowledge != Knowledge.LEARNED:
+        raise UsageError(
+            f"a car model goes with knowledge {Knowledge.LEARNED}: leave out the model, or knowledge {knowledge}"
+        )
+    if knowledge == Knowledge.KNOWN and not car.is_known:
+        raise UsageError(
+            f"knowledge {Knowledge.KNOWN}: how car {car.controller} decides is not known to the adversary; "
+            f"{Knowledge.LEARNED} finds out, {Knowledge.NOTHING} does without"
+        )
+
 
 DEFAULT_SIMULATIONS: Final = 1000
 """Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/closeness.md)."""

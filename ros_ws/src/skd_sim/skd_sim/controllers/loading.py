@@ -1,6 +1,6 @@
-"""A user's controller, which may raise anything or answer anything: what it says is checked.
+"""Controllers by name, and a guard around a user's, which may raise anything or answer anything.
 
-Whatever goes wrong in it is an AssessmentError whose one line names the controller and the line of its code.
+Whatever goes wrong in one is an AssessmentError whose one line names the controller and the line of its code.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import pickle
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from skd_sim.arrays import FloatArray
-from skd_sim.controllers.isolated import begin_call, end_call
+from skd_sim.controllers.isolated import LOADING, begin_call, end_call
 from skd_sim.controllers.protocol import (
     Controller,
     SensingController,
@@ -23,8 +23,11 @@ from skd_sim.controllers.protocol import (
     takes_batches,
     takes_scene,
 )
-from skd_sim.errors import AssessmentError, NoNumberError
+from skd_sim.errors import AssessmentError, NoNumberError, UsageError
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.interruption import Interrupted
+from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
+from skd_sim.options.registry import load, reason_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene
@@ -150,3 +153,40 @@ def user_controller(controller: Controller, name: str) -> UserController:
     if isinstance(controller, SensingController):
         return UserSensingController(controller, name)
     return UserController(controller, name)
+
+
+def make_controller(name: str, multiplier: float = 1.0) -> Controller:
+    """Make a controller by name.
+
+    Args:
+        name: name of a controller, one of `CONTROLLERS`, or `package.module:Class` of a user's controller, which is
+            made without arguments.
+        multiplier: C of a controller that has one; the others have none.
+
+    Raises:
+        UsageError: unknown name, a module or class that cannot be loaded, or a class that is no `Controller`.
+    """
+    car = CarUnderTest(name, multiplier)
+    if car.is_external or not car.exists:
+        known = CONTROLLERS.names()
+        raise UsageError(
+            f"unknown controller {name!r}; give {', '.join(known)}, or package.module:Class for your own"
+            f"{did_you_mean(name, (*known, EXTERNAL))}"
+        )
+    what = f"controller {name!r}"
+    target = CONTROLLERS.target(name) if name in CONTROLLERS else name
+    if car.is_own:
+        factory: Callable[..., object] = load(target, what)
+        return cast(Controller, factory(multiplier) if car.has_multiplier else factory())
+    begin_call(LOADING)
+    try:
+        made: Any = load(target, what)()
+        if isinstance(made, Controller):
+            return user_controller(made, name)
+    except (Interrupted, UsageError):  # this process is to end, or what is wrong is said already
+        raise
+    except BaseException as error:  # a user's class may raise anything, and end the program with a clean exit code
+        raise UsageError(f"{what} cannot be loaded: {reason_of(error)}") from None
+    finally:
+        end_call()
+    raise UsageError(f"{what} needs the methods reset(scenario, rng) and command(car, adversary)")

@@ -1,4 +1,4 @@
-"""Scenarios that have a name, SKD's own and those of installed packages, and files that build upon others."""
+"""Content of a scenario's file: found by name or by path, and built upon others. Light: completion begins with it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.suggestion import did_you_mean
+from skd_sim.inputs.files import did_you_mean
 from skd_sim.inputs.yaml_file import parse_yaml, read_text
 from skd_sim.options.registry import Registry
 

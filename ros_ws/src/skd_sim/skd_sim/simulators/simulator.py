@@ -1,0 +1,392 @@
+"""The interface of a simulator, SKD's own world behind it, others by name, and the guard around those.
+
+A class with the two methods of `Simulator` and the count is enough: `run_episode(episode, simulator=…)` runs it in
+process, `skd_sim.ros.simulator_node.SimulatorNode` in the graph.
+
+Whether an episode as a whole can have happened is asked of its log (`skd_evaluator.assessment.validation`). The guard
+looks at what no log shows: that frames are frames, finite and one after the other, and that the adversary goes where
+it is told, for which a log has no commands.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
+
+from skd_sim.controllers.loading import failed, shown
+from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.interruption import Interrupted
+from skd_sim.options.car_under_test import SIMULATORS, is_own_world
+from skd_sim.options.registry import reason_of
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import AbortKind, Episode, Outcome, abort_reason
+from skd_sim.world.state import AdversaryState, CarState, Scene
+from skd_sim.world.world import Contact, World, make_world
+
+if TYPE_CHECKING:
+    from skd_sim.world.episode import Episode
+    from skd_sim.world.world import World
+
+
+class Frame(NamedTuple):
+    """How an episode stands at the end of a control period: the car is to decide, and at a tick the adversary, too.
+
+    Attributes:
+        tick: number of the tick; 0 is the start.
+        car: state of the car under test.
+        adversary: state of the adversary.
+        contact: collision in the tick that has just ended, if there was one; its fraction is of the tick.
+        outcome: outcome of the episode: `RUNNING` while there is something to decide, anything else only at a tick.
+        period: number of control periods since the tick; 0 at the tick itself.
+    """
+
+    tick: int
+    car: CarState
+    adversary: AdversaryState
+    contact: Contact | None = None
+    outcome: Outcome = Outcome.RUNNING
+    period: int = 0
+
+    def scene(self, scenario: Scenario) -> Scene:
+        """Return everybody; where the others of the scenario are depends on the time alone."""
+        return Scene(self.car, self.adversary, scenario.others_at(self.tick, self.period))
+
+    def impact(self, time_step: float) -> tuple[float, float]:
+        """Return time since the start (s) and the car's speed (m/s) at the contact; nan where there is none."""
+        if self.contact is None:
+            return math.nan, math.nan
+        return (self.tick - 1 + self.contact.fraction) * time_step, float(self.contact.speed)
+
+
+class SimulatorError(Exception):
+    """A simulator cannot go on with this episode, which is aborted; the next one may be better."""
+
+    def __init__(self, kind: AbortKind, what: str) -> None:
+        """Say what went wrong, and which kind of fault it is."""
+        super().__init__(abort_reason(kind, what))
+
+
+class Simulator(Protocol):
+    """Runs one episode after another, a control period at a time when told to; it may take as long as it needs."""
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Put car and adversary at the start, as `make_world` draws it, and return tick 0.
+
+        Raises:
+            UsageError: this simulator cannot run such an episode.
+            SimulatorError: it fails.
+        """
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Hold both commands for one control period (`Scenario.control_periods` of a tick), and return its end.
+
+        A contact is looked for along all of it, and ends the tick, where the adversary's velocity takes it.
+        `Episode.outcome` says how an episode stands at a tick.
+
+        Args:
+            acceleration: acceleration of the car, m/s², finite; what the car cannot do is clipped and counted.
+            velocity: velocity of the adversary, (East, North), m/s, finite; the same throughout a tick.
+
+        Raises:
+            SimulatorError: it fails.
+        """
+
+
+def require_others(simulator: object, name: str, episode: Episode) -> None:
+    """Refuse an episode whose scenario has others for a simulator, called `name`, that does not say it places them.
+
+    Raises:
+        UsageError: it is so.
+    """
+    if episode.scenario.others and not getattr(simulator, "places_others", False):
+        raise UsageError(
+            f"scenario {episode.scenario.name} has others, which simulator {name!r} does not place; take SKD's own "
+            "world, or a simulator whose attribute places_others is true"
+        )
+
+
+class WorldSimulator:
+    """SKD's own world; see `Simulator`."""
+
+    places_others: Final = True
+    """Whether the others of a scenario are there: of a simulator that does not say so, they are not."""
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the world of an episode, with all that is drawn for it."""
+        self._episode = episode
+        self._world = make_world(episode)
+        return Frame(0, self._world.car, self._world.adversary)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance the world by one control period."""
+        world = self._world
+        contact = world.step(acceleration, velocity)
+        if world.period:
+            return Frame(world.tick, world.car, world.adversary, period=world.period)
+        outcome = self._episode.outcome(world.tick, world.adversary, collided=contact is not None)
+        return Frame(world.tick, world.car, world.adversary, contact, outcome)
+
+    @property
+    def world(self) -> World:
+        """World of the running episode, to be looked at and not to be changed."""
+        return self._world
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+        return self._world.clipped
+
+
+_Result = TypeVar("_Result")
+_Place = tuple[float, float]
+
+DISOBEYED: Final = 0.05
+"""m in a tick by which the adversary may be elsewhere than the velocities of this tick and the last one take it."""
+STRAYED: Final = 1.0
+"""m that it may be away from where it starts, and later from where all its commands would have taken it."""
+_SHOWN = 80  # characters
+
+
+class CheckedSimulator:
+    """Another simulator, whose failures name it instead of ending in a traceback of ours; see `Simulator`.
+
+    Attributes:
+        strayed: greatest distance in this episode between the adversary and where its commands would have taken it, m.
+    """
+
+    def __init__(self, simulator: Simulator, name: str) -> None:
+        """Guard `simulator`, called `name` in messages."""
+        self._simulator, self._name = simulator, name
+        self.strayed = 0.0
+
+    def reset(self, episode: Episode) -> Frame:
+        """Pass the call on and check the frame; see `Simulator.reset`.
+
+        Raises:
+            AssessmentError: it fails, or gives no frame of tick 0.
+        """
+        self._step = episode.scenario.time_step
+        self._ticks, self._periods = episode.scenario.ticks, episode.scenario.control_periods
+        self._before = self._told = (0.0, 0.0)
+        self.strayed = 0.0
+        frame = self._frame("reset", self._call("reset", lambda: self._simulator.reset(episode)), (0, 0))
+        self._now, self._place, self._aim = (0, 0), frame.adversary[:2], episode.start
+        self.strayed = math.dist(self._place, self._aim)
+        if self.strayed > STRAYED:
+            self._abort(
+                AbortKind.REFUTED, f"the adversary starts {self.strayed:.3g} m from where the specification has it"
+            )
+        return frame
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Pass the call on and check the frame; see `Simulator.step`.
+
+        Raises:
+            AssessmentError: it fails, or gives no frame, or not the next one.
+            SimulatorError: a state is not finite, or the adversary is not where it was told to go.
+        """
+        tick, period = self._now
+        if period == 0:
+            self._before, self._told = self._told, velocity
+        answer = self._call("step", lambda: self._simulator.step(acceleration, velocity))
+        # A contact ends a tick before all of its control periods are over.
+        ended = isinstance(answer, Frame) and answer.contact is not None and answer.period == 0
+        following = (tick + 1, 0) if ended or period + 1 == self._periods else (tick, period + 1)
+        frame = self._frame("step", answer, following)
+        self._now = following
+        if following[1] == 0:
+            self._look_where(frame.adversary[:2], tick)
+        if frame.tick >= self._ticks and frame.outcome == Outcome.RUNNING:  # it would never end
+            self._abort(AbortKind.REFUTED, f"it goes on after tick {frame.tick}, which is the last one")
+        return frame
+
+    @property
+    def places_others(self) -> bool:
+        """Whether the simulator says that it places the others of a scenario."""
+        return bool(getattr(self._simulator, "places_others", False))
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+        count: object = self._call("clipped", lambda: self._simulator.clipped)
+        try:
+            number = operator.index(count)  # type: ignore[arg-type]
+        except Exception:
+            number = -1
+        if number < 0:
+            self._fail(f"clipped must be a whole number from 0 on, got {shown(count, repr, _SHOWN)}")
+        return number
+
+    @property
+    def own_contact(self) -> float | None:
+        """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
+        time: Any = self._call("own_contact", lambda: getattr(self._simulator, "own_contact", None))
+        if time is None:
+            return None
+        try:
+            seconds = float(time)
+        except Exception:
+            seconds = math.inf
+        if seconds < 0.0 or math.isinf(seconds):
+            self._fail(f"own_contact must be a time in s, nan or None, got {shown(time, repr, _SHOWN)}")
+        return seconds
+
+    def _frame(self, method: str, answer: object, expected: tuple[int, int]) -> Frame:
+        """Return what a method has answered as a frame of plain numbers; see `step` for what is raised."""
+        try:
+            assert isinstance(answer, Frame)
+            frame = Frame(
+                operator.index(answer.tick),
+                CarState(*map(float, answer.car)),
+                AdversaryState(*map(float, answer.adversary)),
+                None if answer.contact is None else Contact(*map(float, answer.contact)),
+                Outcome(answer.outcome),
+                operator.index(answer.period),
+            )
+        except Exception:
+            self._fail(f"{method} must return a Frame, got {shown(answer, repr, _SHOWN)}")
+        if (frame.tick, frame.period) != expected:
+            said, wanted = (_moment(*one, self._periods) for one in ((frame.tick, frame.period), expected))
+            self._fail(f"{method} must return the frame of {wanted}, got that of {said}")
+        numbers = (
+            *zip(("x", "y", "heading", "speed"), frame.car, strict=True),
+            *zip(("x", "y", "vx", "vy", "heading"), frame.adversary, strict=True),
+        )
+        for index, (what, number) in enumerate(numbers):
+            if not math.isfinite(number):
+                whose = "car" if index < len(frame.car) else "adversary"
+                self._abort(AbortKind.NOT_FINITE, f"{what} of the {whose} is {number:g} in tick {frame.tick}")
+        if frame.outcome == Outcome.ABORTED:
+            self._abort(AbortKind.FAILED, f"it ended the episode as ABORTED in tick {frame.tick}")
+        if frame.period and frame.outcome != Outcome.RUNNING:
+            self._fail(f"{method} must not end an episode between two ticks, as {frame.outcome.name} does")
+        return frame
+
+    def _look_where(self, place: _Place, tick: int) -> None:
+        """Look whether the adversary has gone where it was told in a tick, at once or by up to a tick later."""
+        step, before, told = self._step, self._before, self._told
+        moved = (place[0] - self._place[0], place[1] - self._place[1])
+        late = (step * before[0], step * before[1])
+        at_once = (step * told[0], step * told[1])
+        start, self._aim = self._aim, (self._aim[0] + at_once[0], self._aim[1] + at_once[1])
+        self._place = place
+        off = _from_segment(moved, late, at_once)
+        self.strayed = max(self.strayed, math.dist(place, self._aim))
+        away = _from_segment(place, start, self._aim)
+        if off > DISOBEYED:
+            self._abort(
+                AbortKind.REFUTED, f"in tick {tick} the adversary goes {off:.3g} m beside where it was told to go"
+            )
+        if away > STRAYED:
+            self._abort(
+                AbortKind.REFUTED, f"after tick {tick} the adversary is {away:.3g} m from where it was told to go"
+            )
+
+    def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+        try:
+            return call()
+        except (UsageError, AssessmentError, SimulatorError, Interrupted):
+            raise
+        except BaseException as error:  # a user's code may raise anything
+            raise failed(f"simulator {self._name}", method, error) from None
+
+    def _fail(self, what: str) -> NoReturn:
+        raise AssessmentError(f"simulator {self._name}: {what}") from None
+
+    def _abort(self, kind: AbortKind, what: str) -> NoReturn:
+        raise SimulatorError(kind, f"simulator {self._name}: {what}")
+
+
+def _moment(tick: int, period: int, periods: int) -> str:
+    return f"tick {tick}" if periods == 1 and period == 0 else f"tick {tick}, control period {period}"
+
+
+def _from_segment(place: _Place, begin: _Place, end: _Place) -> float:
+    """Return the distance of a place from the line between two others, m."""
+    dx, dy = end[0] - begin[0], end[1] - begin[1]
+    length = dx * dx + dy * dy
+    share = 0.0 if length == 0.0 else ((place[0] - begin[0]) * dx + (place[1] - begin[1]) * dy) / length
+    share = min(1.0, max(0.0, share))
+    return math.dist(place, (begin[0] + share * dx, begin[1] + share * dy))
+
+
+def make_simulator(name: str) -> Simulator:
+    """Make the simulator of a name.
+
+    Raises:
+        UsageError: there is none, it cannot be made, or is none.
+    """
+    factory = SIMULATORS.find(name)
+    try:
+        found = factory()
+    except UsageError:
+        raise
+    except Exception as error:
+        raise UsageError(f"simulator {name!r} cannot be made: {reason_of(error)}") from None
+    missing = [method for method in ("reset", "step") if not callable(getattr(found, method, None))]
+    if missing:
+        raise UsageError(f"simulator {name!r} needs the methods reset(episode) and step(acceleration, velocity)")
+    return cast("Simulator", found)
+
+
+def repeats_itself(name: str) -> bool:
+    """Return whether in a simulator the same commands lead to the same states: in SKD's world, and where one says so.
+
+    Raises:
+        UsageError: there is no such simulator, or it cannot be made.
+    """
+    return is_own_world(name) or bool(getattr(make_simulator(name), "repeats_itself", False))
+
+
+class NamedSimulator:
+    """The simulator that an episode names, kept from one episode to the next; see `Simulator`.
+
+    Any but SKD's own world is looked at as it goes; see `CheckedSimulator`.
+    """
+
+    places_others: Final = True
+    """It asks the one that is named."""
+
+    def __init__(self) -> None:
+        """Wait for an episode."""
+        self._name = ""
+        self._simulator: Simulator
+
+    def reset(self, episode: Episode) -> Frame:
+        """Make the simulator if the episode names another one than the last did, and begin the episode."""
+        if episode.simulator != self._name:
+            made = make_simulator(episode.simulator)
+            self._name = episode.simulator
+            self._simulator = made if is_own_world(self._name) else CheckedSimulator(made, self._name)
+        require_others(self._simulator, self._name, episode)
+        return self._simulator.reset(episode)
+
+    def step(self, acceleration: float, velocity: tuple[float, float]) -> Frame:
+        """Advance the simulator by one control period."""
+        return self._simulator.step(acceleration, velocity)
+
+    @property
+    def world(self) -> World | None:
+        """SKD's own world, if that is the simulator; see `WorldSimulator.world`."""
+        return getattr(self._simulator, "world", None) if is_own_world(self._name) else None
+
+    @property
+    def own_contact(self) -> float | None:
+        """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
+        return getattr(self._simulator, "own_contact", None)
+
+    @property
+    def strayed(self) -> float:
+        """Greatest distance between the adversary and where it was told to go (m), of another simulator than SKD's."""
+        return getattr(self._simulator, "strayed", 0.0)
+
+    @property
+    def clipped(self) -> int:
+        """How many commands of this episode asked more of the car than it can do."""
+        return self._simulator.clipped
