@@ -7,7 +7,7 @@ of them; the last in the first `--better` repetitions alone. Their exact margins
 kamikazes of that objective come to, are held against each other, as `skd compare` does:
 
 * C = 1 with itself on the other seed, so on other φ: a difference should be found in 5 of 100;
-* C = 1 with itself on the same φ with other draws (the first half of the attempts with the second): likewise;
+* C = 1 with itself on the same φ with other draws (the first half of the trials with the second): likewise;
 * C = 1 with C = 1.05 on the same φ and draws: it should be found; and on other φ, what is lost by that.
 
 Last it says how often the interval by φ of one campaign of C = 1 holds the mean over all campaigns of it, each of φ of
@@ -48,7 +48,7 @@ CARS = ((1.0, 0), (1.0, 1), (1.05, 0))
 
 
 def campaign(multiplier: float, seed: int, asked: Plan, figure: str, runner: InProcessRunner) -> FloatArray:
-    """Return what each attempt of a campaign counts as, φ × attempts, m.
+    """Return what each trial of a campaign counts as, φ × trials, m.
 
     Kamikazes beyond the wanted number, after failures, are left out, so that all φ have as many.
     """
@@ -56,11 +56,11 @@ def campaign(multiplier: float, seed: int, asked: Plan, figure: str, runner: InP
     safe = list(safe_trajectories(plan, runner))
     if figure == "margin":
         return margins(plan, safe, runner)
-    return np.array([attempts(group, plan)[: plan.kamikaze_count] for group in kamikaze_sets(plan, safe, runner)])
+    return np.array([trials(group, plan)[: plan.kamikaze_count] for group in kamikaze_sets(plan, safe, runner)])
 
 
-def attempts(group: KamikazeSet, plan: Plan) -> list[float]:
-    """Return what each attempt on φ counts as, in the order of their numbers, m."""
+def trials(group: KamikazeSet, plan: Plan) -> list[float]:
+    """Return what each trial on φ counts as, in the order of their numbers, m."""
     found = []
     for log in sorted((*group.logs, *group.misses), key=lambda log: log.episode.episode_id):
         needed = plan.scenario.eta_max
@@ -107,7 +107,7 @@ def summary(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, dict[
 
 def every_pair(runs: Mapping[str, FloatArray], repetitions: int) -> dict[str, Any]:
     """Return how often any two campaigns of C = 1 are told apart: the same rate, of pairs that share campaigns."""
-    # With as many attempts on each φ their means say all.
+    # With as many trials on each φ their means say all.
     means = [
         list(runs[key(car, number)].mean(axis=1, keepdims=True)) for number in range(repetitions) for car in CARS[:2]
     ]

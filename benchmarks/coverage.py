@@ -7,9 +7,9 @@ Real campaigns of many φ are the populations:
     done
     .venv/bin/python benchmarks/coverage.py populations/{0.75,1,1.15}
 
-A simulated campaign draws φ from a population with replacement, and attempts, pairs and runs from those of each φ. What
+A simulated campaign draws φ from a population with replacement, and trials, pairs and runs from those of each φ. What
 an interval has to hold is the population's own figure. *By φ* is the default interval of the terminal; *Student's* is
-the t interval over φ means; *as independent* the paper's over pairs, the normal one over attempts, Wilson's over runs.
+the t interval over φ means; *as independent* the paper's over pairs, the normal one over trials, Wilson's over runs.
 The stopping rule is that of `--until-width`, with widths that are reached early and late; *looked at naively* stops by
 ordinary 95 % intervals.
 """
@@ -42,10 +42,10 @@ from skd_sim.arrays import FloatArray
 from tally import Tally
 
 PRIORS = {"deviation": DISTANCES, "skd": DISTANCES, "skd_prefix": PREFIXES, "warped": PREFIXES}
-RATES = ("deviation_success_rate", "kamikaze_success_rate", "collision_rate")
+RATES = ("deviation_success_rate", "kamikaze_success_rate", "contact_rate")
 SIZES = ((5, 100), (10, 100), (20, 100), (10, 50), (20, 25))
 BOUND_ETA = 0.5
-BATCH, ATTEMPTS = 5, 100
+BATCH, TRIALS = 5, 100
 SHARES = (0.75, 0.5, 0.35)
 """Widths to stop at, of the one expected of a single batch."""
 
@@ -59,7 +59,7 @@ def warped_distances(result: StoredResult) -> list[FloatArray]:
     """Return the time-warped distance of each pair of the kamikazes that rank the car, by φ, m."""
     episodes = read_episodes(result.folder)
     found = []
-    for phi, tried in zip(episodes.safe, episodes.attempts(result.objective), strict=True):
+    for phi, tried in zip(episodes.safe, episodes.trials(result.objective), strict=True):
         psis = [episodes.until_contact(int(number)) for number in tried[episodes.hit[tried]]]
         found.append(np.array([warped_distance(phi[: len(psi)], psi) for psi in psis]))
     return found
@@ -81,14 +81,14 @@ def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
     groups: dict[str, Sequence[FloatArray]] = {**result.groups, "warped": warped_distances(result)}
     truths = {name: population_mean(groups[name]) for name in (*PRIORS, *RATES)}
     bound = population_bound(groups["skd"]) if truths["skd"] > BOUND_ETA else None
-    for safe, attempts in SIZES:
-        rng = np.random.default_rng(np.random.SeedSequence((seed, safe, attempts)))
+    for safe, trials in SIZES:
+        rng = np.random.default_rng(np.random.SeedSequence((seed, safe, trials)))
         kinds = ("by φ", "Student's", "as independent")
         tallies = {(name, kind): Tally() for name in (*truths, "bound") for kind in kinds}
         for _ in range(campaigns):
             chosen = rng.integers(len(result.safe), size=safe)
             for name, known in PRIORS.items():
-                sample = drawn(groups[name], chosen, attempts, rng)
+                sample = drawn(groups[name], chosen, trials, rng)
                 for kind, prior in (("by φ", known), ("Student's", None)):
                     found = clustered_mean(sample, prior=prior)
                     tallies[name, kind].add(truths[name], found.interval if found else None)
@@ -96,18 +96,18 @@ def coverage(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
                 if name == "skd" and bound is not None:
                     tallies["bound", "by φ"].add(bound, bound_interval(sample, BOUND_ETA))
             for name in RATES:
-                counts = [(int(one.sum()), attempts) for one in drawn(groups[name], chosen, attempts, rng)]
+                counts = [(int(one.sum()), trials) for one in drawn(groups[name], chosen, trials, rng)]
                 rate = clustered_rate(counts)
                 tallies[name, "by φ"].add(truths[name], rate.interval if rate else None)
                 hits = sum(hit for hit, _ in counts)
-                tallies[name, "as independent"].add(truths[name], wilson_interval(hits, safe * attempts))
+                tallies[name, "as independent"].add(truths[name], wilson_interval(hits, safe * trials))
         for (name, kind), tally in tallies.items():
             if tally.held + tally.above + tally.below:
                 truth = bound if name == "bound" else truths[name]
                 yield {
                     "population": str(result.folder),
                     "safe": safe,
-                    "attempts": attempts,
+                    "trials": trials,
                     "figure": name,
                     "interval": kind,
                     "truth": truth,
@@ -119,7 +119,7 @@ def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
     """Yield, by the width wanted, how often the interval at which the rule stopped holds."""
     groups = result.groups["deviation"]
     truth, parts = population_mean(groups), variance_components(groups)
-    single = expected_width(parts.between or 0.0, parts.within or 0.0, BATCH, ATTEMPTS, prior=DISTANCES)
+    single = expected_width(parts.between or 0.0, parts.within or 0.0, BATCH, TRIALS, prior=DISTANCES)
     for share in SHARES:
         wanted = share * single
         for rule, confidence in (("repeated intervals", nominal_confidence(LOOKS)), ("looked at naively", 0.95)):
@@ -129,7 +129,7 @@ def stopping(result: StoredResult, campaigns: int, seed: int) -> Iterator[dict[s
                 sample: list[FloatArray] = []
                 for _look in range(LOOKS):
                     chosen = rng.integers(len(groups), size=BATCH)
-                    sample += drawn(groups, chosen, ATTEMPTS, rng)
+                    sample += drawn(groups, chosen, TRIALS, rng)
                     found = clustered_mean(sample, confidence, prior=DISTANCES)
                     if narrow_enough(found, wanted):
                         reached += 1
@@ -168,13 +168,13 @@ def print_coverage(rows: Sequence[dict[str, Any]]) -> None:
     table: dict[tuple[str, str, float], dict[tuple[int, int, str], dict[str, Any]]] = {}
     for row in rows:
         line = table.setdefault((Path(row["population"]).name, row["figure"], row["truth"]), {})
-        line[row["safe"], row["attempts"], row["interval"]] = row
-    heads = " | ".join(f"{safe} × {attempts}" for safe, attempts in SIZES)
+        line[row["safe"], row["trials"], row["interval"]] = row
+    heads = " | ".join(f"{safe} × {trials}" for safe, trials in SIZES)
     size = f"{SIZES[0][0]} × {SIZES[0][1]}"
     print(f"| population | figure | truth | {heads} | Student's, {size} | as independent, {size} |")
     print("|---" * (5 + len(SIZES)) + "|")
     for (population, figure, truth), line in table.items():
-        cells = [line[safe, attempts, "by φ"] for safe, attempts in SIZES]
+        cells = [line[safe, trials, "by φ"] for safe, trials in SIZES]
         shown = " | ".join(f"{100 * one['held']:.1f} ({one['width']:.3f})" for one in cells)
         others = [line.get((*SIZES[0], kind)) for kind in ("Student's", "as independent")]
         last = " | ".join("–" if one is None else f"{100 * one['held']:.1f} ({one['width']:.3f})" for one in others)

@@ -1,10 +1,10 @@
 """What the exact margin of the basic car costs and gives: mean, largest gap, core seconds, and what half speeds change.
 
-Per C: the mean margin of attempts, each at most η_max, and the same without half speeds; the largest gap (m, and as a
-share of its margin), how many margins have one, how many attempts have no way within η_max, core seconds in sum and the
+Per C: the mean margin of trials, each at most η_max, and the same without half speeds; the largest gap (m, and as a
+share of its margin), how many margins have one, how many trials have no way within η_max, core seconds in sum and the
 milliseconds of the slowest.
 
-    python benchmarks/exact_margin.py [--safe DIR] [--safe-count 20] [--attempts 25] [--multipliers C ...] [--json]
+    python benchmarks/exact_margin.py [--safe DIR] [--safe-count 20] [--trials 25] [--multipliers C ...] [--json]
 """
 
 from __future__ import annotations
@@ -28,12 +28,10 @@ from skd_sim.world.state import Trajectory
 MULTIPLIERS = (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15, 1.3, 1.5)
 
 
-def row(plan: Plan, safe: Sequence[Trajectory], attempts: int) -> dict[str, Any]:
+def row(plan: Plan, safe: Sequence[Trajectory], trials: int) -> dict[str, Any]:
     """Return the figures of one C."""
     episodes = [
-        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
-        for index, phi in enumerate(safe)
-        for attempt in range(attempts)
+        plan.episode(Mode.KAMIKAZE, index, trial, phi) for index, phi in enumerate(safe) for trial in range(trials)
     ]
     eta_max = plan.scenario.eta_max
     margins, gaps, seconds = np.full(len(episodes), eta_max), np.zeros(len(episodes)), np.empty(len(episodes))
@@ -49,7 +47,7 @@ def row(plan: Plan, safe: Sequence[Trajectory], attempts: int) -> dict[str, Any]
     plain = [exact_margin(episode, half_speed=False) for episode in episodes]
     return {
         "multiplier": plan.multiplier,
-        "attempts": len(episodes),
+        "trials": len(episodes),
         "margin": float(margins.mean()),
         "full_speed": float(np.mean([eta_max if one is None else one.distance for one in plain])),
         "gap": float(gaps.max()),
@@ -66,7 +64,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--safe", default=SYNTHETIC, help="folder of recorded trajectories")
     parser.add_argument("--safe-count", type=int, default=20)
-    parser.add_argument("--attempts", type=int, default=25, help="on each φ")
+    parser.add_argument("--trials", type=int, default=25, help="on each φ")
     parser.add_argument("--multipliers", type=float, nargs="+", default=MULTIPLIERS)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -77,13 +75,13 @@ def main() -> None:
     rows = []
     for multiplier in options.multipliers:
         plan = Plan(scenario, safe=options.safe, safe_count=options.safe_count, multiplier=multiplier)
-        rows.append(row(plan, safe, options.attempts))
+        rows.append(row(plan, safe, options.trials))
         if not options.json:
             one = rows[-1]
             print(
                 f"C {multiplier:5.3f}: margin {one['margin']:.4f} m (full speed only {one['full_speed']:.4f}),"
                 f" largest gap {one['gap']:.4f} m ({100.0 * one['gap_share']:.1f} %), not exact {one['inexact']},"
-                f" none {one['none']} of {one['attempts']}, {one['seconds']:.2f} s, slowest {one['slowest_ms']:.0f} ms",
+                f" none {one['none']} of {one['trials']}, {one['seconds']:.2f} s, slowest {one['slowest_ms']:.0f} ms",
                 flush=True,
             )
     if options.json:

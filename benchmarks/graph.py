@@ -37,7 +37,7 @@ def episodes(mode: Mode, count: int, control_period: float | None = None) -> lis
         scenario = dataclasses.replace(scenario, control_period=control_period)
     plan = Plan(scenario, safe_count=1)
     safe = safe_trajectories(plan, InProcessRunner(1))[0]
-    return [single_episode(plan, mode, attempt, safe) for attempt in range(count)]
+    return [single_episode(plan, mode, trial, safe) for trial in range(count)]
 
 
 def pace(nodes: str, batch: Sequence[Episode], *, recorded: bool = False) -> tuple[float, float]:

@@ -1,12 +1,12 @@
 """How often the 95 % intervals of margin and equivalent multiplier hold what they speak of.
 
-    .venv/bin/python benchmarks/margin_coverage.py [--phi 60] [--attempts 100] [--seed 2] [--campaigns 1000]
+    .venv/bin/python benchmarks/margin_coverage.py [--phi 60] [--trials 100] [--seed 2] [--campaigns 1000]
 
-A population is of exact margins: those of a car in so many attempts on each of so many synthetic φ. A simulated
-campaign draws φ from it with replacement, and attempts from those of each φ; what an interval has to hold is the
+A population is of exact margins: those of a car in so many trials on each of so many synthetic φ. A simulated
+campaign draws φ from it with replacement, and trials from those of each φ; what an interval has to hold is the
 population's own figure. The margin is tried on basic cars, the equivalent multiplier on cars that are none of those
 that they are compared with: they brake harder or more softly, or are less steady. Basic cars are
-compared with in the same attempts, as in an assessment.
+compared with in the same trials, as in an assessment.
 
 In the populations named *hard* 15 % of the φ are four times as hard, for every car.
 """
@@ -51,10 +51,10 @@ NEAR, STEP = 12, 2
 
 @dataclass(frozen=True)
 class Populations:
-    """Margins of cars in the same attempts, computed as they are asked for and kept in a folder."""
+    """Margins of cars in the same trials, computed as they are asked for and kept in a folder."""
 
     plan: Plan
-    attempts: int
+    trials: int
     runner: InProcessRunner
     folder: Path | None
 
@@ -76,9 +76,9 @@ class Populations:
         return {}
 
     def of(self, scenario: Scenario, multiplier: float) -> FloatArray:
-        """Return margins of a basic car, φ × attempts, m."""
+        """Return margins of a basic car, φ × trials, m."""
         plan = replace(self.plan, scenario=scenario, multiplier=multiplier)
-        name = f"{zlib.crc32(repr((scenario.as_dict(), plan.seed, self.attempts)).encode()):08x}-{multiplier:g}.npy"
+        name = f"{zlib.crc32(repr((scenario.as_dict(), plan.seed, self.trials)).encode()):08x}-{multiplier:g}.npy"
         if name not in self._known:
             path = None if self.folder is None else self.folder / name
             if path is None or not path.exists():
@@ -95,21 +95,21 @@ class Populations:
         return self.of(yardstick(self.plan, 1.0).scenario, hundredths / 100)
 
     def _computed(self, plan: Plan) -> FloatArray:
-        numbers = range(self.attempts)
+        numbers = range(self.trials)
         episodes = [
             plan.episode(Mode.KAMIKAZE, i, number, phi) for i, phi in enumerate(self.safe) for number in numbers
         ]
         print(f"  margins of C = {plan.multiplier:g} …", file=sys.stderr, flush=True)
-        return np.array(list(self.runner.map(margin_of, episodes))).reshape(len(self.safe), self.attempts)
+        return np.array(list(self.runner.map(margin_of, episodes))).reshape(len(self.safe), self.trials)
 
 
 def draws(
-    phis: int, attempts: int, campaigns: int, seed: int
+    phis: int, trials: int, campaigns: int, seed: int
 ) -> Iterator[tuple[int, int, Iterator[tuple[IntArray, IntArray]]]]:
-    """Yield the sizes of campaigns, and for each the φ and attempts that its campaigns draw."""
+    """Yield the sizes of campaigns, and for each the φ and trials that its campaigns draw."""
     for safe, each in SIZES:
         rng = np.random.default_rng(np.random.SeedSequence((seed, safe, each)))
-        drawn = ((rng.integers(phis, size=safe), rng.integers(attempts, size=(safe, each))) for _ in range(campaigns))
+        drawn = ((rng.integers(phis, size=safe), rng.integers(trials, size=(safe, each))) for _ in range(campaigns))
         yield safe, each, drawn
 
 
@@ -124,7 +124,7 @@ def margins(name: str, population: FloatArray, eta_max: float, campaigns: int, s
             by_phi.add(truth, found.ci95)
             independent.add(truth, normal_interval(found.margins))
         for kind, tally in (("by φ", by_phi), ("as independent", independent)):
-            row = {"figure": "margin", "population": name, "truth": truth, "safe": safe, "attempts": each}
+            row = {"figure": "margin", "population": name, "truth": truth, "safe": safe, "trials": each}
             yield {**row, "interval": kind, **tally.figures()}
 
 
@@ -146,10 +146,10 @@ def multipliers(
             mine = list(car[chosen[:, None], numbers])
             found = equivalent_multiplier(mine, {one / 100: list(basic(one)[chosen[:, None], numbers]) for one in grid})
             by_phi.add(truth, found.ci95)
-            of_these.add(truth, found.ci95_attempts)
+            of_these.add(truth, found.ci95_trials)
             missing += not np.isfinite(found.ci95 or 0.0).all()
         for kind, tally in (("by φ", by_phi), ("these φ", of_these)):
-            row = {"figure": "multiplier", "population": name, "truth": truth, "safe": safe, "attempts": each}
+            row = {"figure": "multiplier", "population": name, "truth": truth, "safe": safe, "trials": each}
             yield {**row, "interval": kind, **tally.figures(), "open": missing / campaigns}
 
 
@@ -172,7 +172,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--phi", type=int, default=60, metavar="N", help="of a population")
-    parser.add_argument("--attempts", type=int, default=100, metavar="N", help="on each φ of a population")
+    parser.add_argument("--trials", type=int, default=100, metavar="N", help="on each φ of a population")
     parser.add_argument("--seed", type=int, default=2, metavar="N", help="of the populations, and of the campaigns")
     parser.add_argument("--campaigns", type=int, default=1000, metavar="N", help="simulated, of each size")
     parser.add_argument("--scenario", default="crossing")
@@ -190,7 +190,7 @@ def main() -> None:
     print(head())
     with InProcessRunner(arguments.workers) as runner:
         runner.start()
-        populations = Populations(plan, arguments.attempts, runner, arguments.kept)
+        populations = Populations(plan, arguments.trials, runner, arguments.kept)
         none, hard, eta_max = np.ones(arguments.phi), populations.hard, scenario.eta_max
         if arguments.only != "multiplier":
             cars = {name: populations.of(scenario, multiplier) for name, multiplier in BASIC.items()}
@@ -210,7 +210,7 @@ def main() -> None:
 
 def head() -> str:
     """Return the first lines of the table."""
-    sizes = [f"{safe} × {attempts}" for safe, attempts in SIZES]
+    sizes = [f"{safe} × {trials}" for safe, trials in SIZES]
     heads = " | ".join(f"{size}, by φ | {size}, not by φ" for size in sizes)
     return f"| figure | population | truth | {heads} |\n{'|---' * (3 + 2 * len(SIZES))}|"
 

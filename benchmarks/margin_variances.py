@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/margin_variances.py --safe-count 200 --kamikaze-count 25
 
-Exact margins at C = 1 and 1.05 on the same synthetic φ and draws; of the first car, and of the difference of attempts
+Exact margins at C = 1 and 1.05 on the same synthetic φ and draws; of the first car, and of the difference of trials
 of one number, the standard deviation between φ and within, and what the first is at most, with 95 % (the mean square
 between φ is taken for a multiple of χ²).
 """
@@ -27,11 +27,11 @@ CARS = (1.0, 1.05)
 
 
 def margins(plan: Plan, safe: list[Trajectory], runner: InProcessRunner) -> FloatArray:
-    """Return the margin of each attempt, φ × attempts, m."""
+    """Return the margin of each trial, φ × trials, m."""
     episodes = [
-        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+        plan.episode(Mode.KAMIKAZE, index, trial, phi)
         for index, phi in enumerate(safe)
-        for attempt in range(plan.kamikaze_count)
+        for trial in range(plan.kamikaze_count)
     ]
     eta_max = plan.scenario.eta_max
     ways = exact_margins(episodes, runner, lambda *_told: None)

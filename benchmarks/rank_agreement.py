@@ -18,7 +18,7 @@ import numpy.typing as npt
 RESAMPLES = 4000
 Floats = npt.NDArray[np.float64]
 Groups = Sequence[npt.ArrayLike]
-"""Of each φ, the values of its attempts."""
+"""Of each φ, the values of its trials."""
 
 
 class Agreement(NamedTuple):

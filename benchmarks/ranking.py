@@ -1,21 +1,21 @@
 """Which figures rank cars: of the pairs of cars that all truths order alike, the share that each figure orders so.
 
-The cars are those of cars/catalogue.py. The truths, fixed beforehand, are collision rates under a perturbation much
+The cars are those of cars/catalogue.py. The truths, fixed beforehand, are contact rates under a perturbation much
 larger than kamikazes are planned with (wide_encounters.py): everybody walks at a pace of his own; changes his pace on
 the way; hesitates once; and, of all these runs, those alone that the front of the car hits. A hit is a contact at the
 scenario's `collision.hit_speed` or more. Which pairs count, and what the intervals are, is said in pair_orders.py.
 
-All figures are of the same safe trajectories and of the same attempts, numbers 0 … N − 1 of each φ; an attempt without
+All figures are of the same safe trajectories and of the same trials, numbers 0 … N − 1 of each φ; a trial without
 a hit counts as η_max. "planned, nothing" is by kamikazes that take every car for a basic one, but for the basic car,
-whose C they know. SKD is the paper's, with `objective: paper`, of attempts that touch the car. What each is computed
+whose C they know. SKD is the paper's, with `objective: paper`, of trials that touch the car. What each is computed
 from stands in ranking_figures.py.
 
-    python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--attempts 5] [--figures NAME ...]
+    python benchmarks/ranking.py --out FILE [--runs 3000] [--safe-count 20] [--trials 5] [--figures NAME ...]
         [--limit N] [--crossings N] [--again PART ...] [--json]
 
 The scale of the risk that is to rank, fixed beforehand, is 2: R(2).
 
-The margin is exact for the basic car, else searched for with up to --limit candidates an attempt; its note in
+The margin is exact for the basic car, else searched for with up to --limit candidates a trial; its note in
 --json says with how many, and whether it has converged.
 
 FILE keeps what has been computed; the same command goes on from there.
@@ -95,7 +95,7 @@ class Row:
         return [np.array(one, dtype=float) for one in self.found[figure]["values"]]
 
     def mean(self, figure: str) -> float:
-        """Return a figure: the mean over all attempts; nan where none has a value."""
+        """Return a figure: the mean over all trials; nan where none has a value."""
         numbers = np.concatenate(self._groups(figure))
         numbers = numbers[~np.isnan(numbers)]
         return float(numbers.mean()) if numbers.size else float("nan")
@@ -111,7 +111,7 @@ class Row:
         return held
 
     def above(self, other: Row, figure: str) -> tuple[float, tuple[float, float] | None]:
-        """Return how far its figure is above another car's, in pairs of attempts, and the 95 % interval over φ."""
+        """Return how far its figure is above another car's, in pairs of trials, and the 95 % interval over φ."""
         pairs = zip(self._groups(figure), other._groups(figure), strict=True)
         return _clustered([mine - others for mine, others in pairs])
 
@@ -295,7 +295,7 @@ def rows_of(
         plan = Plan(load_scenario("crossing"), safe_count=arguments.safe_count, seed=arguments.seed)
         safe = safe_trajectories(plan, runner)
         for car in cars:
-            work = Work(car, safe, arguments.attempts, arguments.seed, runner, arguments.limit, arguments.crossings)
+            work = Work(car, safe, arguments.trials, arguments.seed, runner, arguments.limit, arguments.crossings)
             runs = {
                 manner: store.once(
                     car.label,
@@ -307,7 +307,7 @@ def rows_of(
             found = {
                 name: store.once(
                     car.label,
-                    f"{name}/{arguments.crossings if name.startswith('risk') else arguments.attempts}",
+                    f"{name}/{arguments.crossings if name.startswith('risk') else arguments.trials}",
                     lambda name=name, work=work: FIGURES[name].compute(work),
                 )
                 for name in figures
@@ -322,7 +322,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="keeps what has been computed")
     parser.add_argument("--runs", type=int, default=3000, metavar="N", help="per car and manner (default 3000)")
     parser.add_argument("--safe-count", type=int, default=20, metavar="N", help="φ (default 20)")
-    parser.add_argument("--attempts", type=int, default=5, metavar="N", help="per φ (default 5)")
+    parser.add_argument("--trials", type=int, default=5, metavar="N", help="per φ (default 5)")
     usual = IN_PROCESS.limit
     parser.add_argument(
         "--limit", type=int, default=usual, metavar="N", help=f"candidates of the margin's search (default {usual})"

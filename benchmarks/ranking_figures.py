@@ -1,4 +1,4 @@
-"""The figures by which ranking.py ranks cars: what each attempt of a car gives, and which way is better."""
+"""The figures by which ranking.py ranks cars: what each trial of a car gives, and which way is better."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import Trajectory
 from wide_encounters import HITS
 
-ALONG_ATTEMPTS = 25
-"""Runs along each φ, for the collision rate."""
+ALONG_TRIALS = 25
+"""Runs along each φ, for the contact rate."""
 Values = list[list[float]]
-"""Of each φ, of each of its attempts."""
+"""Of each φ, of each of its trials."""
 
 
 class Found(TypedDict):
     """What was computed of a car, as it is stored.
 
     Attributes:
-        values: of its attempts.
+        values: of its trials.
         note: what one has to know of them, a few words; else empty.
     """
 
@@ -46,36 +46,36 @@ class Found(TypedDict):
 
 @dataclass(frozen=True)
 class Work:
-    """What a figure is computed from: a car, the safe trajectories, and how many attempts each of these has."""
+    """What a figure is computed from: a car, the safe trajectories, and how many trials each of these has."""
 
     car: Car
     safe: Sequence[Trajectory]
-    attempts: int
+    trials: int
     seed: int
     runner: InProcessRunner
     limit: int = IN_PROCESS.limit
-    """Candidates that the margin's search may drive in an attempt."""
+    """Candidates that the margin's search may drive in a trial."""
     crossings: int = 25
     """Of the risk, on each φ: as many as in an assessment."""
 
     def plan(self, objective: Objective = Objective.DEVIATION) -> Plan:
-        """Return the assessment that the attempts are of."""
+        """Return the assessment that the trials are of."""
         return Plan(
             self.car.scenario,
             controller=self.car.controller,
             multiplier=self.car.multiplier,
-            kamikaze_count=self.attempts,
+            kamikaze_count=self.trials,
             seed=self.seed,
             objective=objective,
         )
 
-    def episodes(self, plan: Plan, mode: Mode, attempts: int) -> list[Episode]:
-        """Return the attempts, φ by φ."""
-        numbers = range(attempts)
+    def episodes(self, plan: Plan, mode: Mode, trials: int) -> list[Episode]:
+        """Return the trials, φ by φ."""
+        numbers = range(trials)
         return [plan.episode(mode, index, number, phi) for index, phi in enumerate(self.safe) for number in numbers]
 
     def each(self, episodes: Sequence[Episode], value_of: Callable[[Episode], float], note: str = "") -> Found:
-        """Return what a function of a module gives for each attempt."""
+        """Return what a function of a module gives for each trial."""
         return {"values": self.by_phi(list(self.runner.map(value_of, episodes))), "note": note}
 
     def by_phi(self, values: Sequence[float]) -> Values:
@@ -109,12 +109,12 @@ def _frechet(episode: Episode) -> float:
 
 def along(work: Work) -> Found:
     """Return which runs of the car against somebody who walks along φ are hits."""
-    return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_ATTEMPTS), _hit_along)
+    return work.each(work.episodes(work.plan(), Mode.REPLAY, ALONG_TRIALS), _hit_along)
 
 
 def margin(work: Work) -> Found:
-    """Return the margin of each attempt: exact for the basic car, else searched."""
-    episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts)
+    """Return the margin of each trial: exact for the basic car, else searched."""
+    episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.trials)
     eta_max = work.car.scenario.eta_max
     found = least_ways(episodes, {}, work.runner, lambda *_: None, work.limit)
     note = (
@@ -128,7 +128,7 @@ def margin(work: Work) -> Found:
 
 def planned_nothing(work: Work) -> Found:
     """Return what kamikazes need that know nothing of the car but take it for a basic one; of a basic one, its C."""
-    return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.attempts), _needed)
+    return work.each(work.episodes(work.plan(), Mode.KAMIKAZE, work.trials), _needed)
 
 
 def risk(scale: float) -> Callable[[Work], Found]:
@@ -149,12 +149,12 @@ def risk(scale: float) -> Callable[[Work], Found]:
 
 def skd_paper(work: Work) -> Found:
     """Return the paper's distances."""
-    return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.attempts), _frechet)
+    return work.each(work.episodes(work.plan(Objective.PAPER), Mode.KAMIKAZE, work.trials), _frechet)
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure that ranks cars: the mean of what its attempts give.
+    """A figure that ranks cars: the mean of what its trials give.
 
     Attributes:
         label: in tables.
@@ -172,7 +172,7 @@ class Figure:
 FIGURES = {
     "margin": Figure("margin (m)", +1, margin),
     "planned_nothing": Figure("planned, nothing (m)", +1, planned_nothing),
-    "along": Figure("hit along φ", -1, along, digits=3),
+    "along": Figure("nominal collision rate", -1, along, digits=3),
     "skd_paper": Figure("SKD, paper (m)", +1, skd_paper),
     **{f"risk_{scale:g}": Figure(f"R({scale:g})", -1, risk(scale), digits=3) for scale in SCALES},
 }

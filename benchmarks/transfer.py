@@ -157,7 +157,7 @@ class Found:
     multiplier: EquivalentMultiplier | None
 
     def mean(self, figure: str) -> float:
-        """Return a figure: the mean over all attempts; nan where there is none."""
+        """Return a figure: the mean over all trials; nan where there is none."""
         groups = self.result.groups.get(figure)
         found = None if groups is None else clustered_mean([group[~np.isnan(group)] for group in groups])
         return float("nan") if found is None else found.value
@@ -226,7 +226,7 @@ def as_dict(table: Table, alike: Mapping[tuple[str, str], Mapping[str, Agreement
                 label: {
                     **{figure: found.mean(figure) for figure in FIGURES},
                     "converged": found.converged,
-                    "hit_rate": found.mean("hit_rate"),
+                    "nominal_collision_rate": found.mean("nominal_collision_rate"),
                     "equivalent_multiplier": found.multiplier and found.multiplier.text,
                     "aborted": found.result.figures["aborted"],
                 }

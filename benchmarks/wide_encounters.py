@@ -140,7 +140,7 @@ def encounters(
             change=change,
             pause=pause,
         )
-        number = episode_id(Stage.COLLISION_RATE, run % len(safe), run // len(safe))
+        number = episode_id(Stage.NOMINAL, run % len(safe), run // len(safe))
         found.append(
             Episode(scenario, Mode.REPLAY, seed, number, path, controller=car.controller, multiplier=car.multiplier)
         )

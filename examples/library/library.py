@@ -12,7 +12,7 @@ def main(out: str) -> None:
     print(f"margin {rating.as_dict()['margin']:.3f} m, found in {rating.seconds:.1f} s")
     result = load_result(out)  # refused where its figures do not follow from its episodes
     mean = clustered_mean(result.groups["margin"])
-    print(f"margin again {mean.value:.3f} m, the mean of {mean.values} attempts along {mean.groups} safe trajectories")
+    print(f"margin again {mean.value:.3f} m, the mean of {mean.values} trials along {mean.groups} safe trajectories")
     strayed = [
         deviation(phi.positions, log.trajectory.positions, log.impact_time / phi.time_step)
         for log in rating.kamikaze_logs
@@ -22,7 +22,7 @@ def main(out: str) -> None:
     figure, axes = plt.subplots()
     for number, margins in enumerate(result.groups["margin"], start=1):
         axes.plot([number] * len(margins), margins, ".", alpha=0.5)
-    axes.set(xlabel="safe trajectory φ", ylabel="margin of an attempt (m)", title="How far anybody had to stray")
+    axes.set(xlabel="safe trajectory φ", ylabel="margin of a trial (m)", title="How far anybody had to stray")
     figure.savefig(f"{out}/margins.png", dpi=150)
 
 

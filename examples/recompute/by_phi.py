@@ -31,6 +31,6 @@ for name, of, rows in sets:
             moved = [slopes[0] * (one - m) + slopes[1] * (one**2 - square) for one in parts]
             ends, mean = of_distance(moved, *SPREAD["skd"], side=-1), np.concatenate(moved).mean()
             by_phi[f"{name}bound_{eta:g}_ci95"] = np.clip(value + ends - mean, 0, 1)
-put("", "collision_rate", groups(touch, along & ran), of_rate)
+put("", "contact_rate", groups(touch, along & ran), of_rate)
 by_phi["collision_standing_contacts"] = (a["impact_speed"][along & touch] < 0.1).sum()
 print(*(f"{name}: {value}" for name, value in by_phi.items()), sep="\n")

@@ -11,10 +11,10 @@ for name, parts in (("margins", per_phi), ("kamikazes", groups(needed, rows))):
     values = np.concatenate(parts)
     etas, counts = np.unique(values[values < most], return_counts=True)
     curve[f"{name}.steps.eta"], curve[f"{name}.steps.probability"] = etas, np.cumsum(counts) / max(1, values.size)
-    curve |= {f"{name}.attempts": values.size, f"{name}.area_above": values.mean() if values.size else 0.0}
+    curve |= {f"{name}.trials": values.size, f"{name}.area_above": values.mean() if values.size else 0.0}
     for number, eta in enumerate(np.linspace(0, most, 50, endpoint=False) if values.size else ()):
         on = [one <= eta for one in parts]
-        point = {"eta": eta, "probability": np.mean(values <= eta), "ci95_attempts": wilson(values <= eta)}
+        point = {"eta": eta, "probability": np.mean(values <= eta), "ci95_trials": wilson(values <= eta)}
         point |= {"bound": bound(eta, values), "cantelli": cantelli(eta, values)}
         point["ci95"] = of_rate(on) if sum(one.size > 0 for one in on) > 1 else np.nan
         curve |= {f"{name}.points.{number}.{key}": value for key, value in point.items()}

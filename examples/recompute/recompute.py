@@ -5,7 +5,7 @@ from scipy.stats import binomtest, norm, sem
 def wilson(hits):
     return binomtest(int(hits.sum()), hits.size).proportion_ci(method="wilson") if hits.size else np.nan
 a = dict(np.load("episodes.npz"))
-over = {"deviation": "_attempts", "skd": "_pairs", "skd_prefix": "_pairs", "warped": "_pairs"}
+over = {"deviation": "_trials", "skd": "_pairs", "skd_prefix": "_pairs", "warped": "_pairs"}
 touch, ran, index, along, most = a["outcome"] == 1, a["outcome"] != 5, a["safe_index"], a["mode"] == 2, a["eta_max"]
 hit = touch & (np.nan_to_num(a["impact_speed"], nan=-1.0) >= a["hit_speed"])  # by the moving car
 parts, d, found, z = np.split(a["positions"], a["offsets"][1:-1]), np.full((4, len(hit)), np.nan), {}, norm.ppf(0.975)
@@ -22,9 +22,9 @@ for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows i
     reached, speeds = hit if of == 2 else touch, a["impact_speed"][hits]
     x = {"deviation": needed[tried], "deviation_of_successes": d[2, rows & hit], "skd": d[0, kept],
          "warped": d[3, kept], "skd_prefix": d[1, kept], "mean_impact_speed": speeds}
-    y = {"attempts": tried.sum(), "failed": (tried & ~reached).sum(), "aborted": (rows & ~ran).sum(),
+    y = {"trials": tried.sum(), "failed": (tried & ~reached).sum(), "aborted": (rows & ~ran).sum(),
          "pairs": kept.sum(), "discarded_by_distance": (hits & ~kept).sum(), "standing_contacts": (speeds < 0.1).sum(),
-         "success_rate": reached[tried].mean(), "success_rate_ci95_attempts": wilson(reached[tried])}
+         "success_rate": reached[tried].mean(), "success_rate_ci95_trials": wilson(reached[tried])}
     y |= {key: one.mean() for key, one in x.items() if one.size}
     ends = {key: [y[key] + side * z * sem(one) for side in (-1, 1)] for key, one in x.items() if one.size > 1}
     y |= {f"{key}_ci95{over.get(key, '')}": one for key, one in ends.items()}
@@ -32,6 +32,6 @@ for name, of, rows in sets + [(name + phi, of, rows & mine) for name, of, rows i
     y |= {"variance": v} | {f"bound_{e:g}": min(1, (v + 2 * e * m) / (v + m * m)) for e in (0.25, 0.5, 1) if e < m}
     found |= {name + key: value for key, value in y.items()}
 for n, on in [("", along & ran), *((phi, mine & along & ran) for phi, mine in each)]:
-    found |= {f"{n}collision_rate": touch[on].mean(), f"{n}runs": on.sum()}
-    found[f"{n}collision_rate_ci95_runs"] = wilson(touch[on])
+    found |= {f"{n}contact_rate": touch[on].mean(), f"{n}runs": on.sum()}
+    found[f"{n}contact_rate_ci95_runs"] = wilson(touch[on])
 print(*(f"{name}: {value}" for name, value in found.items()), sep="\n")

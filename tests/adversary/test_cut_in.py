@@ -85,7 +85,7 @@ def test_a_kamikaze_is_no_missile(objective: Objective) -> None:
 
 
 def test_a_kamikaze_leaves_phi_by_what_a_driver_does_and_for_nothing_beyond_eta_max() -> None:
-    """Braking in its lane and steering over, 2.2 m of deviation in the mean of 20 attempts (standard error 0.16 m).
+    """Braking in its lane and steering over, 2.2 m of deviation in the mean of 20 trials (standard error 0.16 m).
 
     Who plans by a pedestrian's ways, and for hits that are worth no more than a miss, comes to 3.7 m here.
     """

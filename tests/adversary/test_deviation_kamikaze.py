@@ -193,7 +193,7 @@ def test_the_budget_is_hard(limit: float) -> None:
 
 
 def test_a_wider_budget_hits_more() -> None:
-    """Of 60 attempts each, with the same draws: hits within 1.5 m beat hits along φ by more than chance (p < 0.001)."""
+    """Of 60 trials each, with the same draws: hits within 1.5 m beat those on φ by more than chance (p < 0.001)."""
     hits = []
     for limit in (0.01, 1.5):
         logs = [

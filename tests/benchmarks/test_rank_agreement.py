@@ -28,10 +28,10 @@ def test_a_car_that_counts_twice_is_two_cars_that_are_not_compared(cars):
     assert float(kendall_tau(first, second, often)) == pytest.approx(expected, nan_ok=True, abs=1e-12)
 
 
-def world(means, phis=8, attempts=4, spread=0.0, seed=0):
+def world(means, phis=8, trials=4, spread=0.0, seed=0):
     rng = np.random.default_rng(seed)
     shift = spread * rng.standard_normal((len(means), phis, 1))
-    return list(np.asarray(means)[:, None, None] + shift + 0.01 * rng.standard_normal((len(means), phis, attempts)))
+    return list(np.asarray(means)[:, None, None] + shift + 0.01 * rng.standard_normal((len(means), phis, trials)))
 
 
 def test_worlds_that_agree_and_worlds_that_are_opposite():

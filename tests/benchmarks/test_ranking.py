@@ -165,15 +165,15 @@ def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
 
 
 @pytest.mark.parametrize("car", [CARS[0], OFTEN], ids=lambda car: car.label)
-def test_figures_are_means_over_all_attempts_a_miss_counting_as_the_most(car):
+def test_figures_are_means_over_all_trials_a_miss_counting_as_the_most(car):
     with InProcessRunner(1, isolated=True) as runner:
         work = Work(car, [ACROSS], 4, 0, runner)
         needed, hits, margins = (
             FIGURES[name].compute(work)["values"] for name in ("planned_nothing", "along", "margin")
         )
     plan = work.plan()
-    for attempt, value in enumerate(needed[0]):
-        log = run_episode(plan.episode(Mode.KAMIKAZE, 0, attempt, ACROSS))
+    for trial, value in enumerate(needed[0]):
+        log = run_episode(plan.episode(Mode.KAMIKAZE, 0, trial, ACROSS))
         if log.outcome == Outcome.COLLISION and log.impact_speed >= 0.556:
             ticks = log.impact_time / CROSSING.time_step
             assert value == min(5.0, deviation(ACROSS.positions, log.trajectory.positions, ticks))

@@ -19,7 +19,7 @@ FIGURES: dict[str, Any] = {
     "margin_how": "",
     "margin_note": "",
     "deviation": 1.0,
-    "hit_rate": 0.0,
+    "nominal_collision_rate": 0.0,
     "knowledge": "known",
     "objectives": {"deviation": {}, "paper": {}},
 }

@@ -29,20 +29,20 @@ from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
-from test_campaign import attempt, straight
+from test_campaign import straight, trial
 from test_warnings import PLAN, assessed
 
 MANY = replace(PLAN, kamikaze_count=50, collision_runs=40)
-_FIGURES = ("collision_rate", "hit_rate", "kamikaze_success_rate", "objectives.paper.success_rate")
+_FIGURES = ("contact_rate", "nominal_collision_rate", "kamikaze_success_rate", "objectives.paper.success_rate")
 
 
 def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Rating:
     """A car of which the first episodes on the first φ end so; kamikazes collide, and of others one in twenty."""
 
     def decide(episode: Episode) -> tuple[Outcome, int]:
-        if episode.mode == mode and episode.safe_trajectory.name == "one" and attempt(episode) < count:
+        if episode.mode == mode and episode.safe_trajectory.name == "one" and trial(episode) < count:
             return lost, 0
-        hit = episode.mode == Mode.KAMIKAZE or attempt(episode) == 19
+        hit = episode.mode == Mode.KAMIKAZE or trial(episode) == 19
         return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
 
     return assessed(decide, plan)
@@ -149,7 +149,7 @@ def test_nothing_is_said_where_nothing_was_aborted() -> None:
 
 def test_what_is_lost_is_said_of_one_and_of_all() -> None:
     assert aborted_lines(rating(1).as_dict()) == [
-        "1 of 40 runs along φ was aborted and counts for nothing; if the car had hit in it, the collision rate would "
+        "1 of 40 runs along φ was aborted and counts for nothing; if the car had hit in it, the contact rate would "
         "be 7.5 % in place of 5.1 %"
     ]
     (line,) = aborted_lines(with_risk(Touch.ABORTED, Touch.ABORTED).as_dict())
@@ -168,11 +168,11 @@ def test_what_is_lost_is_said_of_one_and_of_all() -> None:
 )
 def test_a_gate_takes_rates_at_their_worst(limit: float, is_least: bool, outcome: str) -> None:
     """A car that ends its process before it hits had passed."""
-    (check,) = check_limits(rating(2).as_dict(), [Limit("collision_rate", limit, is_least)])
+    (check,) = check_limits(rating(2).as_dict(), [Limit("contact_rate", limit, is_least)])
     assert (check.passed, check.error, check.failed) == (outcome == "passed", outcome == "error", outcome == "failed")
     if check.error:
         assert check.text == (
-            f"not judged: collision_rate is 0.0526316, below {limit:g}, and it would be 0.1 if the car had hit in the "
+            f"not judged: contact_rate is 0.0526316, below {limit:g}, and it would be 0.1 if the car had hit in the "
             "2 of 40 runs along φ that were aborted"
         )
 
@@ -190,14 +190,14 @@ def in_pytest(figures: dict[str, Any]) -> Assessed:
 
 def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> None:
     car = in_pytest(rating(2).as_dict())
-    assert car.figures["collision_rate"] == pytest.approx(2 / 38)
-    assert car.collision_rate < 0.11
-    assert 0.0 <= car.collision_rate <= np.float32(0.11)
-    assert not car.collision_rate <= 0.05
-    assert f"{car.collision_rate:.3f}" == "0.053"
-    with pytest.raises(AssessmentError, match=r"collision_rate is 0.0526316, and it would be 0.1 if .* 2 of 40 runs"):
-        assert car.collision_rate < 0.06
-    assert type(in_pytest(rating(0).as_dict()).collision_rate) is float
+    assert car.figures["contact_rate"] == pytest.approx(2 / 38)
+    assert car.contact_rate < 0.11
+    assert 0.0 <= car.contact_rate <= np.float32(0.11)
+    assert not car.contact_rate <= 0.05
+    assert f"{car.contact_rate:.3f}" == "0.053"
+    with pytest.raises(AssessmentError, match=r"contact_rate is 0.0526316, and it would be 0.1 if .* 2 of 40 runs"):
+        assert car.contact_rate < 0.06
+    assert type(in_pytest(rating(0).as_dict()).contact_rate) is float
 
 
 @pytest.mark.parametrize("number", [float, np.float32, np.float64, Fraction], ids=lambda one: one.__name__)
@@ -224,36 +224,36 @@ def test_in_pytest_a_comparison_that_hangs_on_aborted_episodes_is_an_error() -> 
     ],
 )
 def test_in_pytest_no_use_as_a_number_passes_by_aborted_episodes(passes: Any, number: Any) -> None:
-    rate = in_pytest(rating(2).as_dict()).collision_rate
-    with pytest.raises(AssessmentError, match=r"not judged: collision_rate is 0\.0526316"):
+    rate = in_pytest(rating(2).as_dict()).contact_rate
+    with pytest.raises(AssessmentError, match=r"not judged: contact_rate is 0\.0526316"):
         assert passes(rate, number)
 
 
 @pytest.mark.parametrize(
     "passes",
     [
-        lambda car: not car.hit_rate,
+        lambda car: not car.nominal_collision_rate,
         lambda car: car.objectives["paper"]["success_rate"] == 1.0,
-        lambda car: car.per_safe_trajectory[0]["collision_rate"] < 0.01,
-        lambda car: car.collision_rate_ci95[1] < 0.5,
+        lambda car: car.per_safe_trajectory[0]["contact_rate"] < 0.01,
+        lambda car: car.contact_rate_ci95[1] < 0.5,
     ],
 )
 def test_in_pytest_figures_within_others_are_guarded_too(passes: Any) -> None:
     lost = rating(2, mode=Mode.KAMIKAZE).as_dict()
-    along = {**rating(2).as_dict(), "hit_rate": 0.0, "objectives": lost["objectives"]}
-    along["per_safe_trajectory"][0]["collision_rate"] = 0.0
+    along = {**rating(2).as_dict(), "nominal_collision_rate": 0.0, "objectives": lost["objectives"]}
+    along["per_safe_trajectory"][0]["contact_rate"] = 0.0
     along["aborted"] += sum(one["aborted"] for one in lost["objectives"].values())
     with pytest.raises(AssessmentError, match="not judged"):
         assert passes(in_pytest(along))
 
 
 def test_in_pytest_an_upper_bound_of_the_margin_shows_no_least() -> None:
-    bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "closeness": 1.1}
+    bound = {**rating(0).as_dict(), "margin": 1.2, "margin_ci95": [0.9, 1.3], "optimality_gap": 1.1}
     bound |= {"margin_converged": False, "margin_budget": 64}
     car = in_pytest(bound)
     assert car.margin < 1.5
     assert not car.margin > 1.5
-    for passes in (lambda: car.margin > 0.8, lambda: car.margin_ci95[0] > 0.8, lambda: car.closeness < 1.5):
+    for passes in (lambda: car.margin > 0.8, lambda: car.margin_ci95[0] > 0.8, lambda: car.optimality_gap < 1.5):
         with pytest.raises(AssessmentError, match="had not converged at 64 candidates a trial, so this is a"):
             passes()
     assert in_pytest({**bound, "margin_converged": True}).margin > 0.8
@@ -303,6 +303,6 @@ def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
 
     plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEVIATION)
     point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner())
-    assert (point.attempts, point.aborted) == (9, 1)
+    assert (point.trials, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)
     assert (every.probability, budget_points([every])) == (None, [every])

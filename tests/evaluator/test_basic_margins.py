@@ -1,4 +1,4 @@
-"""What the equivalent multiplier is read off: which basic cars are asked for, in which attempts, and what is kept."""
+"""What the equivalent multiplier is read off: which basic cars are asked for, in which trials, and what is kept."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from skd_evaluator.margin.basic_margins import (
     HIGHEST,
     LOWEST,
     BasicMargins,
-    attempts_of,
     equivalent_of,
     search,
+    trials_of,
     unknown_for,
     yardstick,
 )
@@ -60,7 +60,7 @@ def test_a_basic_car_reads_itself_back(multiplier, folder):
     cache, runner = MarginCache(folder), InProcessRunner(1)
     found, note = equivalent_of(PLAN, SAFE, basic(multiplier, cache, runner), runner, silent, cache)
     assert found is not None
-    assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 attempts some C have the same margins
+    assert found.value == pytest.approx(multiplier, abs=0.05)  # in 12 trials some C have the same margins
     assert found.ci95 is not None
     assert found.ci95[0] <= multiplier <= found.ci95[1]
     assert "basic cars" in note
@@ -120,16 +120,16 @@ def test_where_no_basic_car_is_known_it_is_said():
     assert found is None
     assert "cyclist" in note
     found, note = equivalent_of(PLAN, SAFE, [[math.nan], [], [math.nan]], Refuses(1), silent, MarginCache(None))
-    assert (found, note) == (None, "no attempt has a margin")
+    assert (found, note) == (None, "no trial has a margin")
 
 
-def test_attempts_are_the_first_and_no_more_than_can_be_searched():
+def test_trials_are_the_first_and_no_more_than_can_be_searched():
     straight = Trajectory(np.array([(-3.5 + 0.75 * tick, 0.0) for tick in range(9)]), 0.3)
-    assert attempts_of(CROSSING, [straight] * 20, 25) == 25
-    assert attempts_of(CROSSING, [straight] * 20, 100) == 50
-    assert attempts_of(CROSSING, [straight] * 3000, 25) == 1
-    assert attempts_of(CROSSING, [straight, *SAFE], 100) == 50  # of a pace that is none of the adversary's
-    assert attempts_of(CROSSING, [straight, *SAFE], 4) == 4
+    assert trials_of(CROSSING, [straight] * 20, 25) == 25
+    assert trials_of(CROSSING, [straight] * 20, 100) == 50
+    assert trials_of(CROSSING, [straight] * 3000, 25) == 1
+    assert trials_of(CROSSING, [straight, *SAFE], 100) == 50  # of a pace that is none of the adversary's
+    assert trials_of(CROSSING, [straight, *SAFE], 4) == 4
 
 
 @given(st.floats(0.2, 2.1), st.floats(0.0, 0.3), st.floats(0.0, 0.1), st.none() | st.integers(LOWEST, HIGHEST))

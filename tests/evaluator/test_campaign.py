@@ -16,7 +16,7 @@ from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import (
-    ATTEMPTS_PER_WANTED,
+    TRIALS_PER_REQUESTED,
     EpisodeRunner,
     Plan,
     Stage,
@@ -38,7 +38,7 @@ CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)
 REPORTED = {
     "skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "kamikaze_success_rate",
-    "collision_rate", "collision_rate_ci95_runs", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
+    "contact_rate", "contact_rate_ci95_runs", "per_safe_trajectory", "seconds", "seed", "controller", "scenario",
     "version",
 }  # fmt: skip
 
@@ -73,7 +73,7 @@ class StubRunner:
             yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit)
 
 
-def attempt(episode: Episode) -> int:
+def trial(episode: Episode) -> int:
     return episode.episode_id & 0xFFFFFFFF
 
 
@@ -81,17 +81,17 @@ def attempt(episode: Episode) -> int:
 
 
 def test_episodes_are_drawn_until_enough_have_collided():
-    runner = StubRunner(lambda episode: Outcome.COLLISION if attempt(episode) % 3 else Outcome.MISSED)
+    runner = StubRunner(lambda episode: Outcome.COLLISION if trial(episode) % 3 else Outcome.MISSED)
     (found,) = kamikaze_sets(SMALL, [straight()], runner)
-    assert [attempt(log.episode) for log in found.logs] == [1, 2, 4, 5, 7]
-    assert (found.attempts, found.aborted) == (8, 0)
+    assert [trial(log.episode) for log in found.logs] == [1, 2, 4, 5, 7]
+    assert (found.trials, found.aborted) == (8, 0)
     assert [len(batch) for batch in runner.batches] == [5, 2, 1]
 
 
 def test_drawing_ends_at_the_cap():
     runner = StubRunner(lambda _episode: Outcome.TIMEOUT)
     sets = kamikaze_sets(SMALL, [straight(), straight(1.0)], runner)
-    assert [(len(found.logs), found.attempts) for found in sets] == [(0, ATTEMPTS_PER_WANTED * 5)] * 2
+    assert [(len(found.logs), found.trials) for found in sets] == [(0, TRIALS_PER_REQUESTED * 5)] * 2
 
 
 def test_no_kamikaze_found_is_none_and_not_zero():
@@ -100,7 +100,7 @@ def test_no_kamikaze_found_is_none_and_not_zero():
     for key in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "mean_impact_speed"):
         assert result[key] is None
     assert (result["pairs"], result["kamikaze_success_rate"], result["probability_bound"]) == (0, 0.0, {})
-    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(0, 7))
+    assert result["contact_rate_ci95_runs"] == pytest.approx(wilson_interval(0, 7))
     assert (result["deviation"], result["deviation_of_successes"]) == (5.0, None)  # η_max
     write_episodes(io.BytesIO(), found)
 
@@ -116,40 +116,40 @@ def test_one_kamikaze_trajectory_has_no_variance_and_no_bound():
 
 def test_aborted_episodes_count_in_no_rate():
     def decide(episode: Episode) -> Outcome:
-        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[attempt(episode) % 3]
+        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
 
     result = rated(SMALL, [straight()], StubRunner(decide)).as_dict()
     assert result["kamikaze_aborted"] == 4
-    assert result["kamikaze_attempts"] + result["kamikaze_aborted"] == 10
+    assert result["kamikaze_trials"] + result["kamikaze_aborted"] == 10
     assert result["kamikaze_success_rate"] == 0.5
     assert result["collision_runs"] == 4
-    assert result["collision_rate"] == 0.5
-    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(2, 4))
+    assert result["contact_rate"] == 0.5
+    assert result["contact_rate_ci95_runs"] == pytest.approx(wilson_interval(2, 4))
 
 
 def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     """They stand in episodes.npz, and report, comparison and gate compute from it."""
 
     def decide(episode: Episode) -> Outcome:
-        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[attempt(episode) % 3]
+        return (Outcome.ABORTED, Outcome.COLLISION, Outcome.ARRIVED)[trial(episode) % 3]
 
     found = rated(SMALL, [straight(), straight(1.0)], StubRunner(decide))
     write_assessment(tmp_path, found)
     (subject,) = read_subjects([tmp_path])
     (kamikazes,) = found.assessments
-    tried = [group.attempts - group.aborted for group in kamikazes.kamikaze]
+    tried = [group.trials - group.aborted for group in kamikazes.kamikaze]
     assert [len(group) for group in subject.episodes.deviations_of(str(SMALL.objective))] == tried
     result, figures = read_result(tmp_path), found.as_dict()
     assert [len(group) for group in result.groups["deviation"]] == tried
-    for name in ("deviation", "collision_rate", "kamikaze_success_rate"):
+    for name in ("deviation", "contact_rate", "kamikaze_success_rate"):
         assert np.mean(np.concatenate(result.groups[name])) == pytest.approx(figures[name])
 
 
 def test_everything_aborted_leaves_no_rate():
     result = rated(SMALL, [straight()], StubRunner(lambda _episode: Outcome.ABORTED)).as_dict()
     assert result["kamikaze_success_rate"] is None
-    assert result["collision_rate"] is None
-    assert result["collision_rate_ci95_runs"] is None
+    assert result["contact_rate"] is None
+    assert result["contact_rate_ci95_runs"] is None
 
 
 @pytest.mark.parametrize(("runs", "count"), [(500, 5), (7, 2), (2, 3)])
@@ -164,7 +164,7 @@ def test_collision_runs_are_dealt_evenly(runs, count):
 
 
 def test_safe_trajectories_are_those_that_arrive():
-    runner = StubRunner(lambda episode: Outcome.ARRIVED if attempt(episode) in (1, 4) else Outcome.COLLISION)
+    runner = StubRunner(lambda episode: Outcome.ARRIVED if trial(episode) in (1, 4) else Outcome.COLLISION)
     assert [phi.name for phi in safe_trajectories(SMALL, runner)] == ["synthetic/1", "synthetic/4"]
     with pytest.raises(UsageError, match="only 0 of 2 safe trajectories"):
         safe_trajectories(SMALL, StubRunner(lambda _episode: Outcome.COLLISION))
@@ -336,12 +336,12 @@ def test_all_is_recomputable_from_disk(tmp_path, discard):
 
     replays = data["outcome"][data["mode"] == Mode.REPLAY]
     hits = int((replays == Outcome.COLLISION).sum())
-    assert result["collision_rate"] == hits / len(replays)
-    assert result["collision_rate_ci95_runs"] == pytest.approx(wilson_interval(hits, len(replays)))
+    assert result["contact_rate"] == hits / len(replays)
+    assert result["contact_rate_ci95_runs"] == pytest.approx(wilson_interval(hits, len(replays)))
     tried = data["mode"] == Mode.KAMIKAZE
-    assert tried.sum() == result["kamikaze_attempts"]
+    assert tried.sum() == result["kamikaze_trials"]
     assert (data["objective"][tried] == "paper").all()
     assert (data["objective"][~tried] == "").all()
-    struck = tried & (data["outcome"] == Outcome.COLLISION)
-    assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][struck].mean())
+    collided = tried & (data["outcome"] == Outcome.COLLISION)
+    assert result["mean_impact_speed"] == pytest.approx(data["impact_speed"][collided].mean())
     assert len(data["car"]) == len(data["positions"]) == data["offsets"][-1]

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from cli_support import CROSSING
 from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED
+from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError
@@ -98,7 +98,7 @@ def test_how_many_episodes_there_are(tmp_path):
     assert (both.objectives, paper.objectives) == (DEFAULT_OBJECTIVES, (Objective.PAPER,))
     assert both.wanted == 3 + 2 * 3 * 7 + 11
     assert paper.wanted == 3 + 3 * 7 + 11
-    assert paper.most == ATTEMPTS_PER_WANTED * 3 * 7 + 11
+    assert paper.most == TRIALS_PER_REQUESTED * 3 * 7 + 11
 
 
 @pytest.mark.parametrize(

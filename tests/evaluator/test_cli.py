@@ -130,21 +130,21 @@ def test_user_controller_is_assessed(here):
     assert (result["aborted_reasons"], result["commands_clipped"]) == ({}, {"commands": 0, "episodes": 0})
     # The table shows these very figures.
     low, high = result["skd_ci95_pairs"]
-    rate_low, rate_high = (100 * end for end in result["collision_rate_ci95_runs"])
-    assert result["skd_ci95"] is result["collision_rate_ci95"] is None  # one φ
+    rate_low, rate_high = (100 * end for end in result["contact_rate_ci95_runs"])
+    assert result["skd_ci95"] is result["contact_rate_ci95"] is None  # one φ
     for name, *shown in (
         ("the paper's interval, over pairs", f"[{low:.3f}, {high:.3f}]"),
-        ("how φ differ is not known", "skd prefix", "collision rate"),
+        ("how φ differ is not known", "skd prefix", "contact rate"),
         ("prefix distance (m)", f"{result['skd_prefix']:.3f}"),
-        ("attempts taken as independent", "["),
+        ("trials taken as independent", "["),
         (
-            f"success rate, paper ({result['pairs']} of {result['kamikaze_attempts']})",
+            f"success rate, paper ({result['pairs']} of {result['kamikaze_trials']})",
             f"{100 * result['kamikaze_success_rate']:.1f} %",
         ),
         ("mean impact speed of these (m/s)", f"{result['mean_impact_speed']:.2f}"),
         (
-            "collisions along φ, any touch (3 runs)",
-            f"{100 * result['collision_rate']:.1f} %",
+            "contact rate along φ, any touch (3 runs)",
+            f"{100 * result['contact_rate']:.1f} %",
         ),
         ("runs taken as independent (Wilson)", f"[{rate_low:.1f}, {rate_high:.1f}] %"),
     ):
@@ -163,7 +163,7 @@ def test_no_kamikaze_found(here):
     result = json.loads((here / "out" / "assessment.json").read_text())
     assert result["skd"] is None
     assert result["kamikaze_success_rate"] == 0.0
-    assert result["kamikaze_attempts"] == 4
+    assert result["kamikaze_trials"] == 4
 
 
 def test_everything_discarded_by_distance(here):
@@ -189,7 +189,7 @@ def test_sweep(here):
         assert row["pairs"] == len(distances) == 2
         assert row["skd"] == pytest.approx(np.mean(distances), abs=1e-12)
         assert row["variance"] == pytest.approx(np.var(distances, ddof=1), abs=1e-12)
-        assert row["collision_rate"] == np.mean(hits)
+        assert row["contact_rate"] == np.mean(hits)
     table = (here / "out" / "sweep.csv").read_text().splitlines()
     for line, row in zip(csv.DictReader(table), rows, strict=True):
         assert (line["kind"], float(line["multiplier"]), float(line["skd"])) == (
@@ -206,11 +206,11 @@ def test_sweep(here):
 
 
 def test_sweep_whose_figures_do_not_vary(here):
-    """Spearman's ρ is not defined where every collision rate is the same."""
+    """Spearman's ρ is not defined where every contact rate is the same."""
     sizes = ["--safe-count", "1", "--kamikaze-count", "1", "--collision-runs", "1", "--simulations", "5"]
     done = skd("sweep", *sizes, "--workers", "1", "--multipliers", "3", "4", "5", "--json", cwd=here)
     assert (done.returncode, done.stderr) == (0, "")
-    assert json.loads(done.stdout)["spearman_with_multiplier"]["synthetic"]["collision_rate"] is None
+    assert json.loads(done.stdout)["spearman_with_multiplier"]["synthetic"]["contact_rate"] is None
 
 
 @pytest.mark.parametrize(
@@ -361,7 +361,7 @@ def test_full_disk_does_not_take_the_figures_along(here, skd_here, monkeypatch, 
     found = (
         json.loads(done.stdout)["skd"]
         if extra
-        else re.search(r"SKD \(m\), 100.0 % of attempts collide[^\d]+([\d.]+)", done.stdout)[1]
+        else re.search(r"SKD \(m\), 100.0 % of trials collide[^\d]+([\d.]+)", done.stdout)[1]
     )
     assert 0.5 < float(found) < 20.0
     assert "results in" not in done.stdout

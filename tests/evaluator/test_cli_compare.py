@@ -26,7 +26,7 @@ def test_curves_are_drawn_and_compared(skd_here, here):
     first = content(here / "one" / "assessment.json")
     curve = first["vulnerability_curve"]
     assert curve["kamikazes"]["area_above"] == pytest.approx(first["deviation"], abs=1e-9)
-    assert [point["attempts"] for point in curve["budgets"]] == [1] * 4
+    assert [point["trials"] for point in curve["budgets"]] == [1] * 4
     assert imread(here / "one" / "vulnerability.png").shape[1] > 600
     assert skd_here(*ASSESS, "--multiplier", "0.9", "--out", "two").returncode == 0
     compared = skd_here("compare", "one", "two", "--out", "both")
@@ -53,7 +53,7 @@ def test_the_curve_of_margins_has_the_margin_above_it(skd_here, here):
     assert done.returncode == 0, done.stderr
     found = content(here / "one" / "assessment.json")
     margins, kamikazes = (found["vulnerability_curve"][name] for name in ("margins", "kamikazes"))
-    assert margins["attempts"] == kamikazes["attempts"]
+    assert margins["trials"] == kamikazes["trials"]
     assert margins["area_above"] == pytest.approx(found["margin"], abs=1e-9)
     assert margins["area_above"] <= kamikazes["area_above"]
     for best, tried in zip(margins["points"], kamikazes["points"], strict=True):

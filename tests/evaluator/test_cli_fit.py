@@ -77,7 +77,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
     assert result["car_model"]["family"]["name"] == "distance"
     assert result["per_safe_trajectory"][0]["name"].startswith("own/")
     # An assessment's own episodes can be fitted too: those of both objectives, and the runs along φ.
-    episodes = sum(figures["attempts"] for figures in result["objectives"].values()) + 4
+    episodes = sum(figures["trials"] for figures in result["objectives"].values()) + 4
     assert episodes >= 3 + 3 + 4
     assert run("fit", out, "--out", tmp_path / "refit", "--json") == 0
     assert json.loads(capsys.readouterr().out)["logs"] == episodes

@@ -31,7 +31,7 @@ def result(
     name: str, values: np.ndarray, phi=PHI, planned: np.ndarray | None = None, *, margin: bool = True, **changes: Any
 ) -> StoredResult:
     planned = values if planned is None else planned
-    groups = {figure: tuple(values) for figure in ("margin", "hit_rate", "collision_rate")}
+    groups = {figure: tuple(values) for figure in ("margin", "nominal_collision_rate", "contact_rate")}
     groups |= {figure: tuple(planned) for figure in PLANNED}
     if not margin:
         del groups["margin"]
@@ -192,7 +192,7 @@ def test_the_margin_judges_where_planned_figures_are_of_unlike_knowledge() -> No
     )
     assert found.lines() == [found.planned_refusal]
     assert not set(PLANNED) & set(found.differences)
-    assert {"margin", "hit_rate", "collision_rate"} == set(found.differences)
+    assert {"margin", "nominal_collision_rate", "contact_rate"} == set(found.differences)
     again = compare(first, result("b", values(1, shift=0.5), planned=values(5), knowledge="nothing"))
     assert set(PLANNED) < set(again.differences)
 
@@ -349,7 +349,9 @@ def test_without_a_margin_planned_deviations_judge_and_it_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes", [{"knowledge": "nothing"}, {"scenario": with_hit_speed(None), "hit_rate": None}], ids=["knows", "hits"]
+    "changes",
+    [{"knowledge": "nothing"}, {"scenario": with_hit_speed(None), "nominal_collision_rate": None}],
+    ids=["knows", "hits"],
 )
 def test_without_a_margin_and_with_unlike_kamikazes_there_is_no_verdict(changes: dict[str, Any]) -> None:
     found = compare(result("a", values(1)), result("b", values(1, shift=1.0), margin=False, **changes))

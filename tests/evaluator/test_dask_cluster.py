@@ -55,7 +55,7 @@ def cars(tmp_path, monkeypatch):
 
 def replays(count, controller="basic"):
     plan, phi = Plan(load_scenario("crossing"), controller=controller), straight()
-    return [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(count)]
+    return [plan.episode(Mode.REPLAY, 0, trial, phi) for trial in range(count)]
 
 
 def bits(log):

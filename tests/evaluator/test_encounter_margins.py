@@ -10,7 +10,7 @@ LAW = "skd_sim.controllers.basic:BasicController"
 
 
 def test_the_exact_margin_along_the_lane_is_that_of_the_search() -> None:
-    """Where nobody crosses; the same law as somebody's class is searched, not foretold."""
+    """Where nobody crosses; the same law as somebody's class is searched, not predictable."""
     few: dict[str, Any] = {"scenario": "cpla", "safe": "regulatory", "safe_count": 2, "kamikaze_count": 2}
     few |= {"collision_runs": 2, "simulations": 20, "knowledge": "nothing", "behaviour": "none", "margin_limit": 1024}
     known, searched = (assess(car, **few).as_dict() for car in ("basic", LAW))

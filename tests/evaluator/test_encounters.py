@@ -17,7 +17,7 @@ from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_scenario, prob
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.bags.car_logs import recording_of
-from skd_evaluator.margin.actions import foretold
+from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.report.pictures import save_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
@@ -43,7 +43,7 @@ def across(scenario: Scenario, speed: float = 2.5) -> Trajectory:
 
 def replays(scenario: Scenario, count: int, *, controller: str = "basic", C: float = 1.0) -> list[EpisodeLog]:
     phi = across(scenario)
-    numbers = [episode_id(Stage.COLLISION_RATE, 0, attempt) for attempt in range(count)]
+    numbers = [episode_id(Stage.NOMINAL, 0, trial) for trial in range(count)]
     return [
         run_episode(Episode(scenario, Mode.REPLAY, 0, number, controller=controller, multiplier=C, safe_trajectory=phi))
         for number in numbers
@@ -97,7 +97,7 @@ def test_who_cannot_do_it_says_so() -> None:
         episode = Episode(scenario, Mode.REPLAY, 0, 0, safe_trajectory=across(scenario))
         with pytest.raises(UsageError, match="another simulator cannot be told yet"):
             FramedSimulator(cast(FrameSource, None)).reset(episode)  # before its source is asked anything
-        assert not foretold(CarUnderTest("basic"), scenario)
+        assert not has_exact_margin(CarUnderTest("basic"), scenario)
 
 
 def test_a_trajectory_of_ones_own_has_to_cross_the_curved_lane(tmp_path: Path) -> None:

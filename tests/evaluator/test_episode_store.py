@@ -42,8 +42,8 @@ CELL, OTHER = b"c" * 16, b"d" * 16
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 
 
-def episode(attempt: int) -> Episode:
-    return PLAN.episode(Mode.KAMIKAZE, 0, attempt, ACROSS)
+def episode(trial: int) -> Episode:
+    return PLAN.episode(Mode.KAMIKAZE, 0, trial, ACROSS)
 
 
 def log_of(one: Episode, rows: int = 3) -> EpisodeLog:
@@ -140,7 +140,7 @@ def test_whatever_is_specified_is_in_the_digest():
 def filled(folder: Path, count: int = 40) -> tuple[list[Episode], list[bytes]]:
     """Episodes of a store that was closed."""
     store = EpisodeStore(folder / FILE_NAME)
-    episodes = [episode(attempt) for attempt in range(count)]
+    episodes = [episode(trial) for trial in range(count)]
     cell = CellStore(store, CELL)
     keys = cell.specifications(episodes)
     for key, one in zip(keys, episodes, strict=True):
@@ -188,7 +188,7 @@ def write_and_be_killed(folder, episodes, keys):
 
 
 def test_the_death_of_its_process_takes_nothing(tmp_path):
-    episodes = [episode(attempt) for attempt in range(30)]
+    episodes = [episode(trial) for trial in range(30)]
     keys = [Specifications().digest(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
     assert (tmp_path / f"{FILE_NAME}-wal").stat().st_size > 0
@@ -198,7 +198,7 @@ def test_the_death_of_its_process_takes_nothing(tmp_path):
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.37, 0.5, 0.83, 0.999])
 def test_a_torn_log_of_writes_loses_the_latest_alone(tmp_path, share):
     """A power cut leaves less of the WAL than was written: then the first episodes are there, and no wrong one is."""
-    episodes = [episode(attempt) for attempt in range(30)]
+    episodes = [episode(trial) for trial in range(30)]
     keys = [Specifications().digest(one) for one in episodes]
     write_and_be_killed(tmp_path, episodes, keys)
     wal = tmp_path / f"{FILE_NAME}-wal"
@@ -255,11 +255,11 @@ class Counting:
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
         for one in episodes:
-            attempt = one.episode_id & 0xFFFF
-            again = attempt in self.asked
-            self.asked.append(attempt)
+            trial = one.episode_id & 0xFFFF
+            again = trial in self.asked
+            self.asked.append(trial)
             log = log_of(one)
-            if attempt == 2 and not again:
+            if trial == 2 and not again:
                 log = dataclasses.replace(log, outcome=Outcome.ABORTED, reason="process ended: it was killed")
             yield log
 
@@ -268,7 +268,7 @@ def test_nothing_is_run_twice_but_what_was_aborted(tmp_path):
     store = EpisodeStore(tmp_path / FILE_NAME)
     inner = Counting()
     runner = StoringRunner(inner, CellStore(store, CELL), threading.Event())
-    episodes = [episode(attempt) for attempt in range(6)]
+    episodes = [episode(trial) for trial in range(6)]
     begun = runner.run(episodes[:5])
     first = [next(begun) for _ in range(4)]
     begun.close()

@@ -29,7 +29,7 @@ def test_isotonic_means_equal_scipys(columns):
 
 
 def straight(multiplier: float) -> list[list[float]]:
-    """Attempts of two φ whose mean over both is the multiplier itself."""
+    """Trials of two φ whose mean over both is the multiplier itself."""
     return [[multiplier - 0.2, multiplier + 0.2], [multiplier - 0.1, multiplier + 0.1]]
 
 
@@ -42,7 +42,7 @@ def test_without_chance_the_multiplier_is_read_off(multiplier):
     assert found.value == pytest.approx(multiplier, abs=1e-12)
     # Both cars share all of their chance: nothing is left that another draw could change.
     assert found.ci95 == pytest.approx((multiplier, multiplier), abs=1e-12)
-    assert found.ci95_attempts == pytest.approx((multiplier, multiplier), abs=1e-12)
+    assert found.ci95_trials == pytest.approx((multiplier, multiplier), abs=1e-12)
 
 
 def test_the_interval_is_students_test_inverted():
@@ -93,27 +93,27 @@ def test_where_basic_cars_are_level_the_middle_counts():
 def test_one_phi_has_no_interval_by_phi():
     found = equivalent_multiplier([[0.8, 0.9, 1.0]], {one: [[one, one + 0.1, one - 0.1]] for one in GRID})
     assert found.ci95 is None
-    assert found.ci95_attempts is not None
-    assert found.ci95_attempts[0] < found.value < found.ci95_attempts[1]
+    assert found.ci95_trials is not None
+    assert found.ci95_trials[0] < found.value < found.ci95_trials[1]
 
 
-def test_attempts_that_say_nothing_do_not_count():
-    # The first φ has two attempts that both cars have, the second one; the means are over all three.
+def test_trials_that_say_nothing_do_not_count():
+    # The first φ has two trials that both cars have, the second one; the means are over all three.
     car, basic = [[0.6, math.nan, 1.0, 9.0], [0.7, 0.9]], [[0.5, 0.1, 0.5], [0.5]]
     found = difference(car, basic)
     assert found is not None
-    assert found.attempts == 3
+    assert found.trials == 3
     assert found.mean == pytest.approx((0.1 + 0.5 + 0.2) / 3)
     assert difference([[math.nan]], [[1.0]]) is None
 
 
-def test_a_phi_with_a_single_attempt_varies_as_the_others_do():
+def test_a_phi_with_a_single_trial_varies_as_the_others_do():
     found = difference([[0.5, 1.0], [0.75]], [[0.5, 0.5], [0.5]])
     assert found is not None
-    assert found.ci95_attempts is not None
+    assert found.ci95_trials is not None
     # Differences 0, 0.5 and 0.25: a variance of 1/8 in the first φ, taken for the second; 3/8 for the sum of all.
     half = stats.t.ppf(0.975, 1) * math.sqrt(3.0 / 8.0) / 3.0
-    assert found.ci95_attempts == pytest.approx((0.25 - half, 0.25 + half))
+    assert found.ci95_trials == pytest.approx((0.25 - half, 0.25 + half))
 
 
 def test_an_interval_wider_than_what_was_compared_ends_at_its_first_and_last_multiplier():

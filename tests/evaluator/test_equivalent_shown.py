@@ -43,7 +43,7 @@ def test_every_output_shows_the_same_under_the_same_heading(case, sweep, tmp_pat
     folder = edited(sweep / "synthetic" / "C_1", tmp_path / "one", **changes)
     result = json.loads((folder / "assessment.json").read_text(encoding="utf-8"))
 
-    for name, ends in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
+    for name, ends in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_trials)):
         kept = result[f"{NAME}_{name}"]
         assert kept == (None if ends is None else [end if math.isfinite(end) else None for end in ends])
 

@@ -30,7 +30,7 @@ FULL_ONLY, BOTH = (1.0,), (1.0, 0.5)
 Step = tuple[CarState, AdversaryState, float, Contact | None, Outcome]
 
 
-def attempt(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> Episode:
+def trial(points, ticks=40, multiplier=1.0, seed=0, gap=None, impact=0.0, hit=0.556, eta_max=5.0) -> Episode:
     episode = kamikaze_episode(points, ticks, multiplier, seed, gap=gap, impact=impact)
     collision = replace(episode.scenario.collision, hit_speed=hit)
     return replace(episode, scenario=replace(episode.scenario, collision=collision, eta_max=eta_max))
@@ -192,7 +192,7 @@ def recorded_like(seed: int, count: int = 17) -> np.ndarray:
 def test_equals_brute_force(seed, count, lattice, ticks, multiplier, gap, impact, hit):
     rng = np.random.default_rng(seed)
     points = lattice_path(rng, count) if lattice else bent(rng, count)
-    episode = attempt(points, ticks, multiplier, seed, gap=gap, impact=impact, hit=hit, eta_max=20.0)
+    episode = trial(points, ticks, multiplier, seed, gap=gap, impact=impact, hit=hit, eta_max=20.0)
     least = brute_force(episode)
     assert checked(episode) == pytest.approx(least, abs=1e-9)
     if math.isfinite(least):
@@ -204,14 +204,14 @@ def test_equals_brute_force(seed, count, lattice, ticks, multiplier, gap, impact
 
 @pytest.mark.parametrize(("multiplier", "gap", "seed"), [(0.5, 5.0, 1), (1.0, 8.0, 2), (1.15, 3.0, 3), (0.75, 9.0, 4)])
 def test_equals_brute_force_over_five_ticks(multiplier, gap, seed):
-    episode = attempt(bent(np.random.default_rng(seed), 9), 5, multiplier, seed, gap=gap)
+    episode = trial(bent(np.random.default_rng(seed), 9), 5, multiplier, seed, gap=gap)
     least = brute_force(episode)
     assert checked(episode) == pytest.approx(least, abs=1e-9)
 
 
 @pytest.mark.parametrize(("multiplier", "seed"), [(0.5, 1), (0.875, 2), (1.0, 3)])
 def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
-    episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
+    episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, multiplier, seed)
     found = exact_margin(episode)
     assert found is not None
     assert found.gap == 0.0
@@ -220,7 +220,7 @@ def test_equals_a_plain_search_over_whole_episodes(multiplier, seed):
 
 @pytest.mark.parametrize(("multiplier", "seed"), [(0.75, 1), (1.0, 2), (1.15, 3)])
 def test_there_is_nothing_below_the_gap_where_every_step_of_phi_is_another(multiplier, seed):
-    episode = attempt(recorded_like(seed), 30, multiplier, seed)
+    episode = trial(recorded_like(seed), 30, multiplier, seed)
     found = exact_margin(episode)
     assert found is not None
     check_way(episode, found)
@@ -231,7 +231,7 @@ def test_there_is_nothing_below_the_gap_where_every_step_of_phi_is_another(multi
 
 @pytest.mark.parametrize("seed", range(6))
 def test_without_room_for_all_the_gap_holds(monkeypatch, seed):
-    episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, (1.0, 1.15)[seed % 2], seed)
+    episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, (1.0, 1.15)[seed % 2], seed)
     known = exact_margin(episode)
     monkeypatch.setattr(exact, "_EFFORTS", ((1 << 10, 1 << 6, True),))
     found = exact_margin(episode)
@@ -245,7 +245,7 @@ def test_without_room_for_all_the_gap_holds(monkeypatch, seed):
 def test_half_speeds_never_make_it_more_and_sometimes_less():
     less = 0
     for seed in range(8):
-        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, (0.75, 1.0, 1.15)[seed % 3], seed)
+        episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, (0.75, 1.0, 1.15)[seed % 3], seed)
         margin = checked(episode)
         assert least_by_layers(episode, margin - 1e-9, FULL_ONLY) == math.inf
         full = exact_margin(episode, half_speed=False)
@@ -262,7 +262,7 @@ def test_whoever_walks_into_a_car_that_stands_or_nearly_is_not_hit_by_it():
     points = [(-3.5 + 0.25 * k, 0.0) for k in range(23)]
     walked_into = 0
     for seed in range(12):
-        episode = attempt(points, multiplier=1.0, seed=seed)
+        episode = trial(points, multiplier=1.0, seed=seed)
         run = run_episode(replace(episode, mode=Mode.REPLAY))
         if run.outcome == Outcome.COLLISION and run.impact_speed < 0.556:
             walked_into += 1
@@ -274,15 +274,15 @@ def test_whoever_walks_into_a_car_that_stands_or_nearly_is_not_hit_by_it():
 @pytest.mark.parametrize("seed", range(4))
 def test_the_faster_a_hit_has_to_be_the_greater_the_margin(seed):
     points = lattice_path(np.random.default_rng(seed), 8)
-    least = [checked(attempt(points, 40, 1.0, seed, hit=hit)) for hit in (0.0, 0.556, 2.0, 5.0, 7.0)]
+    least = [checked(trial(points, 40, 1.0, seed, hit=hit)) for hit in (0.0, 0.556, 2.0, 5.0, 7.0)]
     assert all(a <= b + 1e-9 for a, b in itertools.pairwise(least))
     assert least[0] < least[-1]
 
 
 def test_a_car_that_nobody_can_be_hit_by_within_eta_max_has_no_way():
     points = [(-3.5 + 0.75 * k, 0.0) for k in range(8)]
-    assert exact_margin(attempt(points, 10, hit=30.0)) is None
-    far = attempt(points, multiplier=1.5, seed=2, eta_max=8.0)
+    assert exact_margin(trial(points, 10, hit=30.0)) is None
+    far = trial(points, multiplier=1.5, seed=2, eta_max=8.0)
     found = exact_margin(far)
     assert found is not None
     within = replace(far, scenario=replace(far.scenario, eta_max=0.999 * found.distance))
@@ -292,7 +292,7 @@ def test_a_car_that_nobody_can_be_hit_by_within_eta_max_has_no_way():
 
 def test_the_upper_bound_does_not_change_what_is_within_it():
     for seed in range(6):
-        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
+        episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
         least = checked(episode)
         bounds = [0.3, 0.7, 1.0, 1.5, 2.0, 5.0]
         found = [checked(episode, bound) for bound in bounds]
@@ -325,7 +325,7 @@ def test_whoever_is_hit_along_phi_need_not_stray():
     assert 0 < hit < 12
 
 
-def test_only_what_is_foretold_has_an_exact_margin():
+def test_only_what_is_predictable_has_an_exact_margin():
     episode = kamikaze_episode([(-3.5, 0.0), (2.0, 0.0)])
     with pytest.raises(ValueError, match="my_module:Car"):
         exact_margin(replace(episode, controller="my_module:Car"))
@@ -342,13 +342,13 @@ def test_a_search_in_cells_alone_would_find_more(monkeypatch):
     """What the last part of the search is for: without it some margins would be too great."""
     found = []
     for seed in range(12):
-        episode = attempt(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
+        episode = trial(lattice_path(np.random.default_rng(seed), 8), 40, 1.15, seed)
         found.append(checked(episode))
         course = exact.make_course(episode)
-        foresight, nodes = exact.make_foresight(1 << 10, 40), exact_search.make_nodes(1 << 12)
-        exact_search.fill_ways(course, foresight)
+        reachability, nodes = exact.make_reachability(1 << 10, 40), exact_search.make_nodes(1 << 12)
+        exact_search.fill_ways(course, reachability)
         ways = np.empty(40, np.int64)
-        _, coarse, _ = exact_search._search(course, foresight, nodes, 1.2 * found[-1] + 0.03, 0.2, ways)
+        _, coarse, _ = exact_search._search(course, reachability, nodes, 1.2 * found[-1] + 0.03, 0.2, ways)
         assert coarse >= found[-1] - 1e-9
         found[-1] -= coarse
     assert min(found) < -1e-3

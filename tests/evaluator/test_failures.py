@@ -175,7 +175,7 @@ def test_few_are_kept_however_many_there_are(found, monkeypatch):
 
 def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
     """Compiled crossings, and whole episodes in two processes."""
-    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.foretold", lambda *_of: False)
+    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.has_exact_margin", lambda *_of: False)
     with InProcessRunner(2) as runner:
         other = with_risks(rated, ASKED, runner, quiet).risks
     mine = found.risks
@@ -198,7 +198,7 @@ def test_one_is_read_back_and_repeated_to_the_bit(folder):
         of = dict(zip(words[2::2], words[3::2], strict=True))
         assert (of["--mode"], of["--behaviour"], float(of["--scale"])) == ("risk", "walkers", one.scale)
         log = run_episode(
-            single_crossing(PLAN, WALKERS, int(of["--safe-number"]), int(of["--attempt"]), float(of["--scale"]))
+            single_crossing(PLAN, WALKERS, int(of["--safe-number"]), int(of["--trial"]), float(of["--scale"]))
         )
         assert log.hit
         np.testing.assert_array_equal(log.adversary, subject.failing.adversary[number])

@@ -22,7 +22,7 @@ from skd_evaluator.extensions.fusion.estimate.rehearsal import Reach, kurtosis, 
 from skd_evaluator.extensions.fusion.figures import FIGURES
 from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure
 from skd_evaluator.extensions.fusion.pairs import Pairs, paired
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
@@ -151,7 +151,7 @@ def score_ends(rate: float, error: float, most: float, quantile: float) -> list[
     return sorted(np.roots([1.0 + share, -2.0 * rate - share, rate**2]).real)
 
 
-def test_a_hit_rate_counts_phi_alike():
+def test_a_nominal_collision_rate_counts_phi_alike():
     """The mean of the φ's rates and its error, by scipy; the interval by the quadratic equation that it solves."""
     groups = hits_of((1, 3), (3, 3), (0, 3), (2, 3), (0, 3), (1, 3), (0, 3), (3, 3))
     rates = [group.mean() for group in groups]
@@ -172,11 +172,15 @@ def test_trials_of_harmless_phi_again_and_again_make_no_safer_car():
     assert many.interval == pytest.approx(once.interval)
     assert alone_rate(hits_of(*[(0, 25)] * 12)).interval == pytest.approx(alone_rate(hits_of(*[(0, 1)] * 12)).interval)
     (fused_hits,) = fuse(
-        [Trial(f"phi{index}", {"hit": float(index < 4)}) for index in range(12) for _ in range(1 if index < 4 else 25)],
+        [
+            PhysicalTrial(f"phi{index}", {"hit": float(index < 4)})
+            for index in range(12)
+            for _ in range(1 if index < 4 else 25)
+        ],
         simulated_of(np.resize([0.0, 1.0], 40), "hit"),
     ).figures
     assert fused_hits.stands.value == pytest.approx(4 / 12)
-    one_phi = [Trial(f"phi{index}", {"hit": float(not index)}) for index in range(8) for _ in range(9 - index)]
+    one_phi = [PhysicalTrial(f"phi{index}", {"hit": float(not index)}) for index in range(8) for _ in range(9 - index)]
     (often,) = fuse(one_phi, simulated_of(np.resize([1.0, 0.0], 40), "hit")).figures
     assert often.why_alone == "there are fewer than 3 φ with a hit, or without one"
 
@@ -203,12 +207,12 @@ def test_intervals_of_rates_hold_with_trials_unequally_often(alike: bool):
     assert held / 300 >= 0.91  # 3.5 standard errors below 95 %
 
 
-def trials_of(values: np.ndarray, key: str = "clearance", **more: float) -> list[Trial]:
-    return [Trial(f"phi{index}", {key: float(value)}, **more) for index, value in enumerate(values)]
+def trials_of(values: np.ndarray, key: str = "clearance", **more: float) -> list[PhysicalTrial]:
+    return [PhysicalTrial(f"phi{index}", {key: float(value)}, **more) for index, value in enumerate(values)]
 
 
-def simulated_of(values: np.ndarray, key: str = "clearance") -> dict[str, list[Trial]]:
-    return {f"phi{index}": [Trial(f"phi{index}", {key: float(value)})] for index, value in enumerate(values)}
+def simulated_of(values: np.ndarray, key: str = "clearance") -> dict[str, list[PhysicalTrial]]:
+    return {f"phi{index}": [PhysicalTrial(f"phi{index}", {key: float(value)})] for index, value in enumerate(values)}
 
 
 def test_without_prediction_the_physical_trials_stand_alone():
@@ -265,9 +269,9 @@ def test_refusals_of_trials():
     with pytest.raises(UsageError, match="at least 5 φ"):
         fuse(few * 4, simulated)
     with pytest.raises(UsageError, match="'phix' was not simulated; did you mean 'phi"):
-        fuse([*trials_of(y), Trial("phix", {"clearance": 1.0})], simulated)
+        fuse([*trials_of(y), PhysicalTrial("phix", {"clearance": 1.0})], simulated)
     with pytest.raises(UsageError, match="has no clearance"):
-        fuse([*trials_of(y), Trial("phi20", {"margin": 1.0})], simulated)
+        fuse([*trials_of(y), PhysicalTrial("phi20", {"margin": 1.0})], simulated)
     with pytest.raises(UsageError, match="no figure in common"):
         fuse(trials_of(y, "margin"), simulated)
     with pytest.raises(UsageError, match="on every φ with trials"):
@@ -277,7 +281,7 @@ def test_refusals_of_trials():
 def test_pairs_are_of_one_timing():
     y, _, every = drawn(np.random.default_rng(9), 0.9, 8)
     runs = {
-        name: [Trial(name, {"clearance": trials[0].values["clearance"] + gap}, gap) for gap in (13.0, 15.0)]
+        name: [PhysicalTrial(name, {"clearance": trials[0].values["clearance"] + gap}, gap) for gap in (13.0, 15.0)]
         for name, trials in simulated_of(every).items()
     }
     near = fuse(trials_of(y, gap=13.2), runs).figures[0].pairs
@@ -312,7 +316,8 @@ def test_of_trials_on_alike_phi_nothing_is_said():
         fuse(trials_of(y), simulated_of(every))
     chosen = [*range(7), 950, 960, 970]
     spread = [
-        Trial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())}) for index in chosen
+        PhysicalTrial(f"phi{index}", {"clearance": float(every[index] + 0.02 * rng.standard_normal())})
+        for index in chosen
     ]
     assert fuse(spread, simulated_of(every)).figures[0].predicts
 

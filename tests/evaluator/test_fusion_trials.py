@@ -16,7 +16,7 @@ from skd_evaluator.extensions.fusion.recording import read_tracks
 from skd_evaluator.extensions.fusion.simulated import read_simulated
 from skd_evaluator.extensions.fusion.table import read_trials, table_in
 from skd_evaluator.extensions.fusion.track import Frame, Track
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -67,10 +67,10 @@ def recorder(**changes: object) -> Recorder:
 
 def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock(tmp_path: Path):
     site = Frame(120.0, -40.0, 0.7)
-    plain = recorder().measured(tracked(tmp_path / "a.csv"), Trial("walk"))
+    plain = recorder().measured(tracked(tmp_path / "a.csv"), PhysicalTrial("walk"))
     moved = recorder(frame=site, car="ego", other="dummy").measured(
         tracked(tmp_path / "b.csv", rate=50.0, other_rate=25.0, frame=site, clock=1e5, ids=("ego", "dummy")),
-        Trial("walk"),
+        PhysicalTrial("walk"),
     )
     assert plain.gap == pytest.approx(GAP, abs=0.03)
     assert moved.gap == pytest.approx(GAP, abs=0.03)
@@ -88,9 +88,9 @@ def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock
 
 
 def test_a_car_that_does_not_brake_hits(tmp_path: Path):
-    trial = recorder().measured(tracked(tmp_path / "a.csv", gap=SPEED * 3.5 / WALKED), Trial("walk"))
+    trial = recorder().measured(tracked(tmp_path / "a.csv", gap=SPEED * 3.5 / WALKED), PhysicalTrial("walk"))
     assert trial.values == {"clearance": 0.0, "required_deceleration": 9.81, "hit": 1.0}
-    late = recorder(reference=2.0).measured(tracked(tmp_path / "b.csv", gap=10.0), Trial("walk"))
+    late = recorder(reference=2.0).measured(tracked(tmp_path / "b.csv", gap=10.0), PhysicalTrial("walk"))
     assert late.gap == pytest.approx(12.0, abs=0.03)  # the tracked point is ahead of the reference point
 
 
@@ -109,7 +109,7 @@ def test_a_car_that_does_not_brake_hits(tmp_path: Path):
 )
 def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, changes, says):
     with pytest.raises(UsageError, match=says):
-        recorder().measured(tracked(tmp_path / "a.csv", **changes), Trial("walk"))
+        recorder().measured(tracked(tmp_path / "a.csv", **changes), PhysicalTrial("walk"))
 
 
 def rows_of(path: Path) -> list[list[str]]:
@@ -124,8 +124,8 @@ def test_a_recording_that_ends_while_the_two_come_nearer_is_refused(tmp_path: Pa
         encoding="utf-8",
     )
     with pytest.raises(UsageError, match=r"ends 1\.\d s before its φ does, and the two still come nearer"):
-        recorder().measured(path, Trial("walk"))
-    assert recorder().laid(path, Trial("walk")).times[-1] < 3.0  # enough to calibrate by
+        recorder().measured(path, PhysicalTrial("walk"))
+    assert recorder().laid(path, PhysicalTrial("walk")).times[-1] < 3.0  # enough to calibrate by
 
 
 @pytest.mark.parametrize("gap", [GAP, SPEED * 3.5 / WALKED], ids=["passed by", "hit"])
@@ -151,11 +151,11 @@ def test_a_trial_counts_once(tmp_path: Path, gap: float):
 def test_a_table_that_contradicts_its_recording_is_refused(tmp_path: Path):
     path = tracked(tmp_path / "a.csv", gap=25.0)
     with pytest.raises(UsageError, match=r"line 3: says that the car hit, and in the recording it stays 1\.\d+ m away"):
-        recorder().measured(path, Trial("walk", {"hit": 1.0}, None, "t.csv, line 3"))
+        recorder().measured(path, PhysicalTrial("walk", {"hit": 1.0}, None, "t.csv, line 3"))
     with pytest.raises(UsageError, match="clearance is said to be 4"):
-        recorder().measured(path, Trial("walk", {"clearance": 4.0}, None, "t.csv, line 3"))
+        recorder().measured(path, PhysicalTrial("walk", {"clearance": 4.0}, None, "t.csv, line 3"))
     with pytest.raises(UsageError, match="'walkk' was not simulated; did you mean 'walk'"):
-        recorder().measured(path, Trial("walkk"))
+        recorder().measured(path, PhysicalTrial("walkk"))
 
 
 def reached(x: float) -> float:
@@ -167,11 +167,11 @@ def test_a_touch_within_noise_is_what_the_table_says_and_named(tmp_path: Path):
     """The road user has nearly left the car's strip, and is 0.15 m inside the corner at the most."""
     edge = SCENARIO.car.half_width + SCENARIO.adversary.reach
     path = tracked(tmp_path / "a.csv", gap=reached(edge - 0.15))
-    seen = recorder().measured(path, Trial("walk"))
+    seen = recorder().measured(path, PhysicalTrial("walk"))
     assert seen.values["hit"] == 1.0
-    kept = recorder().measured(path, Trial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
+    kept = recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
     assert (kept.values["hit"], kept.values["clearance"], kept.seen_hit) == (0.0, 0.0, True)
-    missed = recorder().measured(tracked(tmp_path / "b.csv", gap=25.0), Trial("walk", {"hit": 0.0}))
+    missed = recorder().measured(tracked(tmp_path / "b.csv", gap=25.0), PhysicalTrial("walk", {"hit": 0.0}))
     assert missed.seen_hit is False
     (line,) = overruled([missed, kept])
     assert line.startswith("in 1 of 2 trials the table says that the car did not hit")
@@ -187,11 +187,11 @@ def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
         if row[1] == "other":
             row[3] = repr(0.9 * max(0.0, float(row[0]) - 7.3 - gap / SPEED))
     path.write_text("\n".join(map(",".join, [head, *rows])), encoding="utf-8")
-    assert recorder().measured(path, Trial("walk")).values["hit"] == 1.0
+    assert recorder().measured(path, PhysicalTrial("walk")).values["hit"] == 1.0
     with pytest.raises(
         UsageError, match=r"did not hit, and in the recording it touches the road user; then, .*off its φ"
     ):
-        recorder().measured(path, Trial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
+        recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
 
 
 @pytest.mark.parametrize(

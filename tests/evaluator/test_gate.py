@@ -67,7 +67,7 @@ def test_limits_hold_on_their_own_side(result):
 
 
 def test_what_is_not_defined_is_no_verdict_on_the_car(result):
-    (found,) = check_limits({**result, "closeness": None}, [Limit("closeness", 0.1)])
+    (found,) = check_limits({**result, "optimality_gap": None}, [Limit("optimality_gap", 0.1)])
     assert (found.error, found.failed) == (True, False)
     beyond = {**result, "equivalent_multiplier": None, "equivalent_multiplier_text": "above 1.5"}
     assert figure(beyond, "equivalent_multiplier") == math.inf
@@ -98,7 +98,9 @@ def test_every_number_of_a_result_has_a_name_that_is_known(result):
     for name in ("skd_ci95_pairs", "objectives", "controller", "seed", "objectives.paper.plans_deviation", ""):
         with pytest.raises(UsageError, match="no figure"):
             check_figure(name)
-    assert {"margin", "hit_rate", "closeness", "impact_speed.p90", "deviation"} <= set(scalar_figures())
+    assert {"margin", "nominal_collision_rate", "optimality_gap", "impact_speed.p90", "deviation"} <= set(
+        scalar_figures()
+    )
 
 
 def test_no_gate_passes_with_figures_that_are_not_credible(result):
@@ -124,7 +126,7 @@ def test_a_car_is_held_against_an_earlier_one(cars):
 
 
 class Aborting:
-    """A runner of whose kamikazes every second attempt is aborted."""
+    """A runner of whose kamikazes every second trial is aborted."""
 
     def __init__(self, runner: InProcessRunner) -> None:
         self.runner = runner
@@ -136,14 +138,14 @@ class Aborting:
 
 
 def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tmp_path):
-    """It passed: its planned deviation is that of the attempts that it let go on."""
+    """It passed: its planned deviation is that of the trials that it let go on."""
     plan = replace(PLAN, multiplier=1.15)
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
         write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner), lambda *_progress: None))
     earlier, mine = read_result(cars[1.15]), read_result(tmp_path)
     counts = mine.figures["objectives"]["deviation"]
-    assert sum(map(len, mine.worst["deviation"])) == counts["attempts"] + counts["aborted"]
+    assert sum(map(len, mine.worst["deviation"])) == counts["trials"] + counts["aborted"]
     assert mean(np.concatenate(mine.worst["deviation"])) == pytest.approx(at_worst(mine.figures, "deviation").value)
     found = check_not_worse(tmp_path, earlier)
     assert (found.failed, found.error) == (False, True)
@@ -245,14 +247,14 @@ def test_csv_has_the_figures_of_the_car_and_not_what_they_are_made_of(result):
 
 
 def test_the_command_line_decides(skd_here, here, cars):
-    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin_attempts=0"]
+    conditions = ["--fail-below", "objectives.paper.skd=0.1", "--fail-above", "margin_trials=0"]
     files = ["--junit", "j.xml", "--markdown", "m.md", "--csv", "c.csv"]
     earlier = ["--fail-if-worse-than", str(cars[1.15])]
     done = skd_here("assess", *SMALL, *conditions, *earlier, *files, "--out", "out")
     assert done.returncode == 1
     assert "gate: objectives.paper.skd ≥ 0.1: passed" in done.stdout
     failed, error = [line for line in done.stderr.splitlines() if "gate: " in line][:2]
-    assert "gate: margin_attempts ≤ 0: failed" in failed
+    assert "gate: margin_trials ≤ 0: failed" in failed
     assert "not compared" in error
     assert (here / "out" / "assessment.json").exists()
     suite = ElementTree.parse(here / "j.xml").getroot()
@@ -263,14 +265,17 @@ def test_the_command_line_decides(skd_here, here, cars):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["--fail-below", "defomation=1"], ["--fail-below defomation=1", "did you mean 'deviation'?"]),
-        (["--fail-above", "colision_rate=0.1"], ["did you mean 'collision_rate'?"]),
+        (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
+        (["--fail-above", "colision_rate=0.1"], ["did you mean 'contact_rate'?"]),
         (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
         (["--fail-below", "margn=1"], ["did you mean 'margin'?"]),
         (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
         (["--fail-below", "margin"], ["FIGURE=NUMBER, as margin=0.8"]),
         (["--fail-below", "deviation=much"], ["FIGURE=NUMBER"]),
-        (["--fail-above", "hit_rate=5"], ["--fail-above hit_rate=5", "from 0 to 1, where 0.05 is 5 %"]),
+        (
+            ["--fail-above", "nominal_collision_rate=5"],
+            ["--fail-above nominal_collision_rate=5", "from 0 to 1, where 0.05 is 5 %"],
+        ),
         (["--fail-below", "margin=-1"], ["--fail-below margin=-1", "at least 0"]),
         (["--fail-below", "objectives.paper.deviation=-1"], ["at least 0"]),
         (["--junit", "same.out", "--csv", "./same.out"], ["--junit same.out: --csv is written there, too"]),

@@ -125,7 +125,7 @@ def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch
     monkeypatch.setattr(Run, "car", property(lambda _run: "my car"))
     monkeypatch.setenv("COLUMNS", "120")
     folders = [str(sweep / "synthetic" / name) for name in ("C_0.5", "C_1")]
-    assert main(["trend", *folders, "--figure", "hit_rate", "--out", str(tmp_path / "trend")]) == 0
+    assert main(["trend", *folders, "--figure", "nominal_collision_rate", "--out", str(tmp_path / "trend")]) == 0
     shown = capsys.readouterr().out
     assert main(["compare", *folders, "--json", "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
     (judged,) = json.loads(capsys.readouterr().out)["comparisons"]

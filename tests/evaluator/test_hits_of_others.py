@@ -58,7 +58,7 @@ def test_a_car_that_brakes_for_the_adversary_alone_runs_into_the_car_ahead(tmp_p
     assert done.returncode == 0, done.stderr
     assert "episodes the car ran into others[0], a car, and not into the adversary" in done.stderr
     result = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
-    assert result["collision_rate"] == 1.0
+    assert result["contact_rate"] == 1.0
     assert result["margin"] < 0.01
     verified = skd("verify", "out", cwd=tmp_path)
     assert verified.returncode == 0, verified.stderr

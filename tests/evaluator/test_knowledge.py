@@ -121,7 +121,7 @@ def test_who_plans_with_what() -> None:
 @pytest.fixture
 def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(lesson, "PROBES", 24)
-    monkeypatch.setattr(lesson, "ATTEMPTS", 4)
+    monkeypatch.setattr(lesson, "TRIALS", 4)
     monkeypatch.setattr(waiting, "TRIALS", 2)
     monkeypatch.setattr(lesson, "SAFE", 2)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -96,7 +96,7 @@ ALONE = {"margin_limit": 0, "behaviour": "none", "workers": 1}
 
 
 def test_a_car_of_which_too_many_episodes_are_aborted_is_not_believed(tmp_path, monkeypatch):
-    """Who ends its process before it hits had a hit rate of 0 and no warning, and `skd assess` exit code 1."""
+    """Who ends its process before it hits had a rate of 0 and no warning, and `skd assess` exit code 1."""
     (tmp_path / "quitter.py").write_text(QUITTER)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.warns(UserWarning, match="not credible: 1 of 10 episodes were aborted.* 5 %"):

@@ -21,7 +21,7 @@ ENDED = {
     "margin_ci95": [0.601, 0.678],
     "margin_converged": True,
     "equivalent_multiplier": 1.0,
-    "hit_rate": 0.052,
+    "nominal_collision_rate": 0.052,
     "deviation": 0.824,
     "knowledge": "known",
     "skd": 3.5,
@@ -54,7 +54,9 @@ def test_cells_fill_a_table_that_fits_the_terminal():
 
 def test_a_cell_in_a_line():
     row = {**ENDED, "name": "basic"}
-    assert cell_line(row) == "basic: margin 0.637 m (95 %: 0.601 to 0.678), hit along φ 5.2 %, planned 0.824 m"
+    assert (
+        cell_line(row) == "basic: margin 0.637 m (95 %: 0.601 to 0.678), nominal collision rate 5.2 %, planned 0.824 m"
+    )
     assert "(not converged)" in cell_line({**row, "margin_converged": False})
     assert cell_line({**row, "warnings": [f"{NOT_CREDIBLE}it counts"]}).startswith(
         "basic (not credible): margin 0.637 m"

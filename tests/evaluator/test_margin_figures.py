@@ -54,8 +54,8 @@ def test_the_interval_is_by_phi_and_reaches_further_up():
     low, high = found.ci95 or (0.0, 0.0)
     means = [np.mean(one) for one in groups]
     student = stats.t.interval(0.95, 9, np.mean(means), stats.sem(means))
-    attempts = normal_interval(np.concatenate(found.groups))
-    assert attempts[1] - attempts[0] < 0.5 * (high - low)  # 250 attempts are not independent
+    trials = normal_interval(np.concatenate(found.groups))
+    assert trials[1] - trials[0] < 0.5 * (high - low)  # 250 trials are not independent
     assert 0.7 < (high - low) / (student[1] - student[0]) < 1.5
     assert high - found.margin > found.margin - low
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.mean_deviation import Attempts, MeanDeviation, mean_deviation
+from skd_evaluator.metrics.mean_deviation import MeanDeviation, Trials, mean_deviation
 from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_evaluator.metrics.statistics.prior import DISTANCES
 from skd_sim.world.state import Trajectory
@@ -28,16 +28,16 @@ PHI = walk(0.0, 1.0, 2.0)
 
 def of(distances: list[list[float]], failed: list[int], eta_max: float = 5.0) -> MeanDeviation:
     groups = [
-        Attempts(PHI, [aside(one) for one in group], [1.0] * len(group), lost)
+        Trials(PHI, [aside(one) for one in group], [1.0] * len(group), lost)
         for group, lost in zip(distances, failed, strict=True)
     ]
     return mean_deviation(groups, eta_max=eta_max)
 
 
-def test_failed_attempts_and_far_ones_count_as_eta_max() -> None:
+def test_failed_trials_and_far_ones_count_as_eta_max() -> None:
     found = of([[0.5, 7.0], [1.5]], [1, 0])
     assert found.restricted.tolist() == [0.5, 5.0, 5.0, 1.5]
-    assert (found.mean, found.attempts) == (3.0, 4)
+    assert (found.mean, found.trials) == (3.0, 4)
     assert found.of_successes == 3.0  # (0.5 + 7 + 1.5) / 3: what was needed, not what it counts as
     assert [entry.mean for entry in found.per_safe_trajectory] == [3.5, 1.5]
     assert [entry.mean_of_successes for entry in found.per_safe_trajectory] == [3.75, 1.5]
@@ -52,7 +52,7 @@ def test_a_car_that_nobody_hits_has_the_greatest_there_is() -> None:
     assert (found.of_successes, found.of_successes_ci95) == (None, None)
 
 
-def test_without_an_attempt_there_is_no_figure() -> None:
+def test_without_a_trial_there_is_no_figure() -> None:
     found = of([[], []], [0, 0])
     assert (found.mean, found.ci95, found.ci95_clustered, found.of_successes) == (None, None, None, None)
     assert mean_deviation([], eta_max=5.0).mean is None
@@ -74,10 +74,10 @@ def test_it_is_the_area_above_the_share_that_was_hit(
     distances: list[list[float]], failed: list[int], eta_max: float
 ) -> None:
     found = of(distances, failed[: len(distances)], eta_max)
-    if not found.attempts:
+    if not found.trials:
         assert found.mean is None
         return
-    needed = np.concatenate([found.distances, np.full(found.attempts - found.distances.size, np.inf)])
+    needed = np.concatenate([found.distances, np.full(found.trials - found.distances.size, np.inf)])
     steps = sorted({float(one) for one in found.distances if one < eta_max})
     area, _ = quad(lambda eta: 1.0 - np.mean(needed <= eta), 0.0, eta_max, points=steps or None, limit=200)
     assert found.mean == pytest.approx(area, abs=1e-6)
@@ -94,7 +94,7 @@ def test_order_does_not_matter(distances: list[float], failed: int, seed: int) -
 def test_each_pair_is_measured_as_alone() -> None:
     phi = walk(0.0, 1.0, 2.0, 3.0)
     psi = Trajectory(np.array([(0.0, 0.0), (0.0, 1.0), (1.0, 1.2)]), STEP)
-    found = mean_deviation([Attempts(phi, [psi], [1.4], 0)], eta_max=5.0)
+    found = mean_deviation([Trials(phi, [psi], [1.4], 0)], eta_max=5.0)
     assert found.mean == deviation(phi.positions, psi.positions, 1.4)
 
 
@@ -112,7 +112,7 @@ def test_eta_max_must_be_positive(eta_max: float) -> None:
 
 
 def test_the_interval_by_phi_allows_for_skewness_and_ends_where_deviations_do() -> None:
-    groups = [Attempts(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
+    groups = [Trials(PHI, [aside(k), aside(k * k / 3.0)], [1.0, 1.0], 0) for k in range(8)]
     found = mean_deviation(groups, eta_max=100.0)
     values = [entry.restricted for entry in found.per_safe_trajectory]
     assert found.clustered == clustered_mean(values, prior=DISTANCES, limits=(0.0, 100.0))

@@ -129,7 +129,7 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
 
 
 def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
-    """Margins and planned deviation to the last bit, for both attempt the same under the same draws."""
+    """Margins and planned deviation to the last bit, for both trial the same under the same draws."""
     done = skd_here("ncap", "--multiplier", "0.9", "--encounters", "cpfa-50", "--speeds", "30:30:1", "--planned",
                     "--kamikaze-count", "2", "--simulations", "50", "--margin-limit", "256", "--workers", "1",
                     "--out", "out")  # fmt: skip
@@ -148,7 +148,7 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
 
 
 def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):
-    """It is one of those that it is compared with, in the same attempts: their difference is 0 there."""
+    """It is one of those that it is compared with, in the same trials: their difference is 0 there."""
     words = ("--encounters", "cpna-50", "--speeds", "30:30:1", "--equivalent", *FEW, "--kamikaze-count", "4")
     done = skd_here("ncap", *words, "--multiplier", "1.25", "--out", here / "same")
     assert done.returncode == 0, done.stderr

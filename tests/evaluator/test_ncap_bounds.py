@@ -19,7 +19,7 @@ UPPER = replace(MEASURED, speed=40.0, converged=False, margin_is="at most")
 
 
 def result(*cells: Cell) -> Ncap:
-    return Ncap(skd="0", car="a car", seed=0, attempts=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
+    return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
 
 
 def test_a_margin_that_is_a_bound_says_so(tmp_path: Path) -> None:
@@ -48,4 +48,4 @@ def test_a_bound_that_was_removed_wherever_it_stands_is_found(tmp_path: Path) ->
     (tmp_path / RESULT).write_text(json.dumps(as_data(found)), encoding="utf-8")
     write_table(tmp_path / TABLE, found)
     (problem,) = with_regulator(Verified(tmp_path, None)).problems
-    assert "at 35 km/h says that 0 attempts have no hit, and 1 of its margins are η_max, 5 m" in problem
+    assert "at 35 km/h says that 0 trials have no hit, and 1 of its margins are η_max, 5 m" in problem

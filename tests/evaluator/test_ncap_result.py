@@ -26,7 +26,7 @@ def small(**changes: object) -> Ncap:
         impact_speed=9.5, value=9.5, colour="brown", margin=0.5, margins=(0.25, 0.75),
     )  # fmt: skip
     cells = (Cell(**{**vars(cell), **changes}),)
-    return Ncap(skd="0", car="a car", seed=0, attempts=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
+    return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
 
 
 @pytest.mark.parametrize(
@@ -36,13 +36,13 @@ def small(**changes: object) -> Ncap:
         ({"colour": "green"}, "a relative impact speed of 9.5 km/h is brown, not green"),
         ({"value": None}, "does not say of what"),
         ({"speed": 35.0}, "there are no colours at 35 km/h"),
-        ({"margin": 0.9}, "no mean of those of its attempts"),
-        ({"margins": ()}, "no mean of those of its attempts"),
+        ({"margin": 0.9}, "no mean of those of its trials"),
+        ({"margins": ()}, "no mean of those of its trials"),
         ({"margin": None}, "has no margin, which is no mean"),
         ({"margin": 0.4}, "has a margin of 0.4 m, which is no mean"),  # between the least and the greatest
-        ({"margins": (0.5,)}, "has margins of 1 attempts, and there were 2"),
-        ({"beyond": 2}, "says that 2 attempts have no hit"),
-        ({"beyond": 3}, "says that 3 attempts have no hit"),
+        ({"margins": (0.5,)}, "has margins of 1 trials, and there were 2"),
+        ({"beyond": 2}, "says that 2 trials have no hit"),
+        ({"beyond": 3}, "says that 3 trials have no hit"),
         ({"touched": False}, "does not go with whether the car touched"),
         ({"impact_speed": None}, "does not go with whether the car touched"),
         ({"touched": False, "impact_speed": 0.0}, "and by its impact speed 0"),
@@ -84,24 +84,24 @@ def test_a_green_test_with_as_much_room_as_wanted_is_not_narrow():
 
 
 def test_a_green_test_whose_margin_nobody_measured_says_so():
-    """Where no attempt has a hit, η_max stands for the margin, and the cell is not framed for that reason alone."""
+    """Where no trial has a hit, η_max stands for the margin, and the cell is not framed for that reason alone."""
     safe = {"colour": "green", "value": 0.0, "impact_speed": 0.0, "touched": False}
     (grid,) = small(**safe, margin=5.0, margins=(5.0, 5.0), beyond=2).grids
     assert headline(grid, 0.5).endswith("none with less than 0.5 m of room; of 1 because no hit was found.")
-    line = "the search found no hit in any attempt: the margin stands at η_max, and was not measured"
+    line = "the search found no hit in any trial: the margin stands at η_max, and was not measured"
     assert reasons(grid) == [f"30 km/h, 50 %: {line}"]
-    assert "no hit was found in 2 of 2 attempts, which count as η_max" in details(grid.cells[0])
+    assert "no hit was found in 2 of 2 trials, which count as η_max" in details(grid.cells[0])
     (grid,) = small(**safe, margin=3.0, margins=(1.0, 5.0), beyond=1).grids
     assert headline(grid, 0.5).endswith("none with less than 0.5 m of room.")
     assert line not in " ".join(reasons(grid))
-    assert "no hit was found in 1 of 2 attempts" in details(grid.cells[0])
+    assert "no hit was found in 1 of 2 trials" in details(grid.cells[0])
 
 
-def test_an_attempt_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():
-    """Four hits and one attempt without any are no margin of 1 m without a word."""
+def test_a_trial_in_which_nobody_can_be_hit_is_not_hidden_in_a_mean():
+    """Four hits and one trial without any are no margin of 1 m without a word."""
     (grid,) = small(margin=1.0, margins=(0.0, 0.0, 0.0, 0.0, 5.0), beyond=1).grids
     assert margin_text(grid.cells[0]) == "≥1.00"
-    assert any("in some attempts nobody could be hit within η_max" in line for line in reasons(grid))
+    assert any("in some trials nobody could be hit within η_max" in line for line in reasons(grid))
     assert margin_text(Cell(speed=1.0, margin=1.0, margins=(0.0, 2.0), beyond=1, converged=False)) == "1.00"
     (grid,) = small(margin=0.5, margins=(0.5,), beyond=0).grids
     assert not any("nobody could be hit" in line for line in reasons(grid))

@@ -44,7 +44,7 @@ def test_a_row_for_each_episode(result):
     table = result.to_dataframe()
     along = table[table["mode"] == "replay"]
     assert len(along) == result.figures["collision_runs"]
-    assert along["hit"].mean() == pytest.approx(result.figures["hit_rate"])
+    assert along["hit"].mean() == pytest.approx(result.figures["nominal_collision_rate"])
     planned = table[(table["objective"] == "deviation") & table["hit"]]
     groups = [planned.loc[planned["safe_index"] == index, "deviation"] for index in range(len(result.safe))]
     assert sum(map(len, groups)) == sum(int(np.isfinite(one).sum()) for one in result.groups["deviation"]) > 0

@@ -74,7 +74,7 @@ def test_whatever_they_know(knowledge: Knowledge) -> None:
 
 
 def test_without_the_cars_they_would_have_gone_through() -> None:
-    """Which is what the others are held against: the same attempts, with nothing in the way."""
+    """Which is what the others are held against: the same trials, with nothing in the way."""
     scenario, through = parked(), 0
     for one in episodes(CROSSING, 12, objective=Objective.PAPER, simulations=300):
         try:

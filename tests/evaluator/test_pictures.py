@@ -102,11 +102,11 @@ def row(kind: str, multiplier: float, skd: float | None) -> dict[str, object]:
         "margin": None if skd is None else 0.2 * skd,
         "margin_ci95": None if skd is None else (0.2 * skd - 0.1, 0.2 * skd + 0.2),
         "deviation": None if skd is None else 0.3 * skd,
-        "deviation_ci95_attempts": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
+        "deviation_ci95_trials": None if skd is None else (0.3 * skd - 0.2, 0.3 * skd + 0.2),
         "skd": skd,
         "skd_ci95_pairs": None if skd is None else (skd - 0.1, skd + 0.1),
-        "collision_rate": 0.5 if skd is not None else None,
-        "collision_rate_ci95_runs": (0.4, 0.6) if skd is not None else None,
+        "contact_rate": 0.5 if skd is not None else None,
+        "contact_rate_ci95_runs": (0.4, 0.6) if skd is not None else None,
     }
 
 
@@ -173,7 +173,7 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
 
 
 def with_margins(what: Assessment) -> Rating:
-    """A rating whose attempts have a way each, but the last of each φ, in which nobody can be hit."""
+    """A rating whose trials have a way each, but the last of each φ, in which nobody can be hit."""
     ways = []
     for number, group in enumerate(what.kamikaze):
         phi = group.safe_trajectory
@@ -228,10 +228,10 @@ def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tm
 
 
 def with_the_first_aborted(what):
-    """An assessment, but all four attempts on its first φ were aborted."""
+    """An assessment, but all four trials on its first φ were aborted."""
     phi = what.kamikaze[0].safe_trajectory
     silent = [aborted(what.plan.episode(Mode.KAMIKAZE, 0, n, phi), "no answer: nobody") for n in range(4)]
-    lost = dataclasses.replace(what.kamikaze[0], attempts=4, lost=tuple(silent))
+    lost = dataclasses.replace(what.kamikaze[0], trials=4, lost=tuple(silent))
     return dataclasses.replace(what, kamikaze=(lost, what.kamikaze[1]))
 
 

@@ -110,7 +110,7 @@ def test_there_is_an_interval_for_whatever_values(groups, confidence, prior):
 
 @pytest.mark.parametrize("safe", [3, 20])
 def test_values_of_one_phi_that_hardly_vary_make_no_interval_narrow(safe):
-    """A car without noise has the same margin in each attempt on a φ, but for rounding: φ alone say how far they lie.
+    """A car without noise has the same margin in each trial on a φ, but for rounding: φ alone say how far they lie.
 
     Beyond a ρ of 10⁶ nothing had been looked for, and the interval of 20 φ was a seventh as wide.
     """

@@ -62,7 +62,7 @@ def test_every_part_of_a_sweep_is_an_assessment(skd_here, here):
         result = content(part.parent)
         assert_valid(result)
         assert result["provenance"] == json.loads(done.stdout)["provenance"]
-    for change in ({"collision_rate": 1.2}, {"skd_ci95_pairs": [1.0]}, {"skd": "3"}, {"new": 1}, {"provenance": {}}):
+    for change in ({"contact_rate": 1.2}, {"skd_ci95_pairs": [1.0]}, {"skd": "3"}, {"new": 1}, {"provenance": {}}):
         with pytest.raises(AssertionError):
             assert_valid({**result, **change})
     for name in ("skd", "objectives", "provenance", "deviation_ci95"):

@@ -51,7 +51,7 @@ def test_that_goes_elsewhere_first(tmp_path):
 def test_a_car_is_assessed_once(skd):
     first = skd.assess("basic", seed=1)
     assert first is skd.assess(seed=1)
-    assert 0.0 <= first.hit_rate <= 1.0 and first.folder.is_dir()
+    assert 0.0 <= first.nominal_collision_rate <= 1.0 and first.folder.is_dir()
     with pytest.raises(AttributeError, match="no figure 'magrin'"):
         first.magrin
 
@@ -143,7 +143,7 @@ def of_a_car(
     groups = {
         "margin": tuple(margin + 0.1 * draws.random((phi, 20))),
         "risk_2": tuple(np.full(20, risks[index % 2]) for index in range(phi)),
-        **dict.fromkeys(("hit_rate", "collision_rate", "deviation", "skd", "skd_prefix"), planned),
+        **dict.fromkeys(("nominal_collision_rate", "contact_rate", "deviation", "skd", "skd_prefix"), planned),
     }
     safe = tuple(np.full((3, 2), float(index)) for index in range(phi))
     return StoredResult(Path(name), figures, safe, None, "deviation", groups)

@@ -19,7 +19,7 @@ from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from test_campaign import StubRunner, attempt, quiet, straight
+from test_campaign import StubRunner, quiet, straight, trial
 from test_warnings import shown
 
 CROSSING = load_scenario("crossing")
@@ -29,7 +29,7 @@ PAPER, FRECHET, DEVIATION = Objective.PAPER, Objective.FRECHET, Objective.DEVIAT
 
 @pytest.fixture(scope="module")
 def both() -> Rating:
-    # An adversary that hardly thinks, against a careful car: some attempts fail.
+    # An adversary that hardly thinks, against a careful car: some trials fail.
     plan = replace(PLAN, multiplier=1.1)
     with InProcessRunner(1) as runner:
         return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
@@ -46,10 +46,10 @@ def test_runs_along_phi_are_run_once() -> None:
     found = rate(PLAN, (PAPER, DEVIATION), [straight()], runner, quiet)
     asked = [episode for batch in runner.batches for episode in batch]
     assert sum(episode.mode == Mode.REPLAY for episode in asked) == PLAN.collision_runs
-    kamikazes = [(episode.objective, attempt(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
+    kamikazes = [(episode.objective, trial(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
     assert kamikazes == [(objective, k) for objective in (DEVIATION, PAPER) for k in range(4)]
     assert found.episodes == len(asked)
-    assert (found.attempts, found.successes) == (8, 8)
+    assert (found.trials, found.successes) == (8, 8)
 
 
 def test_objectives_have_the_draws_that_they_have_alone(both: Rating) -> None:
@@ -57,7 +57,7 @@ def test_objectives_have_the_draws_that_they_have_alone(both: Rating) -> None:
         objective = assessment.plan.objective
         figures = alone(objective).as_dict()["objectives"][objective]
         assert figures == both.as_dict()["objectives"][objective]
-    assert alone(PAPER).collision_rate == both.collision_rate
+    assert alone(PAPER).contact_rate == both.contact_rate
 
 
 def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating) -> None:
@@ -65,7 +65,7 @@ def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating
     assert list(result["objectives"]) == ["deviation", "paper"]
     of_deviation, of_paper = result["objectives"].values()
     assert of_deviation["deviation"] != of_paper["deviation"]
-    for name in ("deviation", "deviation_ci95_attempts", "deviation_ci95", "deviation_of_successes"):
+    for name in ("deviation", "deviation_ci95_trials", "deviation_ci95", "deviation_of_successes"):
         assert result[name] == of_deviation[name]
     assert result["deviation_success_rate"] == of_deviation["success_rate"]
     for name in ("skd", "skd_ci95_pairs", "skd_ci95", "skd_prefix", "variance", "pairs", "probability_bound"):
@@ -114,7 +114,7 @@ def test_the_mean_deviation_is_recomputable_from_disk(both: Rating, tmp_path) ->
     assert len(names) == len(curves) - 2 + 1  # only the two φ share a name
     for objective, figures in result["objectives"].items():
         tried = np.flatnonzero(data["objective"] == objective)
-        assert len(tried) == figures["attempts"]
+        assert len(tried) == figures["trials"]
         assert (data["mode"][tried] == Mode.KAMIKAZE).all()
         counts = []
         for k in tried:
@@ -147,7 +147,7 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
     figures = found.as_dict()["objectives"]
     assert figures["deviation"]["discarded_by_distance"] == 0
     assert figures["paper"]["discarded_by_distance"] == 4
-    # What an attempt needed does not depend on what is kept.
+    # What a trial needed does not depend on what is kept.
     assert figures["paper"]["deviation"] == free.as_dict()["objectives"]["paper"]["deviation"]
 
 
@@ -190,7 +190,9 @@ def test_the_first_figure_of_the_table_is_the_margin(both: Rating) -> None:
     names = [str(name) for name in headline_table(result).columns[0].cells]
     assert names[0] == "[bold]margin[/] (m), exact"
     assert len(names) <= 8
-    order = [next(i for i, name in enumerate(names) if word in name) for word in ("hit along φ", "planned", "SKD")]
+    order = [
+        next(i for i, name in enumerate(names) if word in name) for word in ("nominal collision rate", "planned", "SKD")
+    ]
     assert order == sorted(order)
     # Where it is not known the table begins with what is.
     assert not any("margin" in str(name) for name in headline_table(both.as_dict()).columns[0].cells)

@@ -52,8 +52,8 @@ NOT_RECOMPUTED = {
 
 
 OF_THE_CAR = (
-    "objectives.", "collision_", "clustering.collision_rate", "vulnerability", "margin", "closeness", "hit_rate",
-    "impact_speed", "risk", "surrogate_measures",
+    "objectives.", "collision_", "clustering.contact_rate", "vulnerability", "margin", "optimality_gap",
+    "nominal_collision_rate", "impact_speed", "risk", "surrogate_measures",
 )  # fmt: skip
 """Figures that are of no objective."""
 
@@ -162,22 +162,23 @@ def test_the_scripts_give_every_figure(results, recomputed):
             continue  # below
         source = its_source(name, said)
         again = recomputed.get(its_name(source), math.nan)
-        if re.search(r"per_safe_trajectory\.\d+\.attempts$", name):
-            again += recomputed[its_name(source).replace("attempts", "aborted")]
+        if re.search(r"per_safe_trajectory\.\d+\.trials$", name):
+            again += recomputed[its_name(source).replace("trials", "aborted")]
         if value is None or value == [None, None]:
             assert np.isnan(np.asarray(again, float)).all(), name
         else:
             assert again == pytest.approx(value, rel=1e-8, abs=1e-10), name
             compared.add(re.sub(r"\.\d+\.", ".", name))
     for figure in (
-        "margin", "margin_ci95", "closeness", "closeness_ci95", "hit_rate", "hit_rate_ci95",
+        "margin", "margin_ci95", "optimality_gap", "optimality_gap_ci95", "nominal_collision_rate",
+        "nominal_collision_rate_ci95",
         "impact_speed.p90", "risk_1", "risk_2_ci95", "risk_3_ci95_runs", "risk.scales.standing",
-        "skd", "skd_ci95", "deviation_ci95", "deviation_ci95_attempts",
+        "skd", "skd_ci95", "deviation_ci95", "deviation_ci95_trials",
         "measures.warped.ci95", "measures.required_deceleration_at_entry.ci95", "clustering.skd.variance_between",
-        "clustering.collision_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
+        "clustering.contact_rate.standard_error", "vulnerability_curve.kamikazes.points.ci95",
         "vulnerability_curve.margins.area_above", "vulnerability_curve.margins.points.cantelli",
         "objectives.paper.probability_bound_ci95.1",
-        "per_safe_trajectory.collision_rate", "deviation_success_rate_ci95_attempts",
+        "per_safe_trajectory.contact_rate", "deviation_success_rate_ci95_trials",
         "surrogate_measures.along_phi.clearance.median", "surrogate_measures.along_phi.post_encroachment_time.median",
         "surrogate_measures.kamikazes.paper.fatality_risk.worst",
         "kamikaze_success_rate_ci95", "mean_impact_speed", "mean_closing_speed", "objectives.paper.standing_contacts",
@@ -191,7 +192,7 @@ def test_the_top_repeats_what_stands_under_objectives(results):
     said = json.loads((results / "assessment.json").read_text(encoding="utf-8"))
     of = said["objectives"]
     sources = {"deviation_success_rate": of["deviation"]["success_rate"], "measures": of["deviation"]["measures"]}
-    sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "attempts", "aborted")}
+    sources |= {f"kamikaze_{name}": of["paper"][name] for name in ("success_rate", "trials", "aborted")}
     for name, value in of["paper"].items():
         if name in said and name not in (*sources, "aborted", "clustering", "per_safe_trajectory"):
             sources[name] = of["deviation" if name.startswith("deviation") else "paper"][name]

@@ -20,7 +20,7 @@ def silent(*_told: object) -> None:
 
 def test_margins_rise_with_c_where_they_are_searched_for(skd_here, here):
     done = skd_here("encounters", "reference", "cpna-50", "cbna-50", "--multipliers", "0.5", "1", "1.5",
-                    "--attempts", "3", "--margin-limit", "256", "--workers", "1", "--out", "out")  # fmt: skip
+                    "--trials", "3", "--margin-limit", "256", "--workers", "1", "--out", "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
     entries = json.loads((here / "out" / "reference.json").read_text("utf-8"))["references"]
     assert [one["name"] for one in entries] == ["cpna-50", "cbna-50"]
@@ -29,11 +29,11 @@ def test_margins_rise_with_c_where_they_are_searched_for(skd_here, here):
         assert margins == sorted(margins)
         assert margins[0] + 1.0 < margins[-1]
         assert [[len(one) for one in row["margins"]] for row in entry["rows"]] == [[3]] * 3
-    assert "cbna-50: basic cars, 1 φ × 3 attempts" in done.stdout
+    assert "cbna-50: basic cars, 1 φ × 3 trials" in done.stdout
 
 
 def test_a_basic_car_has_the_margin_of_itself(skd_here, here):
-    """In the attempts of its own assessment; that has no exact margin, for the target comes from the right."""
+    """In the trials of its own assessment; that has no exact margin, for the target comes from the right."""
     rating = assess(scenario="cpna", multiplier=1.1, safe="regulatory", safe_count=3, kamikaze_count=3,
                     margin_limit=256, out=here / "assessed", **SIZES)  # fmt: skip
     assert rating.equivalent is None

@@ -152,7 +152,7 @@ def test_what_is_no_test_has_no_colour_and_says_why(result, why):
 
 
 def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeypatch):
-    """It brakes nowhere, and raises where its speed has no noise, which it has in every attempt."""
+    """It brakes nowhere, and raises where its speed has no noise, which it has in every trial."""
     (tmp_path / "fails_alone.py").write_text(
         "class Car:\n"
         "    def reset(self, scenario, rng): self.before = None\n"
@@ -167,4 +167,4 @@ def test_a_car_that_fails_in_its_tests_alone_keeps_its_figures(tmp_path, monkeyp
                     workers=1)  # fmt: skip
     (test,) = rating.static_tests
     assert "ZeroDivisionError" in test["aborted"]
-    assert rating.as_dict()["hit_rate"] == 1.0
+    assert rating.as_dict()["nominal_collision_rate"] == 1.0

@@ -99,10 +99,10 @@ def test_figures_are_those_of_the_assessments(report, sweep, subjects):
         assert headline(figures) in report.text
         for text in (
             f"{figures['margin']:.3f}", f"{figures['deviation']:.3f}",
-            f"{100 * figures['hit_rate']:.1f} %",
-            f"{figures['closeness']:.2f}", f"{figures['impact_speed']['mean']:.1f}",
+            f"{100 * figures['nominal_collision_rate']:.1f} %",
+            f"{figures['optimality_gap']:.2f}", f"{figures['impact_speed']['mean']:.1f}",
             f"{low:.3f} to {high:.3f}", f"{figures['skd']:.3f}",
-            f"{100 * figures['collision_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
+            f"{100 * figures['contact_rate']:.1f} %", f"basic, C = {figures['multiplier']:g}",
         ):  # fmt: skip
             assert text in report.text
         for row in figures["per_safe_trajectory"]:
@@ -122,7 +122,7 @@ def test_curves_are_told_apart_in_grey_and_begin_at_the_rate_of_the_table(report
     (dots,) = [one["data"]["values"] for one in spec["layer"] if one["mark"]["type"] == "point"]
     for one in subjects:
         (dot,) = [dot for dot in dots if dot["car"] == one.label]
-        ends = [100.0 * end for end in one.figures["hit_rate_ci95"]]
+        ends = [100.0 * end for end in one.figures["nominal_collision_rate_ci95"]]
         assert [dot["low"], dot["high"]] == ends
         assert f"{ends[0]:.1f} to {ends[1]:.1f} %" in report.text
 
@@ -156,7 +156,7 @@ def test_episodes_are_those_of_the_trajectories(report, sweep):
         begins = np.concatenate([[0], 6 * np.cumsum(columns["rows"].astype(int))])
         for place in np.flatnonzero(columns["subject"][: content["listed"]] == index):
             key = (
-                int(columns["attempt"][place]), int(columns["safe_index"][place]),
+                int(columns["trial"][place]), int(columns["safe_index"][place]),
                 content["objectives"][columns["objective"][place]],
             )  # fmt: skip
             row = keys.pop(key)
@@ -206,9 +206,9 @@ def test_the_curve_is_of_the_margins_and_planned_ones_stand_beside_it(subjects):
     with np.load(one.folder / "episodes.npz") as stored:
         margins = np.where(np.isfinite(stored["margin"]), stored["margin"], stored["eta_max"])
     planned, main = (layer["data"]["values"] for layer in lines)
-    for values, attempts in ((main, margins), (planned, np.concatenate(one.episodes.deviations_of("deviation")))):
+    for values, trials in ((main, margins), (planned, np.concatenate(one.episodes.deviations_of("deviation")))):
         for at in values[:-1]:
-            low, high = (100.0 * np.mean(attempts <= at["eta"] + error) for error in (-1e-4, 1e-4))
+            low, high = (100.0 * np.mean(trials <= at["eta"] + error) for error in (-1e-4, 1e-4))
             assert low - 0.01 <= at["rate"] <= high + 0.01
     area = one.figures["vulnerability_curve"]["margins"]["area_above"]
     assert area == pytest.approx(margins.mean()) == one.figures["margin"]
@@ -224,7 +224,7 @@ def test_ways_of_the_margin_are_in_the_page_the_least_first(report, subjects):
             assert len(ways) == min(len(mine), 40)
             assert [way["deviation"] for way in ways] == sorted(way["deviation"] for way in ways)
             for way in ways:
-                (row,) = mine[arrays["margin_attempt"][mine] == way["attempt"]]
+                (row,) = mine[arrays["margin_trial"][mine] == way["trial"]]
                 low, high = arrays["margin_offsets"][row : row + 2]
                 np.testing.assert_allclose(way["points"], arrays["margin_positions"][low:high], atol=0.0051)
                 assert way["deviation"] == pytest.approx(arrays["margin"][row], abs=6e-4)
@@ -233,10 +233,10 @@ def test_ways_of_the_margin_are_in_the_page_the_least_first(report, subjects):
 
 
 def test_what_is_far_from_the_margin_is_a_warning(subjects, tmp_path):
-    for number, (closeness, warned) in enumerate(((1.49, False), (1.51, True))):
-        (one,) = read_subjects([edited(subjects[0].folder, tmp_path / str(number), closeness=closeness)])
+    for number, (optimality_gap, warned) in enumerate(((1.49, False), (1.51, True))):
+        (one,) = read_subjects([edited(subjects[0].folder, tmp_path / str(number), optimality_gap=optimality_gap)])
         reader = read(page.render([one]))
-        assert (f"needed {closeness:.2f} times the margin" in reader.text) == warned
+        assert (f"needed {optimality_gap:.2f} times the margin" in reader.text) == warned
         alerts = [attributes for tag, attributes in reader.elements if "alert" in (attributes.get("class") or "")]
         assert bool(alerts) == warned
 
@@ -253,7 +253,11 @@ def test_nobody_is_ranked_by_what_was_planned_with_unlike_knowledge(subjects, tm
     """Of results without a margin, planned figures of one knowledge are put in order, others are not."""
     folders = []
     for number, knowledge in enumerate(("nothing", "learned", "learned")):
-        changes = {**dict.fromkeys((*NO_MARGIN, "closeness")), "margin_note": "not asked for", "knowledge": knowledge}
+        changes = {
+            **dict.fromkeys((*NO_MARGIN, "optimality_gap")),
+            "margin_note": "not asked for",
+            "knowledge": knowledge,
+        }
         folder = edited(subjects[number % 2].folder, tmp_path / str(number), vulnerability_curve=None, **changes)
         with np.load(folder / "episodes.npz") as stored:
             kept = {name: array for name, array in stored.items() if not name.startswith("margin")}
@@ -282,7 +286,7 @@ def test_each_command_repeats_its_episode(subjects):
             asked = parser.parse_args(shlex.split(shlex.join(words))[1:])
             plan = plan_of(vars(asked), scenario_for(asked.scenario, asked.safe))
             log = run_episode(
-                single_episode(plan, Mode[asked.mode.upper()], asked.attempt, safe_number=asked.safe_number)
+                single_episode(plan, Mode[asked.mode.upper()], asked.trial, safe_number=asked.safe_number)
             )
             np.testing.assert_array_equal(log.adversary, episodes.adversary[number])
             np.testing.assert_array_equal(log.car, episodes.car[number])
@@ -298,7 +302,7 @@ def test_commands_name_what_the_results_alone_hold(subjects):
     assert pairs["--scenario"] == "scenario.yaml"
     assert pairs["--car-model"] == "car_model.yaml"
     assert (pairs["--maximum-distance"], pairs["--particles"], pairs["--seed"]) == ("2.5", "50", "7")
-    assert (pairs["--safe-number"], pairs["--attempt"], pairs["--objective"]) == ("3", "9", "frechet")
+    assert (pairs["--safe-number"], pairs["--trial"], pairs["--objective"]) == ("3", "9", "frechet")
 
 
 def test_names_are_text(subjects, tmp_path):
@@ -321,10 +325,10 @@ def test_what_was_aborted_is_no_rating(subjects, tmp_path):
     assert " warning" in text
     assert "5 episodes aborted (no answer)" in text
     assert "no warnings" not in text
-    nothing = dict.fromkeys(("deviation", "deviation_ci95_attempts", "deviation_ci95", "skd", "skd_ci95_pairs"))
-    nothing |= dict.fromkeys((*NO_MARGIN, "closeness", "closeness_ci95", "vulnerability_curve"))
+    nothing = dict.fromkeys(("deviation", "deviation_ci95_trials", "deviation_ci95", "skd", "skd_ci95_pairs"))
+    nothing |= dict.fromkeys((*NO_MARGIN, "optimality_gap", "optimality_gap_ci95", "vulnerability_curve"))
     objectives = {
-        name: {**one, "attempts": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
+        name: {**one, "trials": 0, "failed": 0, "success_rate": None} for name, one in figures["objectives"].items()
     }
     folder = edited(
         subjects[0].folder, tmp_path / "all", **nothing, objectives=objectives, aborted=56, aborted_reasons=aborted

@@ -81,9 +81,9 @@ def test_a_failure_of_the_risk_is_played(opened, subjects, file):
     opened.page.wait_for_timeout(300)
     assert second.text in opened.page.locator("#playing").text_content()
     command = opened.page.locator("#command").text_content()
-    phi, attempt = second.row % len(subjects[0].episodes.safe), second.row // len(subjects[0].episodes.safe)
+    phi, trial = second.row % len(subjects[0].episodes.safe), second.row // len(subjects[0].episodes.safe)
     assert " --mode risk " in command
-    assert command.endswith(f"--behaviour walkers --scale {second.scale:g} --safe-number {phi} --attempt {attempt}")
+    assert command.endswith(f"--behaviour walkers --scale {second.scale:g} --safe-number {phi} --trial {trial}")
     speed = subjects[0].failing.impact_speed[1]
     assert f"hit at {speed:.1f} m/s" in opened.page.locator("#playing").text_content()
     opened.page.locator("#next").click()
@@ -126,7 +126,7 @@ def test_the_player_moves(opened, subjects):
     assert 0.0 <= top <= 0.5  # where the row was clicked it was out of sight
     command = opened.text("#command")
     assert command.startswith("skd episode --mode ")
-    assert command.endswith(f"--attempt {opened.column('attempt')[2]}")
+    assert command.endswith(f"--trial {opened.column('trial')[2]}")
     at_end = opened.page.evaluate(place)
     opened.page.focus("#time")
     opened.page.keyboard.press("Home")
@@ -154,7 +154,7 @@ def test_the_player_says_what_the_measures_say(opened, subjects):
         (mine,) = (one for one in subjects if opened.text("#playing").startswith(f"{one.label}:"))
         episodes = mine.episodes
         objective = words[words.index("--objective") + 1] if "--objective" in words else ""
-        wanted = int(words[words.index("--safe-number") + 1]) << 32 | int(words[words.index("--attempt") + 1])
+        wanted = int(words[words.index("--safe-number") + 1]) << 32 | int(words[words.index("--trial") + 1])
         same = (episodes.episode_id & (1 << 48) - 1 == wanted) & (episodes.objective == objective)
         (number,) = np.flatnonzero(same)
         course = course_of(mine.scenario, episodes.adversary[number], episodes.car[number], None)
@@ -238,7 +238,7 @@ def test_the_regulators_view_is_no_wider_than_a_telephone(browser, tmp_path):
         for place in (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
     )
     grid = Grid("cpna", "A pedestrian.", cells)
-    view = Ncap(skd="0", car="a car", seed=0, attempts=1, margin_limit=9, room=0.5, grids=(grid,))
+    view = Ncap(skd="0", car="a car", seed=0, trials=1, margin_limit=9, room=0.5, grids=(grid,))
     path = tmp_path / "ncap.html"
     path.write_text(regulators_view(view), encoding="utf-8")
     page = browser.new_page(viewport={"width": 400, "height": 800})

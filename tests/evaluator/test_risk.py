@@ -74,9 +74,9 @@ def test_a_crossing_starts_as_a_run_along_phi_does(safe):
     here = encounter((recorded(),), plan)
     crossings = crude_crossings(here, 12)
     for walked in AnyCar(here, InProcessRunner(1)).episodes(crossings, 0.0):
-        stage, index, attempt = split_episode_id(walked.episode_id)
+        stage, index, trial = split_episode_id(walked.episode_id)
         assert (stage, index) == (Stage.RISK, 0)
-        along = replace(plan.episode(Mode.REPLAY, 0, attempt, recorded()), episode_id=walked.episode_id)
+        along = replace(plan.episode(Mode.REPLAY, 0, trial, recorded()), episode_id=walked.episode_id)
         mine, theirs = run_episode(walked), run_episode(along)
         np.testing.assert_array_equal(mine.car, theirs.car)
         np.testing.assert_allclose(mine.adversary, theirs.adversary, atol=1e-12)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contact_support import Seen, distances, watched
-from skd_evaluator.assessment.judge.struck import closing_speed, struck
+from skd_evaluator.assessment.judge.collision_partner import closing_speed, collision_partner
 from skd_evaluator.assessment.judge.surrogate_figures import surrogates_of
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -95,7 +95,7 @@ def test_every_hit_that_the_world_reports_is_counted_and_no_other(case):
         assert (seen is not None) == (log.outcome == Outcome.COLLISION)
         touch, missed = end_of(log)
         assert (missed == 0.0) == (touch == Touch.FRONT)
-        assert struck(log) == (None if seen is None else seen.who)
+        assert collision_partner(log) == (None if seen is None else seen.who)
         wanted = Touch.NONE if seen is None else seen.touch
         assert wanted in (touch, None), (log.episode.episode_id, seen)
         found["others" if seen is not None and seen.who >= 0 else touch] += 1
@@ -150,7 +150,7 @@ def test_of_two_who_are_less_than_a_millimetre_away_the_nearer_one_is_touched():
         way = (Waypoint(0.0, -0.5, front + 0.5 * math.sqrt(2.0) + ahead),)
         box = Other(kind="cyclist", length=1.0, width=1.0, start_heading=0.25 * math.pi, way=way)
         log = ended([[0.0, -1.2, 8.0], [0.0, 1.2, 8.0]], 0.5, 8.0, others=(box,))
-        assert struck(replace(log, adversary=np.array([disc, disc]))) == wanted
+        assert collision_partner(replace(log, adversary=np.array([disc, disc]))) == wanted
 
 
 def ended(car: list[list[float]], share: float, impact: float, **changes: object) -> EpisodeLog:

@@ -15,32 +15,32 @@ from skd_evaluator.metrics.statistics.sample_size import expected_width, power, 
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.0, 0.2), st.integers(2, 30), st.integers(1, 50), st.booleans())
-def test_power_is_that_of_the_noncentral_t(difference, between, safe, attempts, paired):
+def test_power_is_that_of_the_noncentral_t(difference, between, safe, trials, paired):
     samples = 1 if paired else 2
     freedom = samples * (safe - 1)
-    shift = difference / math.sqrt(samples * (between + 0.1 / attempts) / safe)
+    shift = difference / math.sqrt(samples * (between + 0.1 / trials) / safe)
     bound = stats.t.ppf(0.975, freedom)
     theirs = stats.nct.sf(bound, freedom, shift) + stats.nct.cdf(-bound, freedom, shift)
     if math.isfinite(theirs) and shift < 20.0:  # beyond, scipy's own is no number
-        assert power(difference, between, 0.1, safe, attempts, paired=paired) == pytest.approx(theirs, abs=2e-4)
+        assert power(difference, between, 0.1, safe, trials, paired=paired) == pytest.approx(theirs, abs=2e-4)
 
 
 def test_the_expected_width_is_the_mean_of_widths():
     rng = np.random.default_rng(0)
-    trials, safe, attempts = 1000, 5, 8
+    trials, safe, trials = 1000, 5, 8
     means = rng.normal(0.0, 0.3, size=(trials, safe, 1))
-    samples = means + rng.normal(0.0, 0.5, size=(trials, safe, attempts))
+    samples = means + rng.normal(0.0, 0.5, size=(trials, safe, trials))
     found = [clustered_mean(list(sample), prior=DISTANCES).interval for sample in samples]
     widths = np.array([high - low for low, high in found])
-    expected = expected_width(0.09, 0.25, safe, attempts, prior=DISTANCES)
+    expected = expected_width(0.09, 0.25, safe, trials, prior=DISTANCES)
     assert abs(widths.mean() - expected) < 4.0 * widths.std() / math.sqrt(trials)
 
 
 def test_sizes_are_enough_and_one_phi_less_is_not():
     for size in sizes_for_width(0.1, 0.005, 0.17, prior=DISTANCES):
-        assert size.width <= 0.1 < expected_width(0.005, 0.17, size.safe - 1, size.attempts, prior=DISTANCES)
+        assert size.width <= 0.1 < expected_width(0.005, 0.17, size.safe - 1, size.trials, prior=DISTANCES)
     for size in sizes_for_power(0.05, 0.8, 0.0005, 0.08, paired=True):
-        assert size.power >= 0.8 > power(0.05, 0.0005, 0.08, size.safe - 1, size.attempts, paired=True)
+        assert size.power >= 0.8 > power(0.05, 0.0005, 0.08, size.safe - 1, size.trials, paired=True)
     assert sizes_for_width(1e-9, 1.0, 1.0) == []
 
 
@@ -63,28 +63,28 @@ def test_the_command_plans_from_stated_variances_and_refuses_what_is_not_enough(
     assert "ask for a wider interval" in capsys.readouterr().err
 
 
-def student_width(between: float, within: float, safe: int, attempts: int, confidence: float) -> float:
+def student_width(between: float, within: float, safe: int, trials: int, confidence: float) -> float:
     """Return the mean of 2·t·s/√m over samples of means, by scipy's χ distribution."""
     freedom = safe - 1
     root = stats.chi(freedom).mean() / math.sqrt(freedom)
     quantile = stats.t.ppf(0.5 + confidence / 2.0, freedom)
-    return float(2.0 * quantile * root * math.sqrt((between + within / attempts) / safe))
+    return float(2.0 * quantile * root * math.sqrt((between + within / trials) / safe))
 
 
 def test_without_prior_the_width_is_students():
-    for safe, attempts, confidence in ((2, 1, 0.95), (7, 3, 0.8), (60, 20, 0.99), (10_000, 1, 0.95)):
-        expected = student_width(0.09, 0.25, safe, attempts, confidence)
-        assert expected_width(0.09, 0.25, safe, attempts, confidence=confidence) == pytest.approx(expected, rel=1e-9)
+    for safe, trials, confidence in ((2, 1, 0.95), (7, 3, 0.8), (60, 20, 0.99), (10_000, 1, 0.95)):
+        expected = student_width(0.09, 0.25, safe, trials, confidence)
+        assert expected_width(0.09, 0.25, safe, trials, confidence=confidence) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_prior_is_left_out_where_it_can_say_nothing():
-    """Of one attempt on each φ, of values without variance, and of many φ; 10⁻³⁰⁰ m² had been a traceback."""
-    for within, safe, attempts, student in (
+    """Of one trial on each φ, of values without variance, and of many φ; 10⁻³⁰⁰ m² had been a traceback."""
+    for within, safe, trials, student in (
         (0.25, 60, 8, False), (0.25, 61, 8, True), (0.25, 5, 1, True), (0.25, 5, 2, False), (0.0, 5, 8, True),
         (1e-300, 5, 8, True),
     ):  # fmt: skip
-        known = expected_width(0.09, within, safe, attempts, prior=DISTANCES)
-        plain = expected_width(0.09, within, safe, attempts)
+        known = expected_width(0.09, within, safe, trials, prior=DISTANCES)
+        plain = expected_width(0.09, within, safe, trials)
         assert (known == plain) == student
         assert known == pytest.approx(plain, rel=0.25)
 
@@ -103,9 +103,9 @@ def test_without_variance_a_difference_is_found_for_sure_or_by_chance_alone():
 
 def test_sizes_are_of_two_to_ten_thousand_phi():
     wide = sizes_for_width(1e6, 0.1, 0.1)
-    assert [size.attempts for size in wide] == [10, 20, 25, 50, 100, 200, 400]
+    assert [size.trials for size in wide] == [10, 20, 25, 50, 100, 200, 400]
     assert {(size.safe, size.power) for size in wide} == {(2, None)}
-    assert [size.episodes for size in wide] == [2 * size.attempts for size in wide]
+    assert [size.episodes for size in wide] == [2 * size.trials for size in wide]
     least = expected_width(0.1, 0.1, 10_000, 10)
     (size,) = sizes_for_width(least, 0.1, 0.1, counts=[10])
     assert (size.safe, size.width) == (10_000, least)

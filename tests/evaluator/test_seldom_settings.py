@@ -25,7 +25,7 @@ def test_a_kamikaze_that_is_hit_beyond_eta_max_has_no_margin(
     assert run_skd("assess", *searched, *encounter, *SMALL, "--out", tmp_path / "near") == 0
     figures = json.loads((tmp_path / "near" / "assessment.json").read_text())
     assert figures["deviation_of_successes"] > figures["eta_max"] == figures["margin"] == 0.3
-    assert figures["margin_beyond"] == figures["margin_attempts"] == 4
+    assert figures["margin_beyond"] == figures["margin_trials"] == 4
     assert not_credible(figures["warnings"]) == []
     assert "or take more than η_max" in capsys.readouterr().err
     assert run_skd("verify", tmp_path / "near") == 0, capsys.readouterr().out

@@ -198,7 +198,7 @@ def draw(**changes: object) -> dict[str, Any]:
     """The content of assessment.json of a draw of which nothing is to be said, but for changes."""
     known = {"warnings": [], "margin": 1.8, "margin_note": "", "risk_1": 0.0, "risk_note": "", "eta_max": 5.0}
     search = {"margin_converged": True, "margin_budget": 64, "margin_how": "whole", "margin_beyond": 0}
-    ran = {"margin_attempts": 12, "collision_runs": 125, "objectives": {"deviation": {"attempts": 12}}, "aborted": 0}
+    ran = {"margin_trials": 12, "collision_runs": 125, "objectives": {"deviation": {"trials": 12}}, "aborted": 0}
     return {**known, **search, **ran, "aborted_reasons": {}, **changes}
 
 
@@ -209,7 +209,7 @@ def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
     assert said == [
         "in 1 of 3 draws the search for the margin had not converged at 1024 candidates a trial: the margin may be "
         "less",
-        "in 1 of 3 draws nobody could be hit within η_max (5 m) in attempts of which the margin is made, 5 of 36 in "
+        "in 1 of 3 draws nobody could be hit within η_max (5 m) in trials of which the margin is made, 5 of 36 in "
         "all; they count as η_max: the margin may be more",
     ]
     (few,) = draw_warnings([draw(), draw(aborted=3, aborted_reasons=late)], 0.05)

@@ -257,7 +257,7 @@ def test_a_pedestrian_starts_from_standing_at_the_start_offset(
 
 
 @pytest.mark.parametrize("name", [*CROSSING, *ALONG, "ccrb", "cmrb"])
-def test_the_noise_of_an_attempt_leaves_the_target_as_it_is(name: str) -> None:
+def test_the_noise_of_a_trial_leaves_the_target_as_it_is(name: str) -> None:
     scenario = load_scenario(name)
     for one, other in zip(
         regulatory_trajectories(scenario), regulatory_trajectories(without_noise(scenario)), strict=True

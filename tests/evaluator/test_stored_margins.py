@@ -155,7 +155,7 @@ def test_compare_shows_the_bracket_and_warns_once(skd_here, here, folders, tmp_p
         "not told apart",
         "margin",
     )  # the safer one has an upper bound alone
-    assert set(held["differences"]) == {"margin", "hit_rate", "collision_rate"}
+    assert set(held["differences"]) == {"margin", "nominal_collision_rate", "contact_rate"}
     row = content["rows"][0]
     assert f"[{row['margin']:.2f}, {row['deviation']:.2f}]" in done.stdout
     order = [done.stdout.index(f"[{row['margin']:.2f}, {row['deviation']:.2f}]") for row in content["rows"]]

@@ -48,7 +48,7 @@ def test_quiet_prints_nothing_and_verbose_every_stage(skd_here, here):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     done = skd_here("assess", *SMALL, "--safe", "good.csv", "-v", "--out", "verbose", "--behaviour", "walkers")
     said = [line.partition(":")[2].strip() for line in done.stderr.splitlines()]
-    stages = ("kamikazes (deviation): 2", "kamikazes (paper): 2", "collision rate: 3", "margins: 2", "risk: 36")
+    stages = ("kamikazes (deviation): 2", "kamikazes (paper): 2", "contact rate: 3", "margins: 2", "risk: 36")
     assert [line for line in said if line.startswith(stages)] == said
     assert len(said) == len(stages)
     assert names(here / "quiet") == names(here / "verbose")
@@ -144,7 +144,7 @@ def test_a_terminal_without_colour_gets_none(capsys, monkeypatch, colour):
 
 
 def test_results_that_are_the_same_to_the_last_digit_are_remarked_on():
-    one = {"margin": 0.5, "deviation": 1.0, "skd": 2.0, "hit_rate": 0.1}
+    one = {"margin": 0.5, "deviation": 1.0, "skd": 2.0, "nominal_collision_rate": 0.1}
     rows = [{"name": "a", **one}, {"name": "b", **one, "skd": 2.0000001}, {"name": "c", **one}]
     (line,) = equal_remarks(rows, "name")
     assert line.startswith("a and c have the same figures to the last digit")

@@ -49,7 +49,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     assert sum(runs for _, runs in found.hits()) == plan.collision_runs
     # The figures are the same; only the confidence of the intervals by φ is higher, and at each look.
     one, other = found.as_dict(), at_once.as_dict()
-    for name in ("deviation", "deviation_ci95_attempts", "collision_rate", "collision_rate_ci95_runs", "safe"):
+    for name in ("deviation", "deviation_ci95_trials", "contact_rate", "contact_rate_ci95_runs", "safe"):
         assert one[name] == other[name]
     groups = [row.restricted for row in found.for_deviation.deviation.per_safe_trajectory]
     for count, at_look in stop.looks:

@@ -51,7 +51,7 @@ def at(figures: dict[str, Any], *path: Any) -> Any:
 
 CHANGES: dict[str, Callable[[dict[str, Any]], object]] = {
     "skd": lambda figures: figures.update(skd=9.9),
-    "collision_rate": lambda figures: figures.update(collision_rate=0.0 if figures["collision_rate"] else 0.5),
+    "contact_rate": lambda figures: figures.update(contact_rate=0.0 if figures["contact_rate"] else 0.5),
     "margin": lambda figures: figures.update(margin=4.9),
     "margin_beyond": lambda figures: figures.update(margin_beyond=figures["margin_beyond"] + 1),
     "margin_ci95.0": lambda figures: at(figures, "margin_ci95").__setitem__(0, 0.01),
@@ -83,7 +83,7 @@ def test_verify_says_what_agrees_and_what_cannot_be_computed(result: Path, skd_h
     assert "margin_converged" in done.stdout
     (one,) = json.loads(skd_here("verify", str(result), "--json").stdout)["results"]
     assert one["fine"]
-    assert {"margin", "skd", "skd_ci95", "collision_rate", "measures", "clustering", "objectives"} <= {*one["agree"]}
+    assert {"margin", "skd", "skd_ci95", "contact_rate", "measures", "clustering", "objectives"} <= {*one["agree"]}
     assert one["contradict"] == one["problems"] == one["files"]["changed"] == []
     edit(result, CHANGES["skd"], "rewritten")
     done = skd_here("verify", str(result))

@@ -56,7 +56,7 @@ def chosen(strayed: Mapping[float, Sequence[float]], car: FittedCar = FOREST) ->
 
 @pytest.mark.parametrize("best", CHOICES)
 def test_the_least_mean_deviation_is_chosen_and_a_miss_counts_as_the_greatest(best: float) -> None:
-    """A miss in ten counts 0.1 · η_max = 0.5 m; that and 0.9 · 1 m are more than 1.3 m in all attempts."""
+    """A miss in ten counts 0.1 · η_max = 0.5 m; that and 0.9 · 1 m are more than 1.3 m in all trials."""
     reward, runner = chosen({one: [1.3] if one == best else [1.0] * 9 + [0.0] for one in CHOICES})
     if best == USUAL:  # all hit: what the others do is not asked
         assert [one for one, _ in runner.asked] == [USUAL]
@@ -79,10 +79,10 @@ def test_what_a_law_has_by_itself_is_tried_first() -> None:
     assert [reward] == [one for one, _ in runner.asked] == [CHOICES[1]]
 
 
-def test_attempts_that_are_aborted_do_not_count_unless_all_are() -> None:
+def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
     reward, _ = chosen({USUAL: [0.0, math.nan], **{one: [1.0, math.nan] for one in OTHERS}})
     assert reward == OTHERS[0]
-    with pytest.raises(AssessmentError, match=f"all {TRIALS} attempts that wait at"):
+    with pytest.raises(AssessmentError, match=f"all {TRIALS} trials that wait at"):
         chosen({one: [math.nan] for one in CHOICES})
 
 

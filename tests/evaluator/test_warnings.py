@@ -14,7 +14,7 @@ from skd_evaluator.report.terminal import details_table, headline, headline_tabl
 from skd_evaluator.report.warnings import margin_warnings
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason
-from test_campaign import attempt, straight
+from test_campaign import straight, trial
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=40, simulations=1)
@@ -54,7 +54,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
     (line,) = figure_warnings(found)
     assert "'two' was hit in 100 % of 20 runs" in line
     rows = found.as_dict()["per_safe_trajectory"]
-    assert [(row["collision_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
+    assert [(row["contact_rate"], row["collision_runs"], row["safe"]) for row in rows] == [
         (0.0, 20, True),
         (1.0, 20, False),
     ]
@@ -64,7 +64,7 @@ def test_safe_trajectory_that_is_always_hit_is_named():
 
 def test_one_that_is_often_hit_is_not():
     def decide(episode):
-        hit = episode.mode == Mode.KAMIKAZE or attempt(episode) % 20 != 0
+        hit = episode.mode == Mode.KAMIKAZE or trial(episode) % 20 != 0
         return (Outcome.COLLISION if hit else Outcome.ARRIVED), 0
 
     assert figure_warnings(assessed(decide)) == []  # 95 % is the share
@@ -73,8 +73,8 @@ def test_one_that_is_often_hit_is_not():
 def test_clipped_commands_are_counted_wherever_they_were():
     def decide(episode):
         if episode.mode == Mode.REPLAY:
-            return Outcome.ARRIVED, 2 if attempt(episode) == 3 else 0
-        return (Outcome.COLLISION if attempt(episode) % 2 else Outcome.MISSED), 5 if attempt(episode) == 0 else 0
+            return Outcome.ARRIVED, 2 if trial(episode) == 3 else 0
+        return (Outcome.COLLISION if trial(episode) % 2 else Outcome.MISSED), 5 if trial(episode) == 0 else 0
 
     found = assessed(decide)
     assert found.as_dict()["commands_clipped"] == {"commands": 14, "episodes": 4}
@@ -90,7 +90,7 @@ def test_too_many_aborted(maximum, fails):
 
     def decide(episode):
         if episode.mode == Mode.REPLAY:
-            return (Outcome.ABORTED if attempt(episode) == 0 else Outcome.ARRIVED), 0
+            return (Outcome.ABORTED if trial(episode) == 0 else Outcome.ARRIVED), 0
         return Outcome.COLLISION, 0
 
     found = assessed(decide, replace(PLAN, collision_runs=30))
@@ -120,7 +120,7 @@ def test_controller_is_called_what_it_is_called(name):
 
 
 @pytest.mark.parametrize(
-    ("p90", "hit_speed", "attempts", "said"),
+    ("p90", "hit_speed", "trials", "said"),
     [
         (0.7, 0.556, 12, True),
         (0.9, 0.556, 12, False),
@@ -130,15 +130,15 @@ def test_controller_is_called_what_it_is_called(name):
     ],
 )
 def test_a_car_that_is_judged_by_slow_touches_is_named(
-    p90: float | None, hit_speed: float, attempts: int, said: bool
+    p90: float | None, hit_speed: float, trials: int, said: bool
 ) -> None:
     result = {
         "margin": 1.0,
         "margin_ci95": [0.9, 1.1],
         "margin_converged": True,
-        "margin_attempts": attempts,
+        "margin_trials": trials,
         "margin_beyond": 2,
-        "closeness": None,
+        "optimality_gap": None,
         "impact_speed": None if p90 is None else {"mean": 0.6, "p90": p90},
         "scenario": {"collision": {"hit_speed": hit_speed}},
     }
@@ -156,20 +156,20 @@ RESULT = {
     "margin_converged": True,
     "margin_budget": 128,
     "margin_how": None,
-    "margin_attempts": 12,
+    "margin_trials": 12,
     "margin_beyond": 12,
     "per_safe_trajectory": [{}] * 3,
     "distinct_safe_trajectories": 3,
-    "closeness": None,
+    "optimality_gap": None,
     "impact_speed": None,
     "scenario": {"collision": {"hit_speed": 0.556}},
 }
 
 
 @pytest.mark.parametrize(("beyond", "hit", "said"), [(12, 3, True), (12, 0, False), (11, 3, False)])
-def test_hits_that_the_margins_own_attempts_do_not_have_are_said(beyond: int, hit: int, said: bool) -> None:
+def test_hits_that_the_margins_own_trials_do_not_have_are_said(beyond: int, hit: int, said: bool) -> None:
     """Else it reads: nobody is hit within 5 m, from 5.000 to 5.000 m, beside runs along φ that end in a hit."""
-    ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "hit_rate": 2 / 24 if hit else 0.0}
+    ends = {"margin_ci95": (5.0, 5.0) if beyond == 12 else (4.2, 5.0), "nominal_collision_rate": 2 / 24 if hit else 0.0}
     result = {**RESULT, **ends, "margin_beyond": beyond}
     found = margin_warnings(result, hit, hit)
     assert ["but 3 other episodes ended in a hit: hits are rarer" in line for line in found] == [True] * said + [

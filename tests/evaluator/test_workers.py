@@ -106,7 +106,7 @@ def test_each_log_has_the_episode_that_was_asked_for():
     from test_campaign import straight
 
     plan, phi = Plan(load_scenario("crossing")), straight()
-    episodes = [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(3)]
+    episodes = [plan.episode(Mode.REPLAY, 0, trial, phi) for trial in range(3)]
     with Over(ProcessPoolExecutor(1)) as runner:
         logs = list(runner.run(episodes))
     assert all(log.episode is episode for log, episode in zip(logs, episodes, strict=True))
@@ -210,7 +210,7 @@ def test_an_episode_at_which_its_process_dies_is_aborted(monkeypatch):
     run = workers.run_episode
     monkeypatch.setattr(workers, "run_episode", lambda one: os._exit(7) if one.episode_id == doomed else run(one))
     plan, phi = Plan(load_scenario("crossing")), straight()
-    episodes = [plan.episode(Mode.REPLAY, 0, attempt, phi) for attempt in range(12)]
+    episodes = [plan.episode(Mode.REPLAY, 0, trial, phi) for trial in range(12)]
     doomed = episodes[5].episode_id
     with InProcessRunner(2) as runner:
         logs = list(runner.run(episodes))

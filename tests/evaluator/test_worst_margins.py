@@ -1,4 +1,4 @@
-"""The margin that 10 % of the attempts do not exceed: what it is, and that every output of figures has it."""
+"""The margin that 10 % of the trials do not exceed: what it is, and that every output of figures has it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from skd_evaluator.report.terminal import details_table
 from skd_sim.world.state import Trajectory
 
 FIGURE = "margin_p10"
-LABEL = "margin that 10 % of the attempts do not exceed (m)"
+LABEL = "margin that 10 % of the trials do not exceed (m)"
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_it_is_the_tenth_between_order_statistics(distances, found):
     assert Margins((ways,), 5.0).figures()[FIGURE] == pytest.approx(found)
 
 
-def test_a_tenth_of_the_attempts_of_a_car_is_at_or_below_it(folders):
+def test_a_tenth_of_the_trials_of_a_car_is_at_or_below_it(folders):
     for folder in folders:
         result = read_result(folder)
         margins = sorted(value for phi in result.groups["margin"] for value in phi.tolist())

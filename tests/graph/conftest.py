@@ -86,7 +86,7 @@ def small_lesson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Cars are learned by this process from fewer episodes than by default, which changes nothing of how; where to."""
     monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
     monkeypatch.setattr(lesson, "PROBES", 60)
-    monkeypatch.setattr(lesson, "ATTEMPTS", 6)
+    monkeypatch.setattr(lesson, "TRIALS", 6)
     monkeypatch.setattr(lesson, "SAFE", 2)
     monkeypatch.setattr(waiting, "TRIALS", 2)
     return tmp_path / "models"

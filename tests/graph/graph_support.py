@@ -182,7 +182,7 @@ def skd_here(capsys: pytest.CaptureFixture[str], *arguments: object) -> Finished
     return Finished(run_skd(*arguments), *capsys.readouterr())
 
 
-_OF_MARGIN = re.compile("margin|closeness|impact_speed|equivalent_multiplier|vulnerability_curve")
+_OF_MARGIN = re.compile("margin|optimality_gap|impact_speed|equivalent_multiplier|vulnerability_curve")
 
 
 def numbers(folder: Path) -> dict[str, Any]:

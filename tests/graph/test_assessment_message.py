@@ -52,7 +52,7 @@ def test_every_field_is_the_figure_of_that_name(outcome: Outcome) -> None:
     assert (message.campaign, message.scenario_name) == ("night", "crossing")
     for name in set(message.get_fields_and_field_types()) - OF_THE_CAMPAIGN - IN_WORDS:
         said, figure = getattr(message, name), result[name]
-        if name.endswith(("_ci95", "_attempts", "_pairs", "_runs")):
+        if name.endswith(("_ci95", "_trials", "_pairs", "_runs")):
             np.testing.assert_array_equal(said, [math.nan] * 2 if figure is None else figure, err_msg=name)
         elif figure is None:
             assert math.isnan(said), name
@@ -71,7 +71,7 @@ def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
     nothing = assessment_to_message(found, "night", 0)
     assert math.isnan(nothing.margin)
     assert not nothing.margin_converged
-    assert math.isnan(nothing.closeness)
+    assert math.isnan(nothing.optimality_gap)
     ways = tuple(tuple(LeastWay(0.1 * (k + 1), phi, len(phi) - 1.0, 4.0, 0.0) for k in range(5)) for phi in found.safe)
     equivalent = EquivalentMultiplier(math.inf, (1.25, math.inf), (1.25, math.inf), 0.5, 1.5)
     rating = dataclasses.replace(found, margins=Margins(ways, 5.0), equivalent=equivalent)
@@ -79,12 +79,12 @@ def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
     assert message.margin == pytest.approx(0.3)
     assert list(message.margin_ci95) == pytest.approx(list(result["margin_ci95"]))
     assert message.margin_converged
-    assert message.closeness == pytest.approx(result["closeness"])
+    assert message.optimality_gap == pytest.approx(result["optimality_gap"])
     assert result["equivalent_multiplier"] is None
     assert message.equivalent_multiplier == math.inf
     assert list(message.equivalent_multiplier_ci95) == [1.25, math.inf]
     # Half of the runs along φ only walk into the standing car.
-    assert (message.hit_rate, message.collision_rate) == (0.5, 1.0)
+    assert (message.nominal_collision_rate, message.contact_rate) == (0.5, 1.0)
 
 
 def test_figures_that_are_not_credible_are_not_told_to_who_sees_no_warning() -> None:
@@ -94,6 +94,6 @@ def test_figures_that_are_not_credible_are_not_told_to_who_sees_no_warning() -> 
     for name, kind in message.get_fields_and_field_types().items():
         if kind.startswith("double") and name not in {"multiplier", "eta_max"}:
             assert np.isnan(getattr(message, name)).all(), name
-    attempts = found.as_dict()["kamikaze_attempts"]
-    assert (message.multiplier, message.eta_max, message.kamikaze_attempts) == (1.0, 5.0, attempts)
+    trials = found.as_dict()["kamikaze_trials"]
+    assert (message.multiplier, message.eta_max, message.kamikaze_trials) == (1.0, 5.0, trials)
     assert not message.margin_converged

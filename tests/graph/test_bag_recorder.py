@@ -82,7 +82,7 @@ def test_an_episode_that_is_run_again_has_one_bag(tmp_path: Path) -> None:
     )
     scenario = load_scenario("crossing")
     phi = Trajectory(np.zeros((4, 2)), scenario.time_step)
-    episode = Episode(scenario, Mode.REPLAY, 0, episode_id(Stage.COLLISION_RATE, 0, 1), phi)
+    episode = Episode(scenario, Mode.REPLAY, 0, episode_id(Stage.NOMINAL, 0, 1), phi)
     way = dataclasses.replace(episode, episode_id=episode_id(Stage.RISK, 0, 1))
     assert recorder.takes(episode)
     assert not recorder.takes(way)

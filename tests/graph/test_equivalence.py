@@ -34,16 +34,16 @@ DIGESTED = (
 
 
 def episodes(name: str, objective: Objective) -> list[Episode]:
-    """Four attempts of each mode at each of three multipliers."""
+    """Four trials of each mode at each of three multipliers."""
     scenario = load_scenario(name)
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     return [
         single_episode(
-            Plan(scenario, multiplier=multiplier, seed=11, simulations=500, objective=objective), mode, attempt, safe
+            Plan(scenario, multiplier=multiplier, seed=11, simulations=500, objective=objective), mode, trial, safe
         )
         for multiplier in MULTIPLIERS
         for mode in Mode
-        for attempt in range(4)
+        for trial in range(4)
     ]
 
 
@@ -88,7 +88,7 @@ def test_cars_that_decide_between_ticks(tmp_path: Path, controller: str) -> None
     assert plan.scenario.control_periods > 1
     safe = safe_trajectories(dataclasses.replace(plan, safe_count=1), InProcessRunner(1))[0]
     modes = (Mode.KAMIKAZE, Mode.REPLAY)
-    wanted = [single_episode(plan, mode, attempt, safe) for mode in modes for attempt in range(3)]
+    wanted = [single_episode(plan, mode, trial, safe) for mode in modes for trial in range(3)]
     expected = [run_episode(episode) for episode in wanted]
     bags = tmp_path / "bags"
     with whole_graph(tmp_path, controller=controller, record_to=bags) as (evaluator, _):
@@ -146,7 +146,7 @@ class ScanBraker:
 def test_a_foreign_node_that_reads_only_the_scan(tmp_path: Path, plan: Plan) -> None:
     safe = safe_trajectories(plan, InProcessRunner(1))[0]
     external = dataclasses.replace(plan, controller="external")
-    wanted = [single_episode(external, Mode.REPLAY, attempt, safe) for attempt in range(3)]
+    wanted = [single_episode(external, Mode.REPLAY, trial, safe) for trial in range(3)]
     expected = [run_episode(episode, ScanBraker()) for episode in wanted]
     assert min(log.car[:, 2].min() for log in expected) < 5.0
     node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "scan"])
@@ -162,7 +162,7 @@ def test_other_cars_are_the_same_to_the_last_bit(evaluator: Evaluator, controlle
     scenario = load_scenario("crossing")
     safe = safe_trajectories(Plan(scenario, safe_count=1, seed=11), InProcessRunner(1))[0]
     plan = Plan(scenario, controller=controller, seed=11, simulations=300)
-    wanted = [single_episode(plan, mode, attempt, safe) for mode in Mode for attempt in range(3)]
+    wanted = [single_episode(plan, mode, trial, safe) for mode in Mode for trial in range(3)]
     logs = same_through_the_graph(evaluator, wanted)
     assert min(log.car[:, 2].min() for log in logs) < 6.5  # it did brake for somebody
 
@@ -174,9 +174,9 @@ def test_curves_and_boxes_are_the_same_to_the_last_bit(evaluator: Evaluator) -> 
     x = np.minimum(-4.5 + 0.75 * np.arange(16), 2.5)
     phi = Trajectory(np.column_stack([x, 0.2 * np.sin(x)]), turn.time_step, "by hand")
     wanted = [
-        single_episode(Plan(scenario, controller="carla", seed=11), Mode.REPLAY, attempt, phi)
+        single_episode(Plan(scenario, controller="carla", seed=11), Mode.REPLAY, trial, phi)
         for scenario in (turn, dataclasses.replace(turn, adversary=adversary))
-        for attempt in range(4)
+        for trial in range(4)
     ]
     logs = same_through_the_graph(evaluator, wanted)
     assert all(log.car[0, 0] > 1.0 > 0.01 > abs(log.car[-1, 0]) for log in logs)  # they came around the corner
@@ -189,7 +189,7 @@ def test_other_kinds_and_others_are_the_same_to_the_last_bit(tmp_path: Path) -> 
     for index, name in enumerate(("child", "bystanders", "cut_in")):
         plan = Plan(load_scenario(name), multiplier=0.5, safe_count=1, seed=11, simulations=200)
         safe = safe_trajectories(plan, InProcessRunner(1))[0]
-        wanted += [single_episode(plan, mode, 2 * index + attempt, safe) for mode in Mode for attempt in range(2)]
+        wanted += [single_episode(plan, mode, 2 * index + trial, safe) for mode in Mode for trial in range(2)]
     expected = [run_episode(episode) for episode in wanted]
     bags = tmp_path / "bags"
     with whole_graph(tmp_path, controller="basic", record_to=bags) as (evaluator, _):

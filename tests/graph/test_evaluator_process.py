@@ -81,8 +81,8 @@ def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph:
     (line,) = [one for one in against if said in one]
     assert line.startswith(begin)
     assert any(line in printed for printed in finished.lines)
-    attempts = sum(one["attempts"] for one in result["objectives"].values())
-    assert len(list((tmp_path / "out" / "bags").iterdir())) == attempts + 12  # no drive alone, none that is run again
+    trials = sum(one["trials"] for one in result["objectives"].values())
+    assert len(list((tmp_path / "out" / "bags").iterdir())) == trials + 12  # no drive alone, none that is run again
 
 
 def test_aborted_episode_is_code_1_with_the_reason(tmp_path: Path):

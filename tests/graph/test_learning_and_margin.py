@@ -30,7 +30,7 @@ BASIC = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p"
 NODE = shlex.join([*BASIC, "-p", "multiplier:=1.0"])
 RUNS = 6
 COUNTS = ("--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", RUNS, "--seed", 3)
-PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs", "collision_rate", "knowledge")
+PLANNED = ("deviation", "deviation_ci95", "skd", "skd_ci95", "variance", "pairs", "contact_rate", "knowledge")
 
 
 def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,7 +43,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     assert known.code == 0, known.err
     walked, exact = (json.loads((tmp_path / name / "assessment.json").read_text()) for name in ("graph", "exact"))
     assert exact["margin_how"] != walked["margin_how"]
-    assert walked["margin_attempts"] == exact["margin_attempts"] == 4
+    assert walked["margin_trials"] == exact["margin_trials"] == 4
     assert walked["margin"] >= exact["margin"] - exact["margin_gap"] - 1e-9
     assert walked["margin"] <= 1.1 * exact["margin"]
     assert walked["margin"] < walked["deviation"]  # they knew nothing of the car; the ways are planned
@@ -113,7 +113,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget
     assert again == informed
     kept = next(small_lesson.iterdir())
-    assert said[0].startswith("learned the car from 60 probes and 6 attempts of kamikazes in ")
+    assert said[0].startswith("learned the car from 60 probes and 6 trials of kamikazes in ")
     assert said[1] == said[2]
     assert said[1].startswith("the car was learned before, on 20")
     assert said[1].endswith(f" files (all that its command names), kept in {kept}; --knowledge nothing does without")

@@ -76,7 +76,7 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
         assert result["aborted"] == 0, name
     assert results["vendor"]["pairs"] == 10
     left = {
-        key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "collision_rate")
+        key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "contact_rate")
     }
     assert left == {key: results["vendor"][key] for key in left}
 

@@ -14,7 +14,7 @@ from packaging_support import NODES, SOURCE, settings
 
 LAUNCH = SOURCE / "skd_evaluator" / "launch"
 OWN = {
-    "episode": {"mode", "attempt"},
+    "episode": {"mode", "trial"},
     "assessment": {"safe_count", "kamikaze_count", "collision_runs", "maximum_distance"},
 }
 STEERING = {"use_builtin_controller", "params_file", "rviz"}

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from bag_forge import Sent, campaign_messages, write_mcap
 from common import run_skd
-from recordings_support import Replayed, attempts, crossing
+from recordings_support import Replayed, crossing, trials
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
@@ -18,9 +18,9 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 
 @pytest.fixture(scope="session")
 def logs() -> list[EpisodeLog]:
-    """Of a careful car and an adversary that hardly thinks, so that an attempt fails."""
+    """Of a careful car and an adversary that hardly thinks, so that a trial fails."""
     plan = Plan(load_scenario("crossing"), multiplier=1.1, simulations=3, seed=2)
-    found = attempts(plan, [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")], 3, 4)
+    found = trials(plan, [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")], 3, 4)
     assert {log.outcome for log in found} >= {Outcome.COLLISION, Outcome.MISSED, Outcome.ARRIVED}
     return found
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan
+from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Plan
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
@@ -19,19 +19,19 @@ def crossing(pace: float, ticks: int, name: str) -> Trajectory:
     return Trajectory(np.array([(-3.5 + pace * tick, 0.1) for tick in range(ticks)]), 0.3, name)
 
 
-def attempts(plan: Plan, safe: Sequence[Trajectory], wanted: int, runs: int) -> list[EpisodeLog]:
-    """Every episode of a campaign, failed attempts too, in the order of their ids."""
+def trials(plan: Plan, safe: Sequence[Trajectory], wanted: int, runs: int) -> list[EpisodeLog]:
+    """Every episode of a campaign, failed trials too, in the order of their ids."""
     logs = []
     for index, phi in enumerate(safe):
-        hits = attempt = 0
-        while hits < wanted and attempt < ATTEMPTS_PER_WANTED * wanted:
-            log = run_episode(plan.episode(Mode.KAMIKAZE, index, attempt, phi))
+        hits = trial = 0
+        while hits < wanted and trial < TRIALS_PER_REQUESTED * wanted:
+            log = run_episode(plan.episode(Mode.KAMIKAZE, index, trial, phi))
             hits += plan.succeeds(log)
-            attempt += 1
+            trial += 1
             logs.append(log)
     for run in range(runs):
-        index, attempt = run % len(safe), run // len(safe)
-        logs.append(run_episode(plan.episode(Mode.REPLAY, index, attempt, safe[index])))
+        index, trial = run % len(safe), run // len(safe)
+        logs.append(run_episode(plan.episode(Mode.REPLAY, index, trial, safe[index])))
     return logs
 
 

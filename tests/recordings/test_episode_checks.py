@@ -44,8 +44,8 @@ def test_what_is_right_counts(logs: list[EpisodeLog], sent: list[list[Sent]], re
     assert (done.code, done.err) == (0, "")
     assert (done.result["left_out"], done.result["warnings"]) == ([], [])
     assert done.result["pairs"] == 6
-    assert done.result["kamikaze_attempts"] == len(logs) - 4
-    assert done.result["collision_rate"] == sum(log.outcome == Outcome.COLLISION for log in logs[-4:]) / 4
+    assert done.result["kamikaze_trials"] == len(logs) - 4
+    assert done.result["contact_rate"] == sum(log.outcome == Outcome.COLLISION for log in logs[-4:]) / 4
 
 
 @pytest.mark.parametrize("said", [0, 2, 3, 5, 7])
@@ -135,7 +135,7 @@ def test_a_specification_that_cannot_be(
 
 
 @pytest.mark.parametrize("number", [1 << 48 | 77, 1 << 48 | 1 << 32 | 0])
-def test_the_number_of_another_attempt(
+def test_the_number_of_another_trial(
     logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused, number: int
 ) -> None:
     """Its draws are others."""
@@ -188,7 +188,7 @@ def test_two_recordings_that_tell_different_things(
     assert "is another one in" in refused(other, whole)
     done = replay(whole, other, "--skip-damaged")
     assert len(done.result["left_out"]) == 1
-    assert done.result["kamikaze_attempts"] == len(logs) - 5
+    assert done.result["kamikaze_trials"] == len(logs) - 5
 
 
 def test_a_result_from_another_namespace_does_not_count(
@@ -226,7 +226,7 @@ def test_an_episode_that_was_run_twice_counts_once(
     assert any("run 2 times" in line for line in done.result["warnings"])
 
 
-def test_an_attempt_that_is_missing_is_named(
+def test_a_trial_that_is_missing_is_named(
     logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, replay: Replay
 ) -> None:
     """A failed one, without which the success rate looks better than it was."""
@@ -234,7 +234,7 @@ def test_an_attempt_that_is_missing_is_named(
     number = logs[missed].episode.episode_id & 0xFFFF
     done = replay(recorded([*sent[:missed], *sent[missed + 1 :]]))
     assert done.code == 0
-    assert any(f"no recording has kamikaze attempts {number} of" in line for line in done.result["warnings"])
+    assert any(f"no recording has kamikaze trials {number} of" in line for line in done.result["warnings"])
     assert done.err.count("warning: ") == 1
 
 
@@ -243,7 +243,7 @@ def test_what_the_end_of_a_campaign_lacks_is_named(
 ) -> None:
     last = max(index for index, log in enumerate(logs) if log.episode.mode == 1)
     done = replay(recorded([*sent[:last], *sent[last + 1 :]]))
-    assert any("last kamikaze attempts of safe trajectory 1" in line for line in done.result["warnings"])
+    assert any("last kamikaze trials of safe trajectory 1" in line for line in done.result["warnings"])
     done = replay(recorded([one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id != 2 << 48 | 1]))
     assert any("last runs along φ were not recorded" in line for line in done.result["warnings"])
     second = [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1]
@@ -263,7 +263,7 @@ def test_the_assessment_beside_tells_what_is_missing(
         if log.episode.mode == 2 and log.episode.episode_id & 0xFFFF == 1:
             shutil.rmtree(night / "bags" / f"{number}")
     (line,) = replay(night / "bags").result["warnings"]
-    assert "tells of 7 kamikaze attempts and 4 runs along φ, the recordings of 7 and 2" in line
+    assert "tells of 7 kamikaze trials and 4 runs along φ, the recordings of 7 and 2" in line
 
 
 def test_what_is_left_out_is_counted(

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from bag_forge import Sent, campaign_messages, forged, write_mcap
-from recordings_support import attempts, crossing
+from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan.plan import Plan
@@ -129,17 +129,15 @@ def by_objective(counts: Sequence[int]) -> list[EpisodeLog]:
     safe = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
     logs = []
     for objective, count in zip(DEFAULT_OBJECTIVES, counts, strict=True):
-        logs += attempts(
-            replace(plan, objective=objective), safe, count, 2 if objective == DEFAULT_OBJECTIVES[0] else 0
-        )
+        logs += trials(replace(plan, objective=objective), safe, count, 2 if objective == DEFAULT_OBJECTIVES[0] else 0)
     return logs
 
 
-def test_objectives_with_unequal_numbers_of_attempts_are_named(recorded: Callable[..., Path], replay: Replay) -> None:
+def test_objectives_with_unequal_numbers_of_trials_are_named(recorded: Callable[..., Path], replay: Replay) -> None:
     assert replay(recorded(campaign_messages(by_objective([3, 3])), "same")).result["warnings"] == []
     said = replay(recorded(campaign_messages(by_objective([3, 2])), "fewer")).result["warnings"]
     assert any(
-        "the last kamikaze attempts of objective paper of safe trajectory 0 were not recorded" in one for one in said
+        "the last kamikaze trials of objective paper of safe trajectory 0 were not recorded" in one for one in said
     )
 
 

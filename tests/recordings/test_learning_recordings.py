@@ -10,7 +10,7 @@ from bag_forge import Sent, campaign_messages
 from recordings_support import Replayed
 from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.learning.attempts import own_attempts
+from skd_evaluator.assessment.learning.trials import own_trials
 from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros.recording import bag_name
@@ -30,7 +30,7 @@ def _trials(log: EpisodeLog) -> list[Episode]:
     return [
         one
         for model in models
-        for one in own_attempts(plan, model, [phi], 2, begin=100, objectives=(Objective.DEVIATION,))
+        for one in own_trials(plan, model, [phi], 2, begin=100, objectives=(Objective.DEVIATION,))
     ]
 
 

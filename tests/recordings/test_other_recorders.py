@@ -69,8 +69,8 @@ def framed(episode: Episode, off: float) -> EpisodeLog:
 def foreign() -> list[EpisodeLog]:
     plan = Plan(load_scenario("crossing"), multiplier=0.75, simulations=60, seed=3)
     safe = crossing(0.75, 10, "brisk")
-    specs = [plan.episode(Mode.KAMIKAZE, 0, attempt, safe) for attempt in range(12)]
-    specs += [plan.episode(Mode.REPLAY, 0, attempt, safe) for attempt in range(12)]
+    specs = [plan.episode(Mode.KAMIKAZE, 0, trial, safe) for trial in range(12)]
+    specs += [plan.episode(Mode.REPLAY, 0, trial, safe) for trial in range(12)]
     logs = [framed(spec, 0.05 + 0.02 * number) for number, spec in enumerate(specs)]
     assert {log.outcome for log in logs} >= {Outcome.COLLISION, Outcome.ARRIVED}
     return logs

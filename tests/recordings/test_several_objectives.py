@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
-from recordings_support import attempts, crossing
+from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, judge_all
 from skd_evaluator.assessment.plan.plan import Plan, kamikaze_set, split_episode_id
@@ -28,7 +28,7 @@ SAFE = [crossing(0.75, 10, "brisk"), crossing(0.6, 13, "slow")]
 def by_objective() -> dict[Objective, list[EpisodeLog]]:
     """The runs along φ are with the first."""
     return {
-        objective: attempts(replace(PLAN, objective=objective), SAFE, 3, 4 if objective == DEFAULT_OBJECTIVES[0] else 0)
+        objective: trials(replace(PLAN, objective=objective), SAFE, 3, 4 if objective == DEFAULT_OBJECTIVES[0] else 0)
         for objective in DEFAULT_OBJECTIVES
     }
 
@@ -55,7 +55,7 @@ def _is_of(log: EpisodeLog, index: int) -> bool:
 def figures(result: dict[str, Any]) -> dict[str, Any]:
     """All that follows from the episodes: not the margin, which is computed after them."""
     others = ("seconds", "safe", "version", "provenance", "vulnerability_curve")
-    of_margin = ("margin", "closeness", "impact_speed", "equivalent_multiplier")
+    of_margin = ("margin", "optimality_gap", "impact_speed", "equivalent_multiplier")
     return {name: value for name, value in result.items() if name not in others and not name.startswith(of_margin)}
 
 
@@ -93,7 +93,7 @@ def test_what_is_missing_is_said_with_its_objective(
     done = replay(recorded([one for k, one in enumerate(messages) if k != lost]))
     assert done.code == 0
     said = "\n".join(done.result["warnings"])
-    assert "no recording has kamikaze attempts of objective paper 0 of safe trajectory 1" in said
+    assert "no recording has kamikaze trials of objective paper 0 of safe trajectory 1" in said
     assert "of objective deviation" not in said
 
 

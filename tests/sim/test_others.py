@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
-from skd_evaluator.assessment.judge.struck import ADVERSARY, closing_speed, struck
+from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, closing_speed, collision_partner
 from skd_evaluator.assessment.plausibility import ROUNDING, first_touch, implausible, recompute, touches
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.controllers import takes_scene
@@ -155,11 +155,11 @@ def test_whom_the_car_hit_is_said() -> None:
     log = played(scenario_with(LEADING, STANDING), number=3)
     assert log.outcome == Outcome.COLLISION
     first = min((touch, index) for index, touch in enumerate(touches(log)) if touch is not None)[1] - 1
-    assert struck(log) == first
+    assert collision_partner(log) == first
     alone = Trajectory(np.tile([0.0, 0.0], (30, 1)), 0.3)  # an adversary in the way
     episode = Episode(scenario_with(WALKING), Mode.REPLAY, 0, 0, multiplier=0.0, safe_trajectory=alone)
-    assert struck(run_episode(episode)) == ADVERSARY
-    assert struck(played(scenario_with(WALKING))) is None
+    assert collision_partner(run_episode(episode)) == ADVERSARY
+    assert collision_partner(played(scenario_with(WALKING))) is None
 
 
 def test_closing_speeds() -> None:

@@ -10,6 +10,6 @@ def generate_launch_description() -> LaunchDescription:
         "episode",
         (
             Argument("mode", "kamikaze", "what the adversary does", choices=("safe", "kamikaze", "replay")),
-            Argument("attempt", 0, "which attempt of the campaign the episode is"),
+            Argument("trial", 0, "which trial of the campaign the episode is"),
         ),
     )

@@ -16,7 +16,7 @@ from skd_sim.inputs.files import is_there, read_json, read_text, real_path, sha2
 from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 
 from skd_evaluator.assessment.files.result_folder import MANIFEST, read_manifest
-from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Stage, split_episode_id
+from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Stage, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.metrics.credibility import not_credible
 
@@ -122,7 +122,7 @@ def accept(found: Sequence[LocatedLog], damage: Damage) -> list[int]:
 
 SUMMARIES = ("probe.json", "assessment.json")
 """Files that say of which car the episodes beside them are."""
-_NAMES = {Stage.KAMIKAZE: "kamikaze attempts", Stage.COLLISION_RATE: "runs along φ"}
+_NAMES = {Stage.KAMIKAZE: "kamikaze trials", Stage.NOMINAL: "runs along φ"}
 
 
 def unfinished_episodes(ids: Iterable[int]) -> list[str]:
@@ -145,8 +145,8 @@ def missing_episodes(
 ) -> list[str]:
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
-    Attempts are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
-    cap is reached (`skd_evaluator.assessment.plan.plan`). If the last attempts of every φ are missing alike, nobody can
+    Trials are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
+    cap is reached (`skd_evaluator.assessment.plan.plan`). If the last trials of every φ are missing alike, nobody can
     tell.
 
     Args:
@@ -157,29 +157,29 @@ def missing_episodes(
         which: which kamikazes these are, for the lines.
     """
     names = {**_NAMES, Stage.KAMIKAZE: _NAMES[Stage.KAMIKAZE] + which}
-    attempts: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
+    trials: dict[Stage, dict[int, set[int]]] = {stage: {} for stage in _NAMES}
     for number in announced:
-        stage, index, attempt = split_episode_id(number)
-        if stage in attempts:
-            attempts[stage].setdefault(index, set()).add(attempt)
+        stage, index, trial = split_episode_id(number)
+        if stage in trials:
+            trials[stage].setdefault(index, set()).add(trial)
     lines = []
-    known = {index for of_stage in attempts.values() for index in of_stage}
+    known = {index for of_stage in trials.values() for index in of_stage}
     absent = _gaps(known)
     if absent:
         lines.append(f"no recording has an episode of safe trajectory {absent}")
-    for stage, of_stage in attempts.items():
+    for stage, of_stage in trials.items():
         for index, numbers in sorted(of_stage.items()):
             gaps = _gaps(numbers)
             if gaps:
                 lines.append(f"no recording has {names[stage]} {gaps} of safe trajectory {index}")
     for index, count in sorted(reached.items()):
-        tried = len(attempts[Stage.KAMIKAZE].get(index, ()))
-        if not left_out and count < wanted and tried < ATTEMPTS_PER_WANTED * wanted:
+        tried = len(trials[Stage.KAMIKAZE].get(index, ()))
+        if not left_out and count < wanted and tried < TRIALS_PER_REQUESTED * wanted:
             lines.append(
                 f"the last {names[Stage.KAMIKAZE]} of safe trajectory {index} were not recorded: {count} "
                 f"collided in {tried}, of another {wanted}"
             )
-    runs = [len(attempts[Stage.COLLISION_RATE].get(index, ())) for index in sorted(known)]
+    runs = [len(trials[Stage.NOMINAL].get(index, ())) for index in sorted(known)]
     if runs and not absent and (max(runs) - min(runs) > 1 or runs != sorted(runs, reverse=True)):  # dealt out in turns
         lines.append(f"the last runs along φ were not recorded: of one {min(runs)}, of another {max(runs)}")
     return lines
@@ -204,18 +204,18 @@ def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str
         files: the files with recordings.
     """
     numbers = [split_episode_id(number)[0] for number in announced]
-    found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.COLLISION_RATE))
+    found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.NOMINAL))
     lines = []
     for folder in _folders_of_results(files):
         try:
             said = read_json(folder / "assessment.json")
             rows = [row for one in said["objectives"].values() for row in one["per_safe_trajectory"]]
-            attempts, runs = sum(int(row["attempts"]) for row in rows), int(said["collision_runs"])
+            trials, runs = sum(int(row["trials"]) for row in rows), int(said["collision_runs"])
         except (UsageError, ValueError, TypeError, KeyError, AttributeError):
             continue
-        if found[0] < attempts or found[1] < runs:
+        if found[0] < trials or found[1] < runs:
             lines.append(
-                f"{folder / 'assessment.json'} tells of {attempts} kamikaze attempts and {runs} runs along φ, the "
+                f"{folder / 'assessment.json'} tells of {trials} kamikaze trials and {runs} runs along φ, the "
                 f"recordings of {found[0]} and {found[1]}"
             )
     return lines

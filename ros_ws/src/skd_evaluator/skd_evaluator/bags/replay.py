@@ -15,7 +15,7 @@ from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
 from skd_evaluator.assessment.judge.repeatability import standing
 from skd_evaluator.assessment.plan.options import RECORDED
 from skd_evaluator.assessment.plan.plan import (
-    ATTEMPTS_PER_WANTED,
+    TRIALS_PER_REQUESTED,
     KamikazeSet,
     Plan,
     Stage,
@@ -41,7 +41,7 @@ _OF_KAMIKAZES = [one.name for one in _OPTIONS if one.planning]  # no matter in a
 
 @dataclass
 class _Group:
-    """All episodes of one safe trajectory, in order of their attempts."""
+    """All episodes of one safe trajectory, in order of their trials."""
 
     safe_trajectory: Trajectory
     kamikaze: dict[Objective, list[EpisodeLog]] = field(default_factory=dict)
@@ -74,11 +74,11 @@ def _strays(specs: Sequence[Episode]) -> int:
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
     """Return how many kamikaze trajectories were wanted for each φ.
 
-    That is as many as were found, if that ended a set; else half of the number of attempts after which a set is given
+    That is as many as were found, if that ended a set; else half of the number of trials after which a set is given
     up.
     """
     groups = [group for of_objective in sets for group in of_objective]
-    return max(1, *(max(len(group.logs), group.attempts // ATTEMPTS_PER_WANTED) for group in groups))
+    return max(1, *(max(len(group.logs), group.trials // TRIALS_PER_REQUESTED) for group in groups))
 
 
 def rating_from(
@@ -121,7 +121,7 @@ def rating_from(
                 what = f"the {name}" if name in ("scenario", "car_model") else f"{name} {one} and {other}"
                 raise UsageError(f"the episodes of one campaign differ in {what}")
         assert spec.safe_trajectory is not None
-        stage, index, attempt = split_episode_id(spec.episode_id)
+        stage, index, trial = split_episode_id(spec.episode_id)
         group = groups.setdefault(index, _Group(spec.safe_trajectory))
         if not (group.safe_trajectory.positions.shape == spec.safe_trajectory.positions.shape) or bool(
             (group.safe_trajectory.positions != spec.safe_trajectory.positions).any()
@@ -135,14 +135,14 @@ def rating_from(
         if stage == Stage.KAMIKAZE:
             group.kamikaze.setdefault(spec.objective, []).append(episode.log)
         else:
-            group.replays.append((attempt, episode.log))
+            group.replays.append((trial, episode.log))
     ordered = [groups[index] for index in sorted(groups)]
     objectives = in_order([one for group in ordered for one in group.kamikaze] or [first.objective])
     sets = {
         objective: [kamikaze_set(group.safe_trajectory, group.kamikaze.get(objective, ())) for group in ordered]
         for objective in objectives
     }
-    turns = [(attempt, index, log) for index, group in enumerate(ordered) for attempt, log in group.replays]
+    turns = [(trial, index, log) for index, group in enumerate(ordered) for trial, log in group.replays]
     replays = [log for _, _, log in sorted(turns, key=lambda turn: turn[:2])]
     planned = next((log.episode for group in ordered for logs in group.kamikaze.values() for log in logs), first)
     plan = Plan(

@@ -139,7 +139,7 @@ _PAPER = {
 def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add what `assess` and `sweep` share."""
     group = parser.add_argument_group("campaign")
-    # The paper's table has the paper's numbers; for a rating more φ say more than more attempts on each.
+    # The paper's table has the paper's numbers; for a rating more φ say more than more trials on each.
     paper: dict[str, Any] = {
         name: {"default": count, "help": f"{text} (default: {count})"} for name, (count, text) in _PAPER.items()
     }

@@ -39,7 +39,7 @@ def figure_limit(text: str) -> tuple[str, float]:
 def add_gate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the conditions under which the exit code is 1, and the files that say which of them hold."""
     group = parser.add_argument_group("gate")
-    for side, example in (("below", "margin=0.8"), ("above", "collision_rate=0.05")):
+    for side, example in (("below", "margin=0.8"), ("above", "contact_rate=0.05")):
         group.add_argument(
             f"--fail-{side}",
             type=figure_limit,

@@ -60,10 +60,10 @@ def add_model_commands(commands: Any) -> None:
     fuse = commands.add_parser(
         "fuse",
         help="estimate what the physical car does, from few trials on a proving ground and many simulated ones",
-        description="Estimate clearance, required deceleration, hit rate and margin of the physical car over all safe "
-        "trajectories φ. Physical trials are paired with simulated ones of the same φ and timing; where the simulator "
-        "predicts them, simulations of further φ make the interval narrower (docs/fusion.md). Where it does not, the "
-        "physical trials stand alone.",
+        description="Estimate clearance, required deceleration, nominal collision rate and margin of the physical car "
+        "over all safe trajectories φ. Physical trials are paired with simulated ones of the same φ and timing; where "
+        "the simulator predicts them, simulations of further φ make the interval narrower (docs/fusion.md). Where it "
+        "does not, the physical trials stand alone.",
     )
     fuse.add_argument(
         "simulated", type=Path, metavar="SIMULATED", help="folder of an assessment, or a table of simulated trials"

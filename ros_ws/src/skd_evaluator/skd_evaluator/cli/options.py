@@ -68,7 +68,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     sweep = commands.add_parser(
         "sweep",
         help="the paper's experiment: rate the basic car with nine multipliers C",
-        description="Repeat the paper's experiment: compute margin, SKD and collision rate of the basic car with each "
+        description="Repeat the paper's experiment: compute margin, SKD and contact rate of the basic car with each "
         "multiplier C, on synthetic safe trajectories and, if --safe gives a path, on recorded ones.",
     )
     sweep.add_argument(
@@ -141,11 +141,11 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         help="with --mode risk, by what the deviations of people are multiplied (default: 1)",
     )
     episode.add_argument(
-        "--attempt",
+        "--trial",
         type=whole_number(0),
         default=0,
         metavar="N",
-        help="which attempt of the assessment to repeat, from 0 (default: 0)",
+        help="which trial of the assessment to repeat, from 0 (default: 0)",
     )
     # Of a single episode there is one objective, and one φ: that of a campaign with as many.
     single = {
@@ -264,10 +264,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
-        choices=("margin", "deviation", "skd", "collision_rate", "clearance", "required_deceleration", "hit"),
+        choices=("margin", "deviation", "skd", "contact_rate", "clearance", "required_deceleration", "hit"),
         default="margin",
         help="the figure that is asked about: margin, deviation or skd (both of planned kamikazes), or "
-        "collision_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
+        "contact_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
         "required_deceleration, hit or margin (default: margin)",
     )
     plan.add_argument(

@@ -31,7 +31,7 @@ def add_overview_commands(commands: Any) -> None:
     listed.add_argument("--encounter", metavar="TEXT", help="only those whose encounter's name holds this text")
     listed.add_argument(
         "--sort",
-        choices=("date", "folder", "car", "margin", "hit_rate"),
+        choices=("date", "folder", "car", "margin", "nominal_collision_rate"),
         default="date",
         help="in which order (default: date)",
     )
@@ -50,7 +50,7 @@ def add_overview_commands(commands: Any) -> None:
     _add_car(trend)
     trend.add_argument(
         "--figure",
-        choices=("margin", "deviation", "skd", "hit_rate", "risk_1"),
+        choices=("margin", "deviation", "skd", "nominal_collision_rate", "risk_1"),
         default="margin",
         help="the figure that is followed (default: margin)",
     )

@@ -17,9 +17,9 @@ from skd_evaluator.cli.arguments import (
 )
 from skd_evaluator.extensions.ncap.colours import ROOM
 
-REFERENCE_ATTEMPTS = 10
+REFERENCE_TRIALS = 10
 ENCOUNTERS = "cpna,cpfa,cpnco"
-ATTEMPTS = 5
+TRIALS = 5
 
 
 def add_regulator_command(commands: Any) -> None:
@@ -48,8 +48,8 @@ def add_regulator_command(commands: Any) -> None:
     )
     margins = ncap.add_argument_group("margins")
     add_options(margins, "ncap", table=AssessmentOptions)
-    attempts = f"how many attempts there are in each cell, each with draws of its own (default: {ATTEMPTS})"
-    add_options(margins, "ncap", "campaign", kamikaze_count={"default": ATTEMPTS, "help": attempts})
+    trials = f"how many trials there are in each cell, each with draws of its own (default: {TRIALS})"
+    add_options(margins, "ncap", "campaign", kamikaze_count={"default": TRIALS, "help": trials})
     margins.add_argument(
         "--planned",
         action="store_true",
@@ -83,7 +83,7 @@ def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
         metavar="C",
         help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
     )
-    add_count(group, "--attempts", 1, 10_000, "attempts on each φ of an encounter", default=REFERENCE_ATTEMPTS)
+    add_count(group, "--trials", 1, 10_000, "trials on each φ of an encounter", default=REFERENCE_TRIALS)
     add_options(group, "reference", table=AssessmentOptions)
     add_options(group, "reference")
     add_runner_arguments(group)

@@ -81,7 +81,7 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     return np.vstack([own, as_phi])
 
 
-def foretold(car: CarUnderTest, scenario: Scenario) -> bool:
+def has_exact_margin(car: CarUnderTest, scenario: Scenario) -> bool:
     """Tell whether it is known what a car answers to every sequence of actions.
 
     That is the basic car, deciding once a tick, on a straight road and beside a pedestrian that is a disc, with no
@@ -109,11 +109,11 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
     return ""
 
 
-def require_foretold(episode: Episode) -> None:
+def require_exact(episode: Episode) -> None:
     """Refuse an episode of which it is not known what each sequence of actions would have led to.
 
     Raises:
-        ValueError: it is not in kamikaze mode, or its car not foretold.
+        ValueError: it is not in kamikaze mode, or its car not predictable.
     """
     why = _why_not(episode.car, episode.scenario)
     if not why and (episode.mode != Mode.KAMIKAZE or episode.safe_trajectory is None):

@@ -1,6 +1,6 @@
 """The margins of an assessment: exact where the car is known, else searched for against the car itself.
 
-The attempts are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
+The trials are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
 them. So the margins are a property of the car, and do not depend on what an adversary knew of it.
 """
 
@@ -23,7 +23,7 @@ from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.margin.actions import foretold
+from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
@@ -36,8 +36,8 @@ from skd_evaluator.metrics.margins import Excess, Margins
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m
-WALKED_ATTEMPTS = 5
-"""Attempts on each φ whose margin is searched by whole episodes."""
+WALKED_TRIALS = 5
+"""Trials on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
 NOT_ASKED = "--margin-limit 0: the margin was not asked for"
 
@@ -56,7 +56,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     Args:
         plan: the plan of the assessment, which says what the car is.
         limit: how many candidates may be driven in a trial; 0: no margin was asked for.
-        walked: an attempt that would be searched by whole episodes; None: whole episodes cannot be run.
+        walked: a trial that would be searched by whole episodes; None: whole episodes cannot be run.
     """
     if limit == 0:
         return NOT_ASKED
@@ -71,10 +71,10 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     return ""
 
 
-def attempts_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
+def trials_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
     """Return for each φ the episodes under whose draws the margins are computed, in the order of their numbers."""
     return [
-        [plan.episode(Mode.KAMIKAZE, index, attempt, phi) for attempt in range(plan.kamikaze_count)]
+        [plan.episode(Mode.KAMIKAZE, index, trial, phi) for trial in range(plan.kamikaze_count)]
         for index, phi in enumerate(rating.safe)
     ]
 
@@ -88,7 +88,7 @@ def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
 
 
 def exact_or_found(episode: Episode) -> LeastWay | None:
-    """Return the least way of an attempt of a known car, or the best one found if the exact search lacks memory."""
+    """Return the least way of a trial of a known car, or the best one found if the exact search lacks memory."""
     try:
         return exact_margin(episode)
     except UsageError:
@@ -141,7 +141,7 @@ def least_ways(
         AssessmentError: the car fails, or answers differently to the same trajectories.
     """
     first = episodes[0]
-    if foretold(first.car, first.scenario):
+    if has_exact_margin(first.car, first.scenario):
         return LeastWays(exact_margins(episodes, runner, progress))
     found = search_margins(episodes, logs, in_processes(runner, progress), _effort(IN_PROCESS, limit))
     hits, again = repeated(found, runner)
@@ -163,14 +163,14 @@ def _effort(usual: Effort, limit: int) -> Effort:
 def with_planned_hits(
     episodes: Sequence[Episode], ways: Sequence[LeastWay | None], logs: Mapping[int, Sequence[EpisodeLog]]
 ) -> tuple[list[LeastWay | None], int]:
-    """Return the ways, or better ones on which planned kamikazes were hit, and in how many attempts these were better.
+    """Return the ways, or better ones on which planned kamikazes were hit, and in how many trials these were better.
 
     A hit that happened counts, if it takes less than η_max. The search begins with these ways, so it finds none worse
     if the car always answers in the same way.
 
     Args:
-        episodes: the attempts.
-        ways: the least way that was found for each attempt.
+        episodes: the trials.
+        ways: the least way that was found for each trial.
         logs: what happened to kamikazes in them, by the id of their episode.
     """
     found, shorter = list(ways), 0
@@ -190,14 +190,14 @@ def with_planned_hits(
 
 
 def _without_noise(episode: Episode) -> Episode:
-    """Return an attempt in another simulator, whose car has nothing of the noise that SKD's own world draws."""
+    """Return a trial in another simulator, whose car has nothing of the noise that SKD's own world draws."""
     car = replace(episode.scenario.car, speed_noise=0.0, acceleration_noise=0.0)
     return replace(episode, scenario=replace(episode.scenario, car=car), public=episode.public_scenario)
 
 
-def _otherwise(plan: Plan, number: int, attempts: int) -> str:
+def _otherwise(plan: Plan, number: int, trials: int) -> str:
     return (
-        f"{NOT_CREDIBLE}in {number} of {attempts} attempts a planned kamikaze was hit on a way on which the search for "
+        f"{NOT_CREDIBLE}in {number} of {trials} trials a planned kamikaze was hit on a way on which the search for "
         f"the margin was not: {plan.controller} answers the search otherwise than an episode; these hits count"
     )
 
@@ -247,15 +247,15 @@ def with_margins(
     """
     begin = time.perf_counter()
     plan = rating.for_deviation.plan
-    per_phi = attempts_of(plan, rating)
+    per_phi = trials_of(plan, rating)
     walks = graph is not None and (plan.car.is_external or not is_own_world(plan.simulator))
     why = why_no_margin(plan, limit, per_phi[0][0] if walks else None)
     if not why and walks and 2 * len(rating.reasons) > rating.episodes:
         why = "most episodes were aborted, and so would be those that search it"
     if why:
         return replace(rating, margin_note=why)
-    if walks:  # each of its attempts takes many whole episodes
-        per_phi = [group[:WALKED_ATTEMPTS] for group in per_phi]
+    if walks:  # each of its trials takes many whole episodes
+        per_phi = [group[:WALKED_TRIALS] for group in per_phi]
     episodes = [episode for group in per_phi for episode in group]
     settings: dict[str, Any] = {}
     try:

@@ -1,6 +1,6 @@
-"""Margins of basic cars in the attempts of the car that is rated: the equivalent multiplier follows from them.
+"""Margins of basic cars in the trials of the car that is rated: the equivalent multiplier follows from them.
 
-A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of attempts, and so the
+A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of trials, and so the
 same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
 and the dynamics of the car that is rated: all cars have the same yardstick, and its margins are exact.
 
@@ -28,7 +28,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner
-from skd_evaluator.margin.actions import foretold, velocities
+from skd_evaluator.margin.actions import has_exact_margin, velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.margin_cache import MarginCache, margins_key, users_cache
 from skd_evaluator.metrics.equivalent_multiplier import (
@@ -46,7 +46,7 @@ _COARSE, _FINE = 5, 1  # hundredths between the C that are asked for: at first, 
 _PROBES = (25, 50, 75, 100, 115, 130, 150, 200)
 _FIRST = 3  # of the probes
 _MOST, _MOST_OF_ANY_PACE = 1000, 200
-"""Attempts in all in which a basic car is compared, where every step of φ is one of the adversary's, and elsewhere: the
+"""Trials in all in which a basic car is compared, where every step of φ is one of the adversary's, and elsewhere: the
 search for a margin has then some ten times as many places to look at."""
 _SAME_STEP = 1e-9  # m
 
@@ -65,7 +65,7 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
 def unknown_for(plan: Plan) -> str | None:
     """Return, in a few words, why no basic car's margin is exact in this encounter; None if it is."""
     basic = yardstick(plan, 1.0)
-    if foretold(basic.car, basic.scenario):
+    if has_exact_margin(basic.car, basic.scenario):
         return None
     if not basic.scenario.road.straight:
         return "on a road with curves"
@@ -78,16 +78,16 @@ def unknown_for(plan: Plan) -> str | None:
     return f"with adversary.kind {basic.scenario.adversary.kind}"
 
 
-def attempts_of(scenario: Scenario, safe: Sequence[Trajectory], attempts: int) -> int:
-    """Return how many attempts on each φ, from number 0 on, basic cars are compared in.
+def trials_of(scenario: Scenario, safe: Sequence[Trajectory], trials: int) -> int:
+    """Return how many trials on each φ, from number 0 on, basic cars are compared in.
 
     Args:
         scenario: the scenario of the test.
         safe: the safe trajectories Φ.
-        attempts: how many attempts the car has on each φ.
+        trials: how many trials the car has on each φ.
     """
     most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
-    return min(attempts, math.ceil(most / len(safe)))
+    return min(trials, math.ceil(most / len(safe)))
 
 
 def _steps_are_ways(scenario: Scenario, phi: Trajectory) -> bool:
@@ -99,7 +99,7 @@ def _steps_are_ways(scenario: Scenario, phi: Trajectory) -> bool:
 
 
 def margin_of(episode: Episode) -> float:
-    """Return the margin of an attempt of a basic car, at most η_max, m; nan where its search has no room."""
+    """Return the margin of a trial of a basic car, at most η_max, m; nan where its search has no room."""
     eta_max = episode.scenario.eta_max
     try:
         found = exact_margin(episode)
@@ -110,12 +110,12 @@ def margin_of(episode: Episode) -> float:
 
 @dataclass(frozen=True, eq=False)
 class BasicMargins:
-    """Margins of basic cars in the attempts of a plan, computed where they are missing and kept.
+    """Margins of basic cars in the trials of a plan, computed where they are missing and kept.
 
     Attributes:
         plan: the plan of the assessment of the car that is rated.
         safe: the safe trajectories Φ.
-        attempts: how many attempts there are on each φ, from number 0 on.
+        trials: how many trials there are on each φ, from number 0 on.
         runner: computes the margins, in several processes.
         progress: called with how far the work is.
         cache: folder in which margins are kept.
@@ -123,29 +123,29 @@ class BasicMargins:
 
     plan: Plan
     safe: Sequence[Trajectory]
-    attempts: int
+    trials: int
     runner: ExecutorRunner
     progress: Progress
     cache: MarginCache
 
     def at(self, hundredths: int) -> list[FloatArray]:
-        """Return, per φ, the margin of attempts 0, 1, … of the basic car with C = `hundredths`/100, m."""
+        """Return, per φ, the margin of trials 0, 1, … of the basic car with C = `hundredths`/100, m."""
         multiplier = hundredths / 100
         plan = yardstick(self.plan, multiplier)
-        key = margins_key(plan.scenario, self.safe, plan.seed, self.attempts, multiplier)
-        known = self.cache.load(key, len(self.safe), self.attempts, plan.scenario.eta_max)
+        key = margins_key(plan.scenario, self.safe, plan.seed, self.trials, multiplier)
+        known = self.cache.load(key, len(self.safe), self.trials, plan.scenario.eta_max)
         if known is not None:
             return known
         episodes = [
-            plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+            plan.episode(Mode.KAMIKAZE, index, trial, phi)
             for index, phi in enumerate(self.safe)
-            for attempt in range(self.attempts)
+            for trial in range(self.trials)
         ]
         found = np.empty(len(episodes))
         for number, margin in enumerate(self.runner.map(margin_of, episodes)):
             found[number] = margin
             self.progress(f"{LABEL}, C = {multiplier:g}", number + 1, len(episodes))
-        margins = list(found.reshape(len(self.safe), self.attempts))
+        margins = list(found.reshape(len(self.safe), self.trials))
         self.cache.save(key, margins)
         return margins
 
@@ -163,8 +163,8 @@ def equivalent_of(
     Args:
         plan: the plan of the car's assessment.
         safe: Φ, as the car's episodes have it.
-        margins_per_phi: for each φ the margins of attempts 0, 1, …, m; a margin above η_max counts as η_max; nan: the
-            attempt was aborted.
+        margins_per_phi: for each φ the margins of trials 0, 1, …, m; a margin above η_max counts as η_max; nan: the
+            trial was aborted.
         runner: computes margins of basic cars, in several processes.
         progress: called with how far the work is.
         cache: folder in which margins of basic cars are kept; by default in the user's cache.
@@ -176,14 +176,14 @@ def equivalent_of(
         raise ValueError(f"there are margins of {len(margins_per_phi)} φ and {len(safe)} φ")
     car = [np.minimum(np.asarray(one, dtype=np.float64), plan.scenario.eta_max) for one in margins_per_phi]
     if not any(np.isfinite(one).any() for one in car):
-        return None, "no attempt has a margin"
+        return None, "no trial has a margin"
     if where := unknown_for(plan):
         return None, f"the margin of the basic car is not known {where}"
-    attempts = max(len(one) for one in car)
-    used = attempts_of(plan.scenario, safe, attempts)
+    trials = max(len(one) for one in car)
+    used = trials_of(plan.scenario, safe, trials)
     car = [one[:used] for one in car]
     if not any(np.isfinite(one).any() for one in car):
-        return None, f"none of the first {used} attempts on each φ has a margin"
+        return None, f"none of the first {used} trials on each φ has a margin"
     basic = BasicMargins(plan, safe, used, runner, progress, users_cache() if cache is None else cache)
     asked: dict[int, list[FloatArray]] = {}
     differences: dict[int, Difference] = {}
@@ -203,8 +203,8 @@ def equivalent_of(
         return None, "the search for the margins of basic cars has no room"
     found = equivalent_multiplier(car, {one / 100: margins for one, margins in asked.items()})
     low, high = min(asked) / 100, max(asked) / 100
-    note = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same attempts"
-    return found, note + (f" (the first {used} of {attempts} on each φ)" if used < attempts else "")
+    note = f"read off {len(asked)} basic cars, C = {low:g} to {high:g}, in the same trials"
+    return found, note + (f" (the first {used} of {trials} on each φ)" if used < trials else "")
 
 
 class _NothingInCommonError(Exception):
@@ -231,11 +231,11 @@ def search(compared: Callable[[int], Difference], guess: int | None = None) -> N
 
     def surely_more(hundredths: int) -> bool:
         one = compared(hundredths)
-        return all(interval[0] > 0.0 for interval in (one.ci95, one.ci95_attempts) if interval) and one.mean > 0.0
+        return all(interval[0] > 0.0 for interval in (one.ci95, one.ci95_trials) if interval) and one.mean > 0.0
 
     def perhaps_more(hundredths: int) -> bool:
         one = compared(hundredths)
-        return any(interval[1] >= 0.0 for interval in (one.ci95, one.ci95_attempts) if interval) or one.mean >= 0.0
+        return any(interval[1] >= 0.0 for interval in (one.ci95, one.ci95_trials) if interval) or one.mean >= 0.0
 
     probes = _PROBES if guess is None else _around(guess)
     step = _FIRST if guess is None else probes.index(guess)

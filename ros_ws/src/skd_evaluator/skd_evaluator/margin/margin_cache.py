@@ -1,4 +1,4 @@
-"""Margins of basic cars that were found before, in the user's cache: one small JSON file for a car and its attempts.
+"""Margins of basic cars that were found before, in the user's cache: one small JSON file for a car and its trials.
 
 A file is named for all that its numbers depend on, written under another name and then renamed, and used only if its
 checksum, its shape and the range of its numbers are right; otherwise the margins are computed anew.
@@ -24,19 +24,19 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import Trajectory
 
 DEFINITION = 2
-"""Of the margin of an attempt: one more whenever what `exact_margin` gives for the same episode changes."""
+"""Of the margin of a trial: one more whenever what `exact_margin` gives for the same episode changes."""
 VARIABLE = "SKD_CACHE_DIR"
 _FOLDER = "margins"
 
 
-def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, attempts: int, multiplier: float) -> str:
+def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, trials: int, multiplier: float) -> str:
     """Return the SHA-256 of all that the margins of a basic car depend on, in hexadecimal digits.
 
     Args:
         scenario: the scenario in which the basic car drives.
         safe: Φ, in the order of their numbers.
         seed: seed of the campaign.
-        attempts: how many attempts there are on each φ.
+        trials: how many trials there are on each φ.
         multiplier: C of the basic car.
     """
     described = {name: value for name, value in scenario.as_dict().items() if name not in ("name", "description")}
@@ -52,7 +52,7 @@ def margins_key(scenario: Scenario, safe: Sequence[Trajectory], seed: int, attem
             for one in safe
         ],
         "seed": seed,
-        "attempts": attempts,
+        "trials": trials,
         "multiplier": multiplier,
     }
     return _digest(about)
@@ -65,7 +65,7 @@ class MarginCache:
         """Keep margins in a folder, or with None nowhere."""
         self._folder = folder
 
-    def load(self, key: str, safe_count: int, attempts: int, eta_max: float) -> list[FloatArray] | None:
+    def load(self, key: str, safe_count: int, trials: int, eta_max: float) -> list[FloatArray] | None:
         """Return the margins kept under a key, m, per φ; None where there are none that can be believed."""
         if self._folder is None:
             return None
@@ -78,7 +78,7 @@ class MarginCache:
             found = np.array(margins, dtype=np.float64)  # null is nan
         except (UsageError, OSError, ValueError, KeyError, TypeError):
             return None
-        fits = found.shape == (safe_count, attempts) and bool(
+        fits = found.shape == (safe_count, trials) and bool(
             ((found >= 0.0) & (found <= eta_max) | np.isnan(found)).all()
         )
         return list(found) if fits else None

@@ -1,4 +1,4 @@
-"""The reference sweep of an encounter: the margins of basic cars of several C, in the same attempts.
+"""The reference sweep of an encounter: the margins of basic cars of several C, in the same trials.
 
 Where these are exact the equivalent multiplier needs none of it (`basic_margins.py`). Elsewhere they are searched for,
 as that of the car under test is: both are upper bounds, found by the same search. The basic cars are the paper's, which
@@ -34,7 +34,7 @@ class Asked:
 
     Attributes:
         name: of the encounter, or the folder of the assessment.
-        plan: of the attempts; its `kamikaze_count` is how many there are on each φ.
+        plan: of the trials; its `kamikaze_count` is how many there are on each φ.
         safe: Φ.
         result: the assessment whose car is compared with them; None: no car is.
     """
@@ -46,7 +46,7 @@ class Asked:
 
 
 def asked_of_result(result: StoredResult) -> Asked:
-    """Return the attempts in which an assessment has margins.
+    """Return the trials in which an assessment has margins.
 
     Raises:
         UsageError: it has none.
@@ -78,9 +78,9 @@ def reference_sweep(
         plan = yardstick(asked.plan, multiplier)
         count = plan.kamikaze_count
         episodes = [
-            plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+            plan.episode(Mode.KAMIKAZE, index, trial, phi)
             for index, phi in enumerate(asked.safe)
-            for attempt in range(count)
+            for trial in range(count)
         ]
 
         def told(_label: str, done: int, total: int, multiplier: float = multiplier) -> None:

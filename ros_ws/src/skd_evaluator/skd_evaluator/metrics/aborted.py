@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
 
 _TOTAL: Final = "episodes"
-_ALONG: Final = ("collision_rate", "hit_rate")
+_ALONG: Final = ("contact_rate", "nominal_collision_rate")
 _SHARES: Final = ("success_rate", "kamikaze_success_rate", "deviation_success_rate")
 _OF_RANKING: Final = ("deviation", "deviation_of_successes", "deviation_success_rate")
 
@@ -73,17 +73,17 @@ def lost_in(figures: Figures) -> list[Lost]:
     for name, one in (figures.get("objectives") or {}).items():
         key, label = ("deviation", "the planned deviation") if one.get("plans_deviation") else ("skd", "SKD")
         what, lost, figure = f"kamikazes of objective {name}", one.get("aborted", 0), f"objectives.{name}.{key}"
-        found.append(Lost(what, lost, one.get("attempts", 0) + lost, figure, label))
+        found.append(Lost(what, lost, one.get("trials", 0) + lost, figure, label))
     along = _lost_along(figures)
     runs = figures.get("collision_runs", 0) + along
-    found.append(Lost("runs along φ", along, runs, "collision_rate", "the collision rate"))
+    found.append(Lost("runs along φ", along, runs, "contact_rate", "the contact rate"))
     for number, one in enumerate(_scales(figures)):
         every, label = one["runs"] + one["aborted"], f"R({one['scale']:g})"
         found.append(Lost(_crossings(one), one["aborted"], every, f"risk.scales.{number}.value", label, True))
     for number, one in enumerate(_budgets(figures)):
         lost = one["aborted"]
         name, label = f"vulnerability_curve.budgets.{number}.probability", "the share of these that are hit"
-        found.append(Lost(_held(one), lost, one["attempts"] + lost, name, label, True))
+        found.append(Lost(_held(one), lost, one["trials"] + lost, name, label, True))
     tests = figures.get("static_tests") or ()
     found.append(Lost("static tests", sum(bool(one["aborted"]) for one in tests), len(tests)))  # each says so itself
     return [one for one in found if one.aborted]
@@ -126,7 +126,7 @@ def too_many_aborted(figures: Figures, maximum: float) -> str | None:
         maximum: share of the episodes that may be aborted.
     """
     parts = [one for one in lost_in(figures) if one.figure]
-    rated = [figures["collision_runs"], *(one["attempts"] for one in figures["objectives"].values())]
+    rated = [figures["collision_runs"], *(one["trials"] for one in figures["objectives"].values())]
     total = Lost(_TOTAL, figures["aborted"], sum(rated) + figures["aborted"])
     over = [one for one in (total, *parts) if one.are_too_many(maximum)]
     if not over:
@@ -175,26 +175,24 @@ def _counts(figures: Figures, words: Sequence[str]) -> _Counts | None:
     match words:
         case [key] if key in _ALONG:
             return _Counts(figures.get("collision_runs", 0), _lost_along(figures), "runs along φ", True)
-        case ["per_safe_trajectory", number, "collision_rate"]:  # nobody says on which φ they were aborted
+        case ["per_safe_trajectory", number, "contact_rate"]:  # nobody says on which φ they were aborted
             runs = _entry(figures, "per_safe_trajectory", number).get("collision_runs", 0)
             return _Counts(runs, _lost_along(figures), "runs along φ", True)
         case ["per_safe_trajectory", number, key]:
             return _counts(figures, ["objectives", _objective(figures, key), "per_safe_trajectory", number, key])
         case ["objectives", name, "per_safe_trajectory", number, key]:
             row = _entry(figures, "objectives", name, "per_safe_trajectory", number)
-            return _of_kamikazes(row, row.get("attempts", 0) - row.get("aborted", 0), key)
+            return _of_kamikazes(row, row.get("trials", 0) - row.get("aborted", 0), key)
         case ["objectives", name, key]:
             one = _entry(figures, "objectives", name)
-            return _of_kamikazes(one, one.get("attempts", 0), key)
+            return _of_kamikazes(one, one.get("trials", 0), key)
         case ["risk", "scales", number, "value"]:
             return _of_crossings(_entry(figures, "risk", "scales", number))
         case [key] if key.startswith("risk_"):
             return next((_of_crossings(one) for one in _scales(figures) if f"risk_{one['scale']:g}" == key), None)
         case ["vulnerability_curve", "budgets", number, "probability"]:
             one = _entry(figures, "vulnerability_curve", "budgets", number)
-            return _Counts(
-                one.get("attempts", 0), one.get("aborted", 0), f"kamikazes held to η = {one['eta']:g} m", True
-            )
+            return _Counts(one.get("trials", 0), one.get("aborted", 0), f"kamikazes held to η = {one['eta']:g} m", True)
         case ["vulnerability_curve", "kamikazes", "points", _, "probability"]:
             return _counts(figures, ["deviation_success_rate"])
         case ["vulnerability_curve", "kamikazes", "area_above"]:
@@ -204,11 +202,11 @@ def _counts(figures: Figures, words: Sequence[str]) -> _Counts | None:
     return None
 
 
-def _of_kamikazes(entry: Figures, attempts: int, key: str) -> _Counts | None:
+def _of_kamikazes(entry: Figures, trials: int, key: str) -> _Counts | None:
     """Return the same of a figure of kamikazes, from an entry that has their counts."""
     counts = {
-        **dict.fromkeys(("deviation", *_SHARES), attempts),
-        "deviation_of_successes": attempts - entry.get("failed", 0),
+        **dict.fromkeys(("deviation", *_SHARES), trials),
+        "deviation_of_successes": trials - entry.get("failed", 0),
         **dict.fromkeys(("skd", "skd_prefix"), entry.get("pairs", 0)),
     }
     return _Counts(counts[key], entry.get("aborted", 0), "kamikazes", key in _SHARES) if key in counts else None

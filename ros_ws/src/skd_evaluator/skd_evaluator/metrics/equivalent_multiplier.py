@@ -1,14 +1,14 @@
 """The equivalent multiplier: the C of the basic car that has the same margin on the same safe trajectories.
 
-The margin of the basic car rises with C. It is compared attempt by attempt, car less basic car: an attempt is one φ and
+The margin of the basic car rises with C. It is compared trial by trial, car less basic car: a trial is one φ and
 one set of draws, which both cars share, so most of the chance cancels. The mean difference falls as C rises, except for
-chance; so it is made monotone (isotonic regression, weighted by attempts: Barlow et al. 1972), joined by straight
+chance; so it is made monotone (isotonic regression, weighted by trials: Barlow et al. 1972), joined by straight
 lines, and C is where it passes 0.
 
 The interval holds every C at which the difference is not told apart from 0: the test is inverted, as in Fieller's
 interval for a ratio (Fieller, Journal of the Royal Statistical Society B 16, 1954). The test is that of two cars on the
 same φ, Student's with the cluster-robust error over φ (`clustered_mean`). So it speaks of all φ of this kind, and the
-second one, which takes φ as given and draws attempts only, of these φ.
+second one, which takes φ as given and draws trials only, of these φ.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class EquivalentMultiplier:
     Attributes:
         value: C; minus or plus infinity below or above `lowest` or `highest`.
         ci95: 95 % interval by φ: what other φ of this kind might have said; an end beyond is infinite. None with one φ.
-        ci95_attempts: 95 % interval for these φ, over the draws of their attempts; None where no φ has two.
+        ci95_trials: 95 % interval for these φ, over the draws of their trials; None where no φ has two.
         lowest: the multiplier of which `below` is said.
         highest: the multiplier of which `above` is said.
     """
 
     value: float
     ci95: Interval | None
-    ci95_attempts: Interval | None
+    ci95_trials: Interval | None
     lowest: float
     highest: float
 
@@ -67,7 +67,7 @@ def equivalent_entries(found: EquivalentMultiplier | None) -> dict[str, Any]:
         ends = ("", "_text", "_ci95", "_ci95_these_phi", "_ci95_text", "_ci95_these_phi_text")
         return dict.fromkeys(f"{name}{end}" for end in ends)
     entries: dict[str, Any] = {name: _finite(found.value), f"{name}_text": found.text}
-    for key, interval in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_attempts)):
+    for key, interval in (("ci95", found.ci95), ("ci95_these_phi", found.ci95_trials)):
         entries[f"{name}_{key}"] = interval and [_finite(end) for end in interval]
         entries[f"{name}_{key}_text"] = interval and found.interval_text(interval)
     return entries
@@ -82,28 +82,28 @@ class Difference:
     """How much more margin a car has than the basic car of one C.
 
     Attributes:
-        mean: mean difference over all attempts, m.
+        mean: mean difference over all trials, m.
         ci95: 95 % interval by φ, m; None with fewer than two φ.
-        ci95_attempts: 95 % interval over the attempts of these φ, m; None where no φ has two.
-        attempts: how many attempts both cars have.
+        ci95_trials: 95 % interval over the trials of these φ, m; None where no φ has two.
+        trials: how many trials both cars have.
     """
 
     mean: float
     ci95: Interval | None
-    ci95_attempts: Interval | None
-    attempts: int
+    ci95_trials: Interval | None
+    trials: int
 
 
 def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> Difference | None:
-    """Return the difference of two cars' margins, by attempts that both have.
+    """Return the difference of two cars' margins, by trials that both have.
 
     Args:
-        car: for each φ the margins of the car's attempts, in the order of their numbers, m; nan: the attempt says
+        car: for each φ the margins of the car's trials, in the order of their numbers, m; nan: the trial says
             nothing.
-        basic: the same for the basic car; it may have fewer attempts.
+        basic: the same for the basic car; it may have fewer trials.
 
     Returns:
-        None without an attempt in common.
+        None without a trial in common.
 
     Raises:
         ValueError: they are not of equally many φ.
@@ -123,14 +123,14 @@ def difference(car: Sequence[npt.ArrayLike], basic: Sequence[npt.ArrayLike]) -> 
 
 
 def _within(groups: Sequence[FloatArray]) -> Interval | None:
-    """Return the interval of the mean over all values for these φ: only the attempts on each are taken as a sample."""
+    """Return the interval of the mean over all values for these φ: only the trials on each are taken as a sample."""
     filled = [one for one in groups if one.size]
     total, spread = sum(one.size for one in filled), [one for one in filled if one.size > 1]
     if not spread:
         return None
     freedom = sum(one.size - 1 for one in spread)
     variances = [math.fsum((one - mean(one)) ** 2) / (one.size - 1) for one in spread]
-    typical = math.fsum(variances) / len(variances)  # of a φ with a single attempt
+    typical = math.fsum(variances) / len(variances)  # of a φ with a single trial
     known = math.fsum(variance * one.size for variance, one in zip(variances, spread, strict=True))
     error = math.sqrt(known + typical * (len(filled) - len(spread))) / total
     reach, centre = float(scipy.special.stdtrit(freedom, 0.975)) * error, mean(np.concatenate(filled))
@@ -143,12 +143,12 @@ def equivalent_multiplier(
     """Return the multiplier of the basic car that has the margin of a car on these φ.
 
     Args:
-        car: for each φ the margins of the car's attempts, in the order of their numbers, m, at most η_max; nan: the
-            attempt says nothing, because it was aborted, say.
-        basic: for at least two C the margins of the basic car in the same attempts; it may have fewer of them.
+        car: for each φ the margins of the car's trials, in the order of their numbers, m, at most η_max; nan: the
+            trial says nothing, because it was aborted, say.
+        basic: for at least two C the margins of the basic car in the same trials; it may have fewer of them.
 
     Raises:
-        ValueError: fewer than two C, or one without an attempt in common with the car.
+        ValueError: fewer than two C, or one without a trial in common with the car.
     """
     grid = np.array(sorted(basic))
     if grid.size < 2:
@@ -157,9 +157,9 @@ def equivalent_multiplier(
     for multiplier in grid.tolist():
         one = difference(car, basic[multiplier])
         if one is None:
-            raise ValueError(f"the basic car with C = {multiplier:g} has no attempt in common with the car")
+            raise ValueError(f"the basic car with C = {multiplier:g} has no trial in common with the car")
         found.append(one)
-    counts = np.array([one.attempts for one in found], dtype=np.float64)
+    counts = np.array([one.trials for one in found], dtype=np.float64)
     rising = -np.array([one.mean for one in found])
     value = _root(grid, isotonic_means((rising * counts)[None], counts[None])[0])
     lowest, highest = float(grid[0]), float(grid[-1])
@@ -171,7 +171,7 @@ def equivalent_multiplier(
     return EquivalentMultiplier(
         value,
         _inverted(grid, [one.ci95 for one in found], value),
-        _inverted(grid, [one.ci95_attempts for one in found], value),
+        _inverted(grid, [one.ci95_trials for one in found], value),
         lowest,
         highest,
     )

@@ -1,9 +1,9 @@
-"""The margin of a car and what is reported with it, from the margins of its attempts.
+"""The margin of a car and what is reported with it, from the margins of its trials.
 
-The margin of an attempt is the least deviation with which anybody could have been hit by the moving car; an attempt
-in which nobody could within η_max counts as η_max. Their mean over all attempts is the margin of the car: the
+The margin of a trial is the least deviation with which anybody could have been hit by the moving car; a trial
+in which nobody could within η_max counts as η_max. Their mean over all trials is the margin of the car: the
 restricted mean, as that of the planned deviation (`mean_deviation`), and the area above the curve of P(η), the
-share of attempts whose margin is at most η.
+share of trials whose margin is at most η.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class MarginFigures:
     """The margin of a car.
 
     Attributes:
-        groups: for each φ the margins of the attempts that were not aborted, m, in [0, η_max].
+        groups: for each φ the margins of the trials that were not aborted, m, in [0, η_max].
         clustered: their mean, m, with what is known of its error over φ.
         curve: the vulnerability curve.
-        eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
-        aborted: number of attempts that were aborted.
+        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
+        aborted: number of trials that were aborted.
     """
 
     groups: tuple[FloatArray, ...]
@@ -44,12 +44,12 @@ class MarginFigures:
 
     @property
     def margin(self) -> float:
-        """Mean over all attempts, m."""
+        """Mean over all trials, m."""
         return self.clustered.value
 
     @property
     def ci95(self) -> Interval | None:
-        """Its interval by φ, m: of the mean over all φ of this kind; None below two φ with attempts."""
+        """Its interval by φ, m: of the mean over all φ of this kind; None below two φ with trials."""
         return self.clustered.interval
 
 
@@ -59,13 +59,13 @@ def margin_figures(
     """Return the margin of a car.
 
     Args:
-        groups: for each φ the margin of each attempt, m, in [0, η_max]; infinity where nobody could be hit; nan:
+        groups: for each φ the margin of each trial, m, in [0, η_max]; infinity where nobody could be hit; nan:
             aborted.
         eta_max: η_max, m, > 0.
         confidence: confidence of the interval by φ.
 
     Returns:
-        None without an attempt that counts.
+        None without a trial that counts.
 
     Raises:
         ValueError: a margin is negative, or finite and above η_max, or η_max is not positive and finite.

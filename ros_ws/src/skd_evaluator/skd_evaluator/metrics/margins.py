@@ -1,8 +1,8 @@
 """The margin of a car: the least deviation with which anybody could have been hit by the moving car, on average.
 
-Each attempt, a safe trajectory φ and one set of draws, has a least deviation of its own. It is clairvoyant: who walks
+Each trial, a safe trajectory φ and one set of draws, has a least deviation of its own. It is clairvoyant: who walks
 that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often somebody
-is hit. An attempt in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`).
+is hit. A trial in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from skd_evaluator.metrics.statistics.clustered import Clustered
 from skd_evaluator.metrics.statistics.statistics import Interval, mean, ratio_interval
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve
 
-CLOSENESS_WARNING = 1.5
-"""Closeness above which the planned figures say more about the adversary than about the car."""
+GAP_WARNING = 1.5
+"""Optimality gap above which the planned figures say more about the adversary than about the car."""
 UPPER_BOUNDS = ("margin", "margin_p10", "equivalent_multiplier")
 """Figures that are greater where the search stops too early: upper bounds until it has converged."""
 CONVERGED_WITHIN = 0.025
@@ -49,12 +49,12 @@ class Excess:
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """The least ways of all attempts, and what is reported of them.
+    """The least ways of all trials, and what is reported of them.
 
     Attributes:
-        ways: for each φ the least way of each attempt, in the order of their numbers; None: nobody can be hit within
+        ways: for each φ the least way of each trial, in the order of their numbers; None: nobody can be hit within
             η_max, or no such way was found.
-        eta_max: η_max, m: what an attempt counts as in which nobody can be hit.
+        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
         budget: candidates that the search drove in a trial; None: the margins are exact.
         converged: whether the mean may be taken for the margin, see `skd_evaluator.margin.search.search`; else it is an
             upper bound. Exact ones are.
@@ -73,7 +73,7 @@ class Margins:
 
     @cached_property
     def per_phi(self) -> tuple[FloatArray, ...]:
-        """Margin of each attempt, per φ, m; η_max where nobody can be hit within it."""
+        """Margin of each trial, per φ, m; η_max where nobody can be hit within it."""
         return tuple(
             np.array([self.eta_max if way is None else min(way.distance, self.eta_max) for way in ways])
             for ways in self.ways
@@ -81,7 +81,7 @@ class Margins:
 
     @property
     def values(self) -> FloatArray:
-        """Margin of every attempt, φ by φ, m."""
+        """Margin of every trial, φ by φ, m."""
         return np.concatenate([np.empty(0), *self.per_phi])
 
     @property
@@ -133,7 +133,7 @@ class Margins:
 
     @property
     def beyond(self) -> int:
-        """Attempts in which nobody is hit within η_max, as far as was found."""
+        """Trials in which nobody is hit within η_max, as far as was found."""
         return sum(way is None for ways in self.ways for way in ways)
 
     def figures(self) -> dict[str, Any]:
@@ -147,7 +147,7 @@ class Margins:
             "margin_budget": self.budget,
             "margin_excess": None if self.excess is None else asdict(self.excess),
             "margin_gap": self.gap,
-            "margin_attempts": int(self.values.size),
+            "margin_trials": int(self.values.size),
             "margin_beyond": self.beyond,
             "margin_how": self.how,
             "impact_speed": impact_figures(speeds),
@@ -173,19 +173,19 @@ def impact_figures(speeds: FloatArray) -> dict[str, float] | None:
     return {"mean": mean(speeds), "p90": float(np.quantile(speeds, 0.9))}
 
 
-def closeness(
+def optimality_gap(
     planned: Sequence[FloatArray], margins: Sequence[FloatArray], confidence: float = 0.95
 ) -> tuple[float | None, Interval | None]:
-    """Return how many times the margin planned kamikazes needed, in the same attempts, and its interval.
+    """Return how many times the margin planned kamikazes needed, in the same trials, and its interval.
 
     Args:
-        planned: for each φ, what each attempt of the kamikazes counts as, m (η_max if it failed); nan: it does not
+        planned: for each φ, what each trial of the kamikazes counts as, m (η_max if it failed); nan: it does not
             count.
-        margins: for each φ, the margins of the same attempts, m.
-        confidence: confidence of the interval, which is over φ (ratio estimator), or over attempts if there is one φ.
+        margins: for each φ, the margins of the same trials, m.
+        confidence: confidence of the interval, which is over φ (ratio estimator), or over trials if there is one φ.
 
     Returns:
-        The ratio of the means and its interval; None where the margin is 0, or no attempt counts.
+        The ratio of the means and its interval; None where the margin is 0, or no trial counts.
 
     Raises:
         ValueError: the lists do not go together.

@@ -1,9 +1,9 @@
-"""The mean deviation of a car: what a kamikaze needed, over all attempts, those that failed included.
+"""The mean deviation of a car: what a kamikaze needed, over all trials, those that failed included.
 
 A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
-the lucky attempts would count. So an attempt that fails counts as η_max, and so does one that needed more. That is the
+the lucky trials would count. So a trial that fails counts as η_max, and so does one that needed more. That is the
 restricted mean of survival analysis (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013), with the
-deviation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of attempts that hit the car
+deviation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of trials that hit the car
 within a deviation of η.
 """
 
@@ -24,14 +24,14 @@ from skd_evaluator.metrics.statistics.statistics import Interval, mean, normal_i
 
 
 @dataclass(frozen=True, eq=False)
-class Attempts:
-    """The attempts on one φ.
+class Trials:
+    """The trials on one φ.
 
     Attributes:
         phi: the safe trajectory φ.
-        psis: the trajectories ψ of the attempts that collided, each up to its contact.
+        psis: the trajectories ψ of the trials that collided, each up to its contact.
         durations: times of the contacts, in ticks since the start, one for each ψ.
-        failed: number of attempts that ran to their end and did not collide.
+        failed: number of trials that ran to their end and did not collide.
         measured: deviation of each ψ, m, where it is known already.
     """
 
@@ -50,13 +50,13 @@ class Attempts:
 
 @dataclass(frozen=True, eq=False)
 class SafeTrajectoryDeviation:
-    """What the attempts on one φ needed.
+    """What the trials on one φ needed.
 
     Attributes:
         name: name of φ.
-        distances: deviation of each attempt that collided, in the order of the ψ given, m.
-        failed: number of attempts that did not collide.
-        eta_max: η_max, m: what an attempt counts as that failed.
+        distances: deviation of each trial that collided, in the order of the ψ given, m.
+        failed: number of trials that did not collide.
+        eta_max: η_max, m: what a trial counts as that failed.
     """
 
     name: str
@@ -65,23 +65,23 @@ class SafeTrajectoryDeviation:
     eta_max: float
 
     @property
-    def attempts(self) -> int:
-        """Number of attempts."""
+    def trials(self) -> int:
+        """Number of trials."""
         return int(self.distances.size) + self.failed
 
     @property
     def restricted(self) -> FloatArray:
-        """What each attempt counts as, those that collided first, m."""
+        """What each trial counts as, those that collided first, m."""
         return np.concatenate([np.minimum(self.distances, self.eta_max), np.full(self.failed, self.eta_max)])
 
     @property
     def mean(self) -> float | None:
-        """Restricted mean, m; None without an attempt."""
-        return mean(self.restricted) if self.attempts else None
+        """Restricted mean, m; None without a trial."""
+        return mean(self.restricted) if self.trials else None
 
     @property
     def mean_of_successes(self) -> float | None:
-        """Mean over the attempts that collided, m; None where none did."""
+        """Mean over the trials that collided, m; None where none did."""
         return mean(self.distances) if self.distances.size else None
 
 
@@ -90,12 +90,12 @@ class MeanDeviation:
     """The mean deviation and what is reported with it. What cannot be computed is None.
 
     Attributes:
-        mean: restricted mean over all attempts, m; None without an attempt.
-        ci95: normal 95 % interval over attempts, m; None with fewer than two.
-        clustered: the same mean with what its error over φ is, m; None without an attempt.
-        of_successes: mean over the attempts that collided, m.
+        mean: restricted mean over all trials, m; None without a trial.
+        ci95: normal 95 % interval over trials, m; None with fewer than two.
+        clustered: the same mean with what its error over φ is, m; None without a trial.
+        of_successes: mean over the trials that collided, m.
         of_successes_ci95: normal 95 % interval of the mean over successes, m.
-        eta_max: η_max, m: what an attempt counts as that failed.
+        eta_max: η_max, m: what a trial counts as that failed.
         per_safe_trajectory: one entry for each φ, in the order given.
     """
 
@@ -109,37 +109,37 @@ class MeanDeviation:
 
     @property
     def ci95_clustered(self) -> Interval | None:
-        """Interval of the mean over φ, m; None where fewer than two φ have attempts."""
+        """Interval of the mean over φ, m; None where fewer than two φ have trials."""
         return self.clustered.interval if self.clustered else None
 
     @property
     def distances(self) -> FloatArray:
-        """Deviation of every attempt that collided, φ by φ, m."""
+        """Deviation of every trial that collided, φ by φ, m."""
         return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
 
     @property
     def restricted(self) -> FloatArray:
-        """What every attempt counts as, φ by φ, m."""
+        """What every trial counts as, φ by φ, m."""
         return np.concatenate([np.empty(0), *(entry.restricted for entry in self.per_safe_trajectory)])
 
     @property
-    def attempts(self) -> int:
-        """Number of attempts."""
-        return sum(entry.attempts for entry in self.per_safe_trajectory)
+    def trials(self) -> int:
+        """Number of trials."""
+        return sum(entry.trials for entry in self.per_safe_trajectory)
 
 
 def mean_deviation(
-    attempts_by_phi: Iterable[Attempts],
+    trials_by_phi: Iterable[Trials],
     *,
     eta_max: float,
     confidence: float = 0.95,
 ) -> MeanDeviation:
-    """Compute the mean deviation of attempts on safe trajectories.
+    """Compute the mean deviation of trials on safe trajectories.
 
     Args:
-        attempts_by_phi: the attempts on each φ.
+        trials_by_phi: the trials on each φ.
         eta_max: η_max, m, > 0.
-        confidence: confidence of the interval over φ; intervals over attempts have 95 %.
+        confidence: confidence of the interval over φ; intervals over trials have 95 %.
 
     Raises:
         ValueError: η_max is not positive; or as `deviation_pairs`.
@@ -153,7 +153,7 @@ def mean_deviation(
             one.failed,
             eta_max,
         )
-        for one in attempts_by_phi
+        for one in trials_by_phi
     )
     groups = [entry.restricted for entry in entries]
     counting = np.concatenate([np.empty(0), *groups])

@@ -77,7 +77,7 @@ class Style:
         return self._around(figure, result, CI95 if figure.by_phi else "")
 
     def independent(self, figure: Figure, result: Mapping[str, Any]) -> str:
-        """Return a figure's interval that takes attempts, pairs or runs as independent."""
+        """Return a figure's interval that takes trials, pairs or runs as independent."""
         return self._around(figure, result, THESE_PHI if figure.spoken else figure.independent)
 
     def _around(self, figure: Figure, result: Mapping[str, Any], end: str) -> str:

@@ -48,7 +48,7 @@ def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
     return f", {pairs[0]} pairs a C" if len(pairs) == 1 else f", {pairs[0]} to {pairs[-1]} pairs a C"
 
 
-_INDEPENDENT = {"deviation": "attempts", "collision_rate": "runs", "skd": "pairs"}
+_INDEPENDENT = {"deviation": "trials", "contact_rate": "runs", "skd": "pairs"}
 
 
 def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str | None:
@@ -61,7 +61,7 @@ def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str | None:
 
 def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title: str, independent: str) -> None:
     """Draw a figure against C with its intervals, and say of what these are."""
-    scale = 100.0 if value == "collision_rate" else 1.0
+    scale = 100.0 if value == "contact_rate" else 1.0
     interval = _interval_of(rows, value)
     for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
         mine = [row for row in rows if row["kind"] == kind and row[value] is not None]
@@ -82,14 +82,14 @@ def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title
 
 
 def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Save margin, planned deviation, SKD and collision rate against C; the paper's figure has the last two."""
+    """Save margin, planned deviation, SKD and contact rate against C; the paper's figure has the last two."""
     figure = Figure(figsize=(PAGE, 6.4), layout="constrained")
     panels = figure.subplots(2, 2).ravel()
     shown = (
         ("margin", "(a) Margin", "", "margin (m)"),
-        ("deviation", "(b) Planned deviation", "over attempts", "planned deviation (m)"),
+        ("deviation", "(b) Planned deviation", "over trials", "planned deviation (m)"),
         ("skd", "(c) SKD", "over pairs", "SKD (m)"),
-        ("collision_rate", "(d) Collision rate", "over runs (Wilson)", "collisions along φ, any touch (%)"),
+        ("contact_rate", "(d) Contact rate", "over runs (Wilson)", "contact rate along φ, any touch (%)"),
     )
     for axes, (value, title, independent, label) in zip(panels, shown, strict=True):
         _error_bars(axes, rows, value, title, independent)
@@ -153,12 +153,12 @@ def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
     margins = None if rating.margins is None else rating.margins.per_phi[number]
     margin = None if margins is None or not margins.size else mean(margins)
     if not group.logs:
-        lost = f"{group.aborted} of {group.attempts} aborted" if group.aborted else "no kamikaze"
+        lost = f"{group.aborted} of {group.trials} aborted" if group.aborted else "no kamikaze"
         return ", ".join(filter(None, [_figures(rating, assessment, None, None, margin), lost]))
     deviation = assessment.deviation.per_safe_trajectory[number].mean
     skd = assessment.skd.per_safe_trajectory[number].mean_distance
     figures = _figures(rating, assessment, deviation, skd, margin)
-    failed = group.attempts - group.aborted - assessment.successes_by_phi[number]
+    failed = group.trials - group.aborted - assessment.successes_by_phi[number]
     return f"{figures}, {failed} failed" if failed else figures
 
 
@@ -184,7 +184,7 @@ def _intervals(rating: Rating, assessment: Assessment) -> str:
     parts = [f"{name} {ends[0]:.2f} to {ends[1]:.2f} m" for name, ends in known if name in own and ends is not None]
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""
     reached = "were hit" if assessment.plan.limits_deviation else "collided"
-    return f"{sure}{assessment.successes} of {assessment.attempts} attempts {reached}, {len(assessment.safe)} φ"
+    return f"{sure}{assessment.successes} of {assessment.trials} trials {reached}, {len(assessment.safe)} φ"
 
 
 def _draw_ways(axes: Axes, ways: Sequence[Trajectory], shown: int) -> None:

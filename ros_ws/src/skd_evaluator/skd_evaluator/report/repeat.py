@@ -35,14 +35,14 @@ def repeat_command(figures: Mapping[str, Any], mode: Mode, objective: str, numbe
         objective: objective of a kamikaze; of no meaning for a replay.
         number: id of the episode.
     """
-    _, safe_index, attempt = split_episode_id(number)
-    return [*repeat_prefix(figures, mode, objective), "--safe-number", str(safe_index), "--attempt", str(attempt)]
+    _, safe_index, trial = split_episode_id(number)
+    return [*repeat_prefix(figures, mode, objective), "--safe-number", str(safe_index), "--trial", str(trial)]
 
 
 def repeat_crossing(figures: Mapping[str, Any], number: int) -> list[str]:
     """Return the command that repeats a crossing of the risk, one of those that are kept as failures, as its words."""
-    _, safe_index, attempt = split_episode_id(number)
-    return [*crossing_prefix(figures), "--safe-number", str(safe_index), "--attempt", str(attempt)]
+    _, safe_index, trial = split_episode_id(number)
+    return [*crossing_prefix(figures), "--safe-number", str(safe_index), "--trial", str(trial)]
 
 
 def crossing_prefix(figures: Mapping[str, Any]) -> list[str]:

@@ -43,7 +43,15 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of what cells came to, from the content of campaign.json; red: a margin had not converged."""
     table = narrow_table("What the cells came to")
     table.add_column("cell")
-    columns = ("margin\n(m)", "95 %,\nby φ", "equiv.\nC", "hit\nalong φ", "planned\n(m)", "knowl-\nedge", "SKD\n(m)")
+    columns = (
+        "margin\n(m)",
+        "95 %,\nby φ",
+        "equiv.\nC",
+        "nominal\ncollisions",
+        "planned\n(m)",
+        "knowl-\nedge",
+        "SKD\n(m)",
+    )
     for name in columns:
         table.add_column(name, justify="right")
     for row in rows:
@@ -56,7 +64,7 @@ def campaign_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             bounded_cell(row, number(row["margin"])),
             interval(row["margin_ci95"]),
             bounded_cell(row, number(row["equivalent_multiplier"])),
-            percent(row["hit_rate"]),
+            percent(row["nominal_collision_rate"]),
             number(row["deviation"]),
             str(row["knowledge"]),
             number(row["skd"]),
@@ -73,7 +81,7 @@ def cell_line(row: Mapping[str, Any]) -> str:
         figures[0] += f" (95 %: {interval(row['margin_ci95'])})"
     if row["margin_converged"] is False:
         figures[0] += " (not converged)"
-    figures.append(f"hit along φ {TERMINAL.share(row['hit_rate'])}")
+    figures.append(f"nominal collision rate {TERMINAL.share(row['nominal_collision_rate'])}")
     if row["deviation"] is not None:
         figures.append(f"planned {number(row['deviation'])} m")
     said = _worth(row)
@@ -119,8 +127,8 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
     table = narrow_table(f"Side by side{order}")
     table.add_column("car", overflow="fold")
     for name in (
-        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier", "hit\nalong φ",
-        "SKD\n(m)",
+        "margin\n(m)", "95 %\nby φ", "[margin,\nplanned]", "knowl-\nedge", "equivalent\nmultiplier",
+        "nominal\ncollisions", "SKD\n(m)",
     ):  # fmt: skip
         table.add_column(escape(name), justify="right", no_wrap=name.startswith("["))
     for row in sorted(rows, key=lambda one: float(one[ranked_by])) if ranked_by else rows:
@@ -131,7 +139,7 @@ def comparison_table(rows: Sequence[Mapping[str, Any]], ranked_by: str | None) -
             escape(f"[{_number(row['margin'], 2)}, {_number(row['deviation'], 2)}]"),
             str(row["knowledge"]),
             bounded_cell(row, row["equivalent_multiplier_text"] or "—"),
-            TERMINAL.share(row["hit_rate"]),
+            TERMINAL.share(row["nominal_collision_rate"]),
             _number(row["skd"]),
         )
     return table
@@ -169,7 +177,7 @@ def verdict_table(entries: Sequence[Mapping[str, Any]], first: str, confidence: 
     return table
 
 
-_TELLING = ("margin", "deviation", "skd", "hit_rate")
+_TELLING = ("margin", "deviation", "skd", "nominal_collision_rate")
 """Figures that two cars do not share to the last digit unless they do the same."""
 
 
@@ -204,7 +212,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
     What follows ± takes pairs as independent, as the paper does.
     """
-    table = narrow_table("Margin, planned deviation, collision rate and SKD against the multiplier C")
+    table = narrow_table("Margin, planned deviation, contact rate and SKD against the multiplier C")
     table.add_column("φ, C")
     for name in (
         "margin\n(m)",
@@ -229,7 +237,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             _interval(row["margin_ci95"], 2),
             _number(row["deviation"], 3),
             _interval(row["deviation_ci95"], 2),
-            BARE.share(row["collision_rate"]),
+            BARE.share(row["contact_rate"]),
             _plus_minus(row["skd"], row["skd_ci95_pairs"], 2),
             BARE.share(row["kamikaze_success_rate"]),
         )

@@ -15,7 +15,7 @@ from skd_evaluator.report.terminal import car_name, headline
 from skd_evaluator.report.warnings import margin_warnings
 
 _NOT_BY_PHI = {one.key for one in FIGURES if one.independent == CI95}
-"""Figures whose only interval takes attempts or pairs as independent, under the plain key."""
+"""Figures whose only interval takes trials or pairs as independent, under the plain key."""
 _INDEPENDENT = {one.independent for one in FIGURES} - {"", CI95} | {THESE_PHI}
 _PARTS = ("clustering", "per_safe_trajectory", "behaviour", "scales", "failures", "surrogate_measures")
 """Of what a figure is made, or what is no rating: assessment.json has it, and surrogate_measures.csv."""
@@ -50,7 +50,7 @@ def markdown(result: Mapping[str, Any], checks: Sequence[Check]) -> str:
 
 
 def _independent(around: Mapping[str, Any], name: str) -> Sequence[float] | None:
-    """Return the interval of a figure that takes what it is over as independent: its pairs, attempts or runs."""
+    """Return the interval of a figure that takes what it is over as independent: its pairs, trials or runs."""
     return next((around[key] for end in _INDEPENDENT if around.get(key := f"{name}_{end}")), None)
 
 

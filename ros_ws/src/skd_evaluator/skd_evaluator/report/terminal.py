@@ -19,7 +19,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.metrics.credibility import not_credible
-from skd_evaluator.metrics.margins import CLOSENESS_WARNING
+from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NO_RATING,
@@ -44,7 +44,7 @@ _PLAIN = box.Box("    \n" * 2 + " -- \n" + "    \n" * 5, ascii=True)
 
 _number, _interval, _percent = TERMINAL.number, TERMINAL.interval, TERMINAL.share
 _percent_interval = TERMINAL.share_interval
-_BOLD = ("margin", "equivalent_multiplier", "hit_rate", "skd")
+_BOLD = ("margin", "equivalent_multiplier", "nominal_collision_rate", "skd")
 
 
 def car_name(result: Mapping[str, Any]) -> str:
@@ -80,12 +80,14 @@ def _found(result: Mapping[str, Any]) -> str:
     car, eta_max = car_name(result), f"{result['eta_max']:g} m"
     if result["margin"] is None:
         return f"{car}: the margin is not known ({result['margin_note']})."
-    trials, beyond = result["margin_attempts"], result["margin_beyond"]
+    trials, beyond = result["margin_trials"], result["margin_beyond"]
     how_many = f"{trials} trials, {_trajectories(result)}"
     if beyond == trials:
         found = f"{car}: no hit found within {eta_max} ({how_many})."
-        if result.get("hit_rate"):
-            found += f" But {_percent(result['hit_rate'])} of the runs along nominal trajectories collide."
+        if result.get("nominal_collision_rate"):
+            found += (
+                f" But {_percent(result['nominal_collision_rate'])} of the runs along nominal trajectories collide."
+            )
         return found
     at_most = "" if result["margin_converged"] else "at most "
     interval = result["margin_ci95"]
@@ -106,16 +108,16 @@ def headline_table(result: Mapping[str, Any]) -> Table:
     table.add_column("95 % interval, by φ", justify="right")
     for figure in shown_in("summary"):
         value, by_phi = TERMINAL.value(figure, result), ninety(figure, result) or TERMINAL.by_phi(figure, result)
-        if not figure.first or (value == TERMINAL.nothing and figure.key not in ("hit_rate", "skd")):
+        if not figure.first or (value == TERMINAL.nothing and figure.key not in ("nominal_collision_rate", "skd")):
             continue
         label = figure.title + _beside(figure.key, result)
         if figure.key == "skd" and result["skd"] is None:
             value, by_phi = "none kept" if result["discarded_by_distance"] else "no kamikaze found", ""
         elif figure.key in _BOLD:
             label, value = label.replace(figure.label, f"[bold]{figure.label}[/]", 1), f"[bold]{value}[/]"
-        elif figure.key == "closeness":
+        elif figure.key == "optimality_gap":
             label = f"  {label}"
-            value = f"[red]{value}[/]" if result["closeness"] > CLOSENESS_WARNING else value
+            value = f"[red]{value}[/]" if result["optimality_gap"] > GAP_WARNING else value
         table.add_row(label, value, escape(by_phi))
     aborted = sum(reasons["count"] for reasons in result["aborted_reasons"].values())
     if aborted:
@@ -127,12 +129,12 @@ def _beside(key: str, result: Mapping[str, Any]) -> str:
     """Return what stands beside the name of a figure that is shown first."""
     if key == "margin":
         return f", {_how_sure(result) if result['margin_converged'] else '[red]not converged[/]'}"
-    if key == "hit_rate":
+    if key == "nominal_collision_rate":
         return f" ({counted(result['collision_runs'], 'run')})"
     if AT_THE_TOP[key].planned and result.get("knowledge"):
         return f", knowledge: {result['knowledge']}"
     if key == "skd" and result["skd"] is not None:
-        return f", {_percent(result['kamikaze_success_rate'])} of attempts collide"
+        return f", {_percent(result['kamikaze_success_rate'])} of trials collide"
     return ""
 
 
@@ -156,11 +158,11 @@ def details_table(result: Mapping[str, Any]) -> Table:
     _add_deviation(table, result)
     _add_further(table, result, Of.RANKING)
     table.add_row(
-        f"collisions along φ, any touch ({counted(result['collision_runs'], 'run')})",
-        _percent(result["collision_rate"]),
-        _percent_interval(result["collision_rate_ci95"]),
+        f"contact rate along φ, any touch ({counted(result['collision_runs'], 'run')})",
+        _percent(result["contact_rate"]),
+        _percent_interval(result["contact_rate_ci95"]),
     )
-    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["collision_rate_ci95_runs"]))
+    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["contact_rate_ci95_runs"]))
     if result["collision_standing_contacts"]:
         table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
     _add_further(table, result, Of.CAR)
@@ -233,8 +235,8 @@ def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
     elif gap:
         table.add_row("margin: the least is at most this much less (m)", f"{gap:.4f}", "")
     table.add_row(
-        f"margin: attempts in which nobody is hit within {result['eta_max']:g} m",
-        f"{result['margin_beyond']} of {result['margin_attempts']}",
+        f"margin: trials in which nobody is hit within {result['eta_max']:g} m",
+        f"{result['margin_beyond']} of {result['margin_trials']}",
         "",
     )
     if result["equivalent_multiplier_text"] is not None:
@@ -253,14 +255,14 @@ def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[
 def _kamikazes(table: Table, objective: str, figures: Mapping[str, Any]) -> None:
     """Add what became of the kamikazes of an objective."""
     rate, interval = _percent(figures["success_rate"]), _percent_interval(figures["success_rate_ci95"])
-    table.add_row(f"  success rate, {objective} ({_reached(figures)} of {figures['attempts']})", rate, interval)
+    table.add_row(f"  success rate, {objective} ({_reached(figures)} of {figures['trials']})", rate, interval)
     if figures["standing_contacts"]:
-        table.add_row("  attempts that walked into a standing car", str(figures["standing_contacts"]), "")
+        table.add_row("  trials that walked into a standing car", str(figures["standing_contacts"]), "")
 
 
 def _reached(figures: Mapping[str, Any]) -> int:
-    """Return how many attempts of an objective reached what they planned for."""
-    return int(figures["attempts"]) - int(figures["failed"])
+    """Return how many trials of an objective reached what they planned for."""
+    return int(figures["trials"]) - int(figures["failed"])
 
 
 def _add_deviation(table: Table, result: Mapping[str, Any]) -> None:
@@ -269,7 +271,7 @@ def _add_deviation(table: Table, result: Mapping[str, Any]) -> None:
         table.add_row("planned deviation (m)", "no kamikaze ran", "")
         return
     table.add_row("planned deviation (m)", _number(figures["deviation"]), _interval(figures["deviation_ci95"]))
-    table.add_row("  attempts taken as independent", "", _interval(figures["deviation_ci95_attempts"]))
+    table.add_row("  trials taken as independent", "", _interval(figures["deviation_ci95_trials"]))
     if figures["failed"]:
         # Without failures, and with none beyond η_max, it is the same.
         table.add_row("  of those that were hit alone (m)", _number(figures["deviation_of_successes"]), "")
@@ -336,12 +338,12 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     _, of_deviation = _source(result, RANKING_OBJECTIVES)
     rows = zip(result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], strict=True)
     for row, deviations in rows:
-        rate = _percent(row["collision_rate"])
+        rate = _percent(row["contact_rate"])
         table.add_row(
             escape(row["name"]),
             rate if row["safe"] else f"[red]{rate}, not safe[/]",
             _number(row["deviation"]),
-            f"{deviations['failed']} of {deviations['attempts'] - deviations['aborted']}",
+            f"{deviations['failed']} of {deviations['trials'] - deviations['aborted']}",
             _number(row["skd"]),
             _number(row["skd_prefix"]),
         )

@@ -14,7 +14,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory
 
-from skd_evaluator.assessment.judge.struck import ADVERSARY, struck
+from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.metrics.behaviour.walking import walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight
@@ -92,8 +92,9 @@ def end_of(log: EpisodeLog) -> tuple[Touch, float]:
     pose, passed = car_at_contact(log) if collided else (NOWHERE, 1.0)
     headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
     touch, missed = ended(
-        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings, struck(log) == ADVERSARY, passed,
-        pose, collided and not goes_straight(scenario, log.car[-2:]), footprint_of(scenario), scenario.adversary.reach,
+        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings,
+        collision_partner(log) == ADVERSARY, passed, pose,
+        collided and not goes_straight(scenario, log.car[-2:]), footprint_of(scenario), scenario.adversary.reach,
         log.impact_speed, scenario.collision.hit_speed, SAME if scenario.road.straight else IN_A_CURVE,
         scenario.time_step,
     )  # fmt: skip

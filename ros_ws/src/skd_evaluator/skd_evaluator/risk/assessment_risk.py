@@ -22,7 +22,7 @@ from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.margin.actions import foretold
+from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.any_car import AnyCar, end_of
@@ -57,16 +57,16 @@ def why_no_risk(plan: Plan, behaviour: Behaviour | None) -> str:
     return ""
 
 
-def _foretold(plan: Plan) -> bool:
+def _has_exact_margin(plan: Plan) -> bool:
     """Return whether kernels say what a plan's car does: one that is known, in SKD's own world."""
-    return is_own_world(plan.simulator) and foretold(plan.car, plan.scenario)
+    return is_own_world(plan.simulator) and has_exact_margin(plan.car, plan.scenario)
 
 
 def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     """Return how many crude crossings there are at each scale: at most four for each run along φ, by default."""
     if asked.runs is not None:
         return asked.runs
-    most = GRAPH_RUNS if graph else RUNS if _foretold(plan) else OTHER_RUNS
+    most = GRAPH_RUNS if graph else RUNS if _has_exact_margin(plan) else OTHER_RUNS
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
@@ -119,7 +119,7 @@ def _do(job: _Job) -> Replicate:
 
 def warm_up_risk(plan: Plan) -> None:
     """Compile what crossings of a known car need, before it is timed or forked."""
-    if not _foretold(plan):
+    if not _has_exact_margin(plan):
         return
     from skd_adversary.warm_up import warm_up_episodes
     from skd_sim.world.episode import Mode
@@ -187,7 +187,7 @@ def _scales(
 ) -> Iterator[ScaleRisk]:
     """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
     plan = encounter.plan
-    known = KnownCar(encounter) if _foretold(plan) else None
+    known = KnownCar(encounter) if _has_exact_margin(plan) else None
     crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
     draws = None if known is None else draws_of(encounter, crossings)
     together = None if known is not None else batched_car(encounter, runner)

@@ -14,14 +14,14 @@ from skd_evaluator.risk.assessment_risk import walkers_of, why_no_risk
 from skd_evaluator.risk.crossings import Crossings, Encounter
 
 
-def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, attempt: int, scale: float) -> Episode:
+def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: int, scale: float) -> Episode:
     """Return a crossing of a plan's risk as an episode.
 
     Args:
         plan: plan of the assessment.
         behaviour: how people walk.
         safe_number: number of φ among those of the plan, counted from 0.
-        attempt: number of the draws of walker and car on it.
+        trial: number of the draws of walker and car on it.
         scale: by which the walker's normals are multiplied.
 
     Raises:
@@ -32,6 +32,6 @@ def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, attempt:
     runner = InProcessRunner(1)
     safe = tuple(safe_trajectories(plan, runner))
     encounter = Encounter(plan, safe, behaviour.values)
-    normals = walkers_of(encounter).normals(safe_number + attempt * len(safe))
-    one = Crossings(np.array([safe_number]), normals[None], np.empty((1, 0)), np.array([attempt]))
+    normals = walkers_of(encounter).normals(safe_number + trial * len(safe))
+    one = Crossings(np.array([safe_number]), normals[None], np.empty((1, 0)), np.array([trial]))
     return AnyCar(encounter, runner).episodes(one, scale)[0]

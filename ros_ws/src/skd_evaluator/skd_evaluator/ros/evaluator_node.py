@@ -41,7 +41,7 @@ _INTERRUPTED = 130
 _SETTINGS = (
     Setting("task", "assessment", "what to do before the node ends", choices=("assessment", "episode")),
     Setting("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
-    Setting("attempt", 0, "which attempt of the campaign to run (task episode)", 0, 2**32 - 1),
+    Setting("trial", 0, "which trial of the campaign to run (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
     *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
     Setting("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
@@ -142,9 +142,9 @@ class EvaluatorProcess(Evaluator):
             for name, key in (("deviation", "deviation"), ("SKD", "skd"))
             for low, high in [result[f"{key}_ci95"] or (float("nan"), float("nan"))]
         ]
-        rate = "unknown" if rating.collision_rate is None else f"{100 * rating.collision_rate:.1f} %"
+        rate = "unknown" if rating.contact_rate is None else f"{100 * rating.contact_rate:.1f} %"
         self.get_logger().info(
-            f"{'; '.join(figures)}; {rating.attempts} kamikaze episodes; collision rate along φ {rate}; results in "
+            f"{'; '.join(figures)}; {rating.trials} kamikaze episodes; contact rate along φ {rate}; results in "
             f"{self._out.path}"
         )
         return 0
@@ -152,7 +152,7 @@ class EvaluatorProcess(Evaluator):
     def _run_one(self, scratch: Path) -> int:
         mode = Mode[self._settings["mode"].upper()]
         plan = self._learned() if mode == Mode.KAMIKAZE else self._plan
-        log = self.run_episode(single_episode(replace(plan, safe_count=1), mode, self._settings["attempt"]))
+        log = self.run_episode(single_episode(replace(plan, safe_count=1), mode, self._settings["trial"]))
         write_with_scratch(self._out, scratch, lambda folder: fill_episode(folder, log))
         line = f"{episode_line(log)}; results in {self._out.path}"
         if log.outcome == Outcome.ABORTED:

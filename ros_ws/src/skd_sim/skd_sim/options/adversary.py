@@ -59,7 +59,7 @@ def check_knowledge(knowledge: Knowledge, car: CarUnderTest, *, model: bool) -> 
 
 
 DEFAULT_SIMULATIONS: Final = 1000
-"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/closeness.md)."""
+"""Simulations per decision: where more come no nearer to the clairvoyant kamikaze (docs/optimality_gap.md)."""
 
 
 class Objective(StrEnum):

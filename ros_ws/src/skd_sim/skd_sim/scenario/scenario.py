@@ -184,7 +184,7 @@ class Scenario(Frozen):
     """Everything that is fixed about a test: see `load_scenario`.
 
     The adversary decides every `time_step`. The car decides every `control_period`, which divides the time step and
-    equals it by default. `eta_max` is η_max of the mean deformation, m: as much counts an attempt that fails or that
+    equals it by default. `eta_max` is η_max of the mean deformation, m: as much counts a trial that fails or that
     needs more.
     """
 

@@ -64,7 +64,7 @@ _STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody
 _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
-_FORESIGHT = 25  # ticks
+_PREDICTED = 25  # ticks
 _FORESEEN = 11  # numbers of a tick that is foreseen: see `_foresee_from`
 # How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not as far as is foreseen.
 _MET, _LATE, _EARLY, _ONGOING = range(4)
@@ -254,7 +254,7 @@ def _foreseen(
     own_x, own_y = kept[row, 7], kept[row, 8]
     vx_before, vy_before = kept[row, 9], kept[row, 10]
     edge = p.half_width + p.radius
-    for tick in range(switch, now + _FORESIGHT):
+    for tick in range(switch, now + _PREDICTED):
         own_x, own_y = _velocity(p, own_x, own_y, action, tick)
         vx, vy = own_x, own_y
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
@@ -341,12 +341,12 @@ def _plan(
     _foresee_from(p, state, car_s, worst)
     _, how, end = _foreseen(p, state, now, now, AS_PHI, math.inf)
     if how == _MET:
-        return _coded(now + _FORESIGHT, AS_PHI)
+        return _coded(now + _PREDICTED, AS_PHI)
     nothing = math.inf
     if USER_DIM > 0:
         nothing = p.collision_reward * p.collision_reward
         if how == _ONGOING:
-            end = now + _FORESIGHT // 2  # the other half is left for the hit
+            end = now + _PREDICTED // 2  # the other half is left for the hit
     best = nothing
     across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     plan = _coded(now, steer(p, state, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST))
@@ -394,7 +394,7 @@ def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
         "collision_reward": scenario.eta_max,
         "hit_speed": scenario.collision.hit_speed,
         "pace": pace,
-        "foreseen": np.zeros((_FORESIGHT + 1, _FORESEEN)),  # room for `_foresee_from`
+        "foreseen": np.zeros((_PREDICTED + 1, _FORESEEN)),  # room for `_foresee_from`
     }
 
 

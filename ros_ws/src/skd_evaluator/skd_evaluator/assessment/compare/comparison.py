@@ -242,8 +242,8 @@ def _left_out(first: StoredResult, second: StoredResult, *, planned: bool) -> se
         left_out |= set(OF_SKD)
     if any(MARGIN not in one.groups for one in (first, second)):
         left_out.add(MARGIN)
-    if any(one["hit_rate"] is None for one in figures):
-        left_out.add("hit_rate")
+    if any(one["nominal_collision_rate"] is None for one in figures):
+        left_out.add("nominal_collision_rate")
     unlike = unlike_behaviours(first, second)
     left_out |= {name for name in RISKS if unlike or any(name not in one.groups for one in (first, second))}
     return left_out

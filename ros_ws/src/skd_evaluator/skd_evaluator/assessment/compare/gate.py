@@ -85,7 +85,7 @@ def bound_of(result: Mapping[str, Any], name: str) -> Bound | None:
     """Return where a figure may be, as the search for the margin has not converged; None where it is no bound."""
     of_curve = name.startswith("vulnerability_curve.margins.")
     less = name in UPPER_BOUNDS or (of_curve and name.endswith(".area_above"))
-    more = name == "closeness" or (of_curve and ".probability" in name)
+    more = name == "optimality_gap" or (of_curve and ".probability" in name)
     if result.get("margin_converged") is not False or not (less or more):
         return None
     what = "an upper bound" if less else "a lower bound"

@@ -115,7 +115,7 @@ def _definitions() -> dict[str, Any]:
                 kinds=_list(_object(
                     kind=_said(_TEXT, "what the walker did"), hits=_COUNT, share=_SHARE,
                     nearest=_list(_object(
-                        safe_trajectory=_COUNT, attempt=_COUNT,
+                        safe_trajectory=_COUNT, trial=_COUNT,
                         deviation=_said(_NUMBER, "from φ, in standard deviations of people"),
                         people=_said(_SHARE, "share of people who deviate as much or more"),
                         impact_speed=_said(_NUMBER, "m/s"))))))), "the most likely failures; null: nobody was hit")),
@@ -140,10 +140,10 @@ def _definitions() -> dict[str, Any]:
         "safe_trajectory_of_objective": _object(**of_phi),
         "objective": _object(**dict(pair for one in OF_OBJECTIVES.values() for pair in one.schemas())),
         "curve": _object(
-            eta_max=_NUMBER, attempts=_COUNT, area_above=_said(_NUMBER, "m"),
+            eta_max=_NUMBER, trials=_COUNT, area_above=_said(_NUMBER, "m"),
             steps=_object(eta=_list(_NUMBER), probability=_list(_SHARE)),
             points=_list(_object(
-                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
+                eta=_NUMBER, probability=_SHARE, ci95_trials=_BETWEEN, ci95=_BETWEEN, bound=_SHARE,
                 cantelli=_SHARE))),
         "surrogate_measure": _object(
             median=_FIGURE, worst=_FIGURE, defined=_said(_COUNT, "episodes in which it is defined")),
@@ -159,8 +159,8 @@ def _definitions() -> dict[str, Any]:
         "vulnerability_curve": _object(
             kamikazes=ref("curve"),
             budgets=_list(_object(
-                eta=_NUMBER, probability=_SHARE, ci95_attempts=_BETWEEN, successes=_COUNT,
-                attempts=_said(_COUNT, "aborted ones left out"), aborted=_COUNT)),
+                eta=_NUMBER, probability=_SHARE, ci95_trials=_BETWEEN, successes=_COUNT,
+                trials=_said(_COUNT, "aborted ones left out"), aborted=_COUNT)),
             margins=or_null(ref("curve"))),
         "provenance": _said(_object(
             date={"type": "string", "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}Z$",

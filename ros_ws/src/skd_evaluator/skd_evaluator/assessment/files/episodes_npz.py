@@ -148,7 +148,7 @@ class _Later:
 def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     """Write every trajectory of a rating; docs/files.md says what each array holds.
 
-    First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its attempts, those that
+    First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its trials, those that
     failed or were aborted too; last are the runs along φ. A kamikaze is told by its objective and its id: those of
     different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
     deviation, which nobody has planned.
@@ -286,20 +286,20 @@ def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
 
 
 def _margin_columns(rating: Rating) -> Columns:
-    """Return the least way of each attempt of the margin, φ by φ; nothing where the margin is not known.
+    """Return the least way of each trial of the margin, φ by φ; nothing where the margin is not known.
 
-    An attempt without a way has no position, and counts as η_max.
+    A trial without a way has no position, and counts as η_max.
     """
     if rating.margins is None:
         return {}
-    rows = [(index, attempt, way) for index, ways in enumerate(rating.margins.ways) for attempt, way in enumerate(ways)]
+    rows = [(index, trial, way) for index, ways in enumerate(rating.margins.ways) for trial, way in enumerate(ways)]
     ways = [way for _, _, way in rows]
     lengths = [0 if way is None else len(way.trajectory) for way in ways]
     return {
         "margin": np.array([math.nan if way is None else way.distance for way in ways]),
         "margin_gap": np.array([math.nan if way is None else way.gap for way in ways]),
         "margin_safe_index": np.array([index for index, _, _ in rows], np.int32),
-        "margin_attempt": np.array([attempt for _, attempt, _ in rows], np.int64),
+        "margin_trial": np.array([trial for _, trial, _ in rows], np.int64),
         "margin_duration": np.array([math.nan if way is None else way.duration for way in ways]),
         "margin_impact_speed": np.array([math.nan if way is None else way.impact_speed for way in ways]),
         "margin_positions": np.concatenate(
@@ -368,7 +368,7 @@ _FURTHER = {
 _MARGIN = {
     "margin": Column(np.float64, (-1,)),
     "margin_safe_index": Column(np.int32, (-1,)),
-    "margin_attempt": Column(np.int64, (-1,)),
+    "margin_trial": Column(np.int64, (-1,)),
     "margin_duration": Column(np.float64, (-1,)),
     "margin_impact_speed": Column(np.float64, (-1,)),
     "margin_gap": Column(np.float64, (-1,)),
@@ -400,10 +400,10 @@ _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "i
 
 @dataclass(frozen=True, eq=False)
 class StoredWay:
-    """The way of least deviation of an attempt.
+    """The way of least deviation of a trial.
 
     Attributes:
-        attempt: number of the attempt.
+        trial: number of the trial.
         distance: deviation of the way, m.
         positions: positions at ticks, n × 2, m; the last of them is at the contact.
         duration: time until the contact, in ticks.
@@ -411,7 +411,7 @@ class StoredWay:
         gap: the least is at most so far below the distance, m; nan where it was searched for.
     """
 
-    attempt: int
+    trial: int
     distance: float
     positions: FloatArray
     duration: float
@@ -436,9 +436,9 @@ class StoredEpisodes:
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
         hit_speed: speed of the car, m/s, from which on a collision is a hit.
-        margins: per φ the margin of each attempt in the order of their numbers, m; infinite: nobody is hit within
+        margins: per φ the margin of each trial in the order of their numbers, m; infinite: nobody is hit within
             η_max. None where the file holds none.
-        margin_ways: per φ the ways of least deviation, of those attempts that have one.
+        margin_ways: per φ the ways of least deviation, of those trials that have one.
         belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
@@ -514,15 +514,15 @@ class StoredEpisodes:
             found[mine] = discrete_frechet_pairs(phi, [self.until_contact(int(number)) for number in mine])
         return found
 
-    def attempts(self, objective: str) -> list[IntArray]:
-        """Return per φ the numbers of the attempts of an objective; one that was aborted is none."""
+    def trials(self, objective: str) -> list[IntArray]:
+        """Return per φ the numbers of the trials of an objective; one that was aborted is none."""
         tried = (self.mode == Mode.KAMIKAZE) & (self.objective == objective) & (self.outcome != Outcome.ABORTED)
         return [np.flatnonzero(tried & (self.safe_index == index)) for index in range(len(self.safe))]
 
     def deviations_of(self, objective: str) -> list[FloatArray]:
-        """Return per φ the deviation of each attempt of an objective, m; infinite where it failed."""
+        """Return per φ the deviation of each trial of an objective, m; infinite where it failed."""
         values = np.where(self.hit, self.deviation, np.inf)
-        return [values[mine] for mine in self.attempts(objective)]
+        return [values[mine] for mine in self.trials(objective)]
 
     def worst_first(self) -> IntArray:
         """Return the numbers of all episodes, the worst for the car first; see `badness`."""
@@ -605,18 +605,18 @@ def _margins(
     if missing := [name for name in _MARGIN if name not in arrays]:
         raise UsageError(f"{path}: it has margins and no {missing[0]}")
     said, offsets = arrays["margin"], arrays["margin_offsets"]
-    index, attempt = arrays["margin_safe_index"], arrays["margin_attempt"]
+    index, trial = arrays["margin_safe_index"], arrays["margin_trial"]
     count = len(said)
     whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
     whole = whole and not (offsets[1:] < offsets[:-1]).any()
-    of_attempts = (index, attempt, *(arrays[f"margin_{name}"] for name in ("duration", "impact_speed", "gap")))
-    if not (whole and all(len(one) == count for one in of_attempts)):
+    of_trials = (index, trial, *(arrays[f"margin_{name}"] for name in ("duration", "impact_speed", "gap")))
+    if not (whole and all(len(one) == count for one in of_trials)):
         raise UsageError(f"{path}: the arrays of the margins do not go together")
     found: list[FloatArray] = []
     for number, phi in enumerate(safe):
         mine = np.flatnonzero(index == number)
-        if (attempt[mine] != np.arange(mine.size)).any():
-            raise UsageError(f"{path}: the attempts of the margins are not numbered from 0")
+        if (trial[mine] != np.arange(mine.size)).any():
+            raise UsageError(f"{path}: the trials of the margins are not numbered from 0")
         values = np.full(mine.size, np.inf)
         known = np.flatnonzero(np.isfinite(said[mine]))
         ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
@@ -643,14 +643,14 @@ def _margin_ways(
         found.append(
             tuple(
                 StoredWay(
-                    attempt,
+                    trial,
                     distance,
                     arrays["margin_positions"][offsets[row] : offsets[row + 1]],
                     float(arrays["margin_duration"][row]),
                     float(arrays["margin_impact_speed"][row]),
                     float(arrays["margin_gap"][row]),
                 )
-                for attempt, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
+                for trial, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
                 if np.isfinite(distance)
             )
         )
@@ -688,7 +688,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     speeds = arrays["impact_speed"][hit]
     if not (within_reach(speeds) and (speeds >= 0.0).all()):
         return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
-    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.COLLISION_RATE)):
+    for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.NOMINAL)):
         if ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
             return f"an episode id is not of its mode, {mode.name}"
     if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:

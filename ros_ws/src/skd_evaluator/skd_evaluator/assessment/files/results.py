@@ -44,13 +44,13 @@ class StoredResult:
         safe: positions of each φ, m.
         curve: vulnerability curve of the kamikazes that rank the car; None if every one of them was aborted.
         objective: objective of these kamikazes.
-        groups: per φ, by figure: `margin`, of each attempt in the order of their numbers, m, η_max where nobody can be
-            hit, and not there where the margin is not known; `deviation`, what each attempt of the kamikazes counts
+        groups: per φ, by figure: `margin`, of each trial in the order of their numbers, m, η_max where nobody can be
+            hit, and not there where the margin is not known; `deviation`, what each trial of the kamikazes counts
             as, likewise; `skd` and `skd_prefix`, the Fréchet and the prefix distance of each pair of the kamikazes that
-            SKD is of, m; `collision_rate`, 1 for each run along φ that collided, else 0, and `hit_rate`, 1 for each
-            that the moving car hit; `deviation_success_rate` and `kamikaze_success_rate` likewise of the attempts of
-            both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of subset
-            simulation estimates, not there where the risk is not known.
+            SKD is of, m; `contact_rate`, 1 for each run along φ that collided, else 0, and `nominal_collision_rate`,
+            1 for each that the moving car hit; `deviation_success_rate` and `kamikaze_success_rate` likewise of the
+            trials of both; `risk_1` and so on, 1 for each crossing that is a hit, else 0, or what each replicate of
+            subset simulation estimates, not there where the risk is not known.
         remarks: remarks on the assessment, and its own warnings, a line each.
         worst: those of the groups of risk and deviation that would be others if the car had hit in every episode that
             was aborted, kamikazes without any deviation.
@@ -107,8 +107,8 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
     with understood(folder / ASSESSMENT):
         scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
         eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
-        attempts = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
-        curve, margins = vulnerability_curve(attempts, eta_max), _margins(stored, eta_max)
+        trials = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
+        curve, margins = vulnerability_curve(trials, eta_max), _margins(stored, eta_max)
         found = None if margins is None else mean(np.concatenate(margins))
         _check_same(folder, "margin", found, figures["margin"], eta_max)
         found = None if curve is None else curve.area_above
@@ -123,7 +123,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     """Read an assessment and its episodes, and compute its margins and its curve anew from its trajectories.
 
     Raises:
-        UsageError: it is none, is damaged, has neither a margin nor an attempt, or its trajectories give another margin
+        UsageError: it is none, is damaged, has neither a margin nor a trial, or its trajectories give another margin
             or deviation than it says.
     """
     path = folder / ASSESSMENT
@@ -137,7 +137,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
     curve = vulnerability_curve(deviations, eta_max)
     if curve is None and margins is None:
         raise UsageError(f"{folder}: no kamikaze ran, and the margin is not known: nothing is said of the car")
-    of_skd, hit = stored.attempts(objective_of_skd), stored.hit.astype(np.float64)
+    of_skd, hit = stored.trials(objective_of_skd), stored.hit.astype(np.float64)
     collided = stored.collided.astype(np.float64)
     # Where a maximum distance left some out, those that are there are not the pairs of SKD.
     limited = figures.get("maximum_distance") is not None
@@ -150,8 +150,8 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
         "skd": distances,
         "skd_prefix": prefixes,
         "kamikaze_success_rate": tuple(collided[mine] for mine in of_skd),
-        "hit_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
-        "collision_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "nominal_collision_rate": tuple(hit[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
+        "contact_rate": tuple(collided[runs & (stored.safe_index == index)] for index in range(len(stored.safe))),
     }
     with understood(path):
         risks = stored_risks(figures, stored)
@@ -177,7 +177,7 @@ def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
 
 
 def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
-    """Return per φ what the ways of least deviation give as the margin of each attempt, m; None without any."""
+    """Return per φ what the ways of least deviation give as the margin of each trial, m; None without any."""
     if stored.margins is None or not sum(map(len, stored.margins)):
         return None
     return tuple(np.minimum(one, eta_max) for one in stored.margins)
@@ -202,11 +202,11 @@ def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_m
 
 
 def _distances(
-    stored: StoredEpisodes, attempts: Sequence[IntArray]
+    stored: StoredEpisodes, trials: Sequence[IntArray]
 ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """Return per φ the Fréchet and the prefix distance of each pair of some attempts, m."""
+    """Return per φ the Fréchet and the prefix distance of each pair of some trials, m."""
     step, distances, prefixes = stored.time_step, [], []
-    for phi, mine in zip(stored.safe, attempts, strict=True):
+    for phi, mine in zip(stored.safe, trials, strict=True):
         hit = mine[stored.collided[mine]]
         psis = [Trajectory(stored.until_contact(number), step) for number in hit.tolist()]
         distances.append(stored.frechet[hit])

@@ -135,7 +135,7 @@ def _stored_margins(
         found: list[LeastWay | None] = [None] * len(distances)
         for way in known:
             trajectory = Trajectory(way.positions, stored.time_step, "")
-            found[way.attempt] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, way.gap)
+            found[way.trial] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, way.gap)
         ways.append(tuple(found))
     budget, converged = figures["margin_budget"], figures["margin_converged"]
     excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])

@@ -13,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.struck import closing_speed
+from skd_evaluator.assessment.judge.collision_partner import closing_speed
 from skd_evaluator.assessment.plan.plan import (
     EpisodeRunner,
     KamikazeSet,
@@ -32,7 +32,7 @@ from skd_evaluator.metrics.distances.measures import (
     measure_pairs,
     pair_of,
 )
-from skd_evaluator.metrics.mean_deviation import Attempts, MeanDeviation, mean_deviation
+from skd_evaluator.metrics.mean_deviation import MeanDeviation, Trials, mean_deviation
 from skd_evaluator.metrics.skd import SkdResult, compute_skd
 from skd_evaluator.metrics.statistics.clustered import Clustered
 from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
@@ -44,7 +44,7 @@ from skd_evaluator.metrics.statistics.statistics import (
 BOUND_ETAS = (0.25, 0.5, 1.0)
 """Distances η (m) for which Theorem 1's bound is reported."""
 _GAPS, _SPARSE = 1_000_000, 100
-"""So many attempts may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
+"""So many trials may be missing, and so many for each that is there: a folder may hold some of a campaign's bags."""
 CONFIDENCE = 0.95
 STANDING = 0.1
 """m/s below which a car stands when it is touched: then it was walked into."""
@@ -65,10 +65,10 @@ class Assessment:
         kamikaze: Ψ(φ) per φ.
         replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
-        deviation: deviations of all attempts.
+        deviation: deviations of all trials.
         seconds: wall-clock time it took.
-        attempt_deviations: for each φ, what each attempt counts as in the mean deviation, in the order of the
-            attempts, m; nan: it was aborted, or not run.
+        trial_deviations: for each φ, what each trial counts as in the mean deviation, in the order of the
+            trials, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
         confidence: confidence of the intervals over φ; above 95 % if somebody looked at them before more φ were run.
     """
@@ -80,14 +80,14 @@ class Assessment:
     skd: SkdResult
     deviation: MeanDeviation
     seconds: float
-    attempt_deviations: tuple[FloatArray, ...] = ()
+    trial_deviations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
 
     @property
-    def attempts(self) -> int:
+    def trials(self) -> int:
         """Kamikaze episodes run, aborted ones not counted."""
-        return sum(kamikaze.attempts - kamikaze.aborted for kamikaze in self.kamikaze)
+        return sum(kamikaze.trials - kamikaze.aborted for kamikaze in self.kamikaze)
 
     @property
     def successes_by_phi(self) -> list[int]:
@@ -102,13 +102,13 @@ class Assessment:
     @property
     def success_rate(self) -> float | None:
         """Share of the kamikaze episodes that ended in a collision; None where none was run."""
-        return self.successes / self.attempts if self.attempts else None
+        return self.successes / self.trials if self.trials else None
 
     @property
     def clustered_success_rate(self) -> Clustered | None:
         """The success rate with what its error over φ is."""
-        attempts = [group.attempts - group.aborted for group in self.kamikaze]
-        return clustered_rate(list(zip(self.successes_by_phi, attempts, strict=True)), self.confidence)
+        trials = [group.trials - group.aborted for group in self.kamikaze]
+        return clustered_rate(list(zip(self.successes_by_phi, trials, strict=True)), self.confidence)
 
     @property
     def reasons(self) -> list[str]:
@@ -144,7 +144,7 @@ class Assessment:
         closing = [closing_speed(log) for kamikaze in self.kamikaze for log in kamikaze.logs]
         return {
             "deviation": deviation.mean,
-            "deviation_ci95_attempts": deviation.ci95,
+            "deviation_ci95_trials": deviation.ci95,
             "deviation_ci95": deviation.ci95_clustered,
             "deviation_of_successes": deviation.of_successes,
             "deviation_of_successes_ci95": deviation.of_successes_ci95,
@@ -163,10 +163,10 @@ class Assessment:
             "clustering": self.clustering(),
             "measures": self._measures(),
             "success_rate": self.success_rate,
-            "success_rate_ci95_attempts": wilson_interval(self.successes, self.attempts),
+            "success_rate_ci95_trials": wilson_interval(self.successes, self.trials),
             "success_rate_ci95": success and success.interval,
-            "attempts": self.attempts,
-            "failed": self.attempts - self.successes,
+            "trials": self.trials,
+            "failed": self.trials - self.successes,
             "aborted": len(self.reasons),
             "mean_impact_speed": float(np.mean(speeds)) if speeds else None,
             "mean_closing_speed": float(np.mean(closing)) if closing else None,
@@ -194,8 +194,8 @@ class Assessment:
                 "skd": distances.mean_distance,
                 "skd_prefix": distances.mean_prefix_distance,
                 "pairs": distances.pairs,
-                "attempts": kamikaze.attempts,
-                "failed": kamikaze.attempts - kamikaze.aborted - successes,
+                "trials": kamikaze.trials,
+                "failed": kamikaze.trials - kamikaze.aborted - successes,
                 "aborted": kamikaze.aborted,
             }
             for kamikaze, successes, distances, deviations in rows
@@ -214,17 +214,17 @@ def judge(
 
     A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
     discarded by their deviation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
-    deviation is over all attempts, each with the deviation that it needed. SKD counts all collisions, the
+    deviation is over all trials, each with the deviation that it needed. SKD counts all collisions, the
     deviation only hits by the moving car.
     """
     _check_numbers(kamikaze)
     pairs = [(group.safe_trajectory, [pair_of(log) for log in group.logs]) for group in kamikaze]
     measured = measure_pairs(pairs)
-    attempts = [
-        _attempts_of(group, phi, mine, distances)
+    trials = [
+        _trials_of(group, phi, mine, distances)
         for (phi, mine), group, distances in zip(pairs, kamikaze, measured[DEVIATION].values, strict=True)
     ]
-    deviation = mean_deviation(attempts, eta_max=plan.scenario.eta_max, confidence=confidence)
+    deviation = mean_deviation(trials, eta_max=plan.scenario.eta_max, confidence=confidence)
     result = compute_skd(
         [(phi, [one.psi for one in mine]) for phi, mine in pairs],
         confidence=confidence,
@@ -243,23 +243,23 @@ def judge(
         seconds,
         measured=others,
         confidence=confidence,
-        attempt_deviations=tuple(
-            _by_attempt(group, distances, plan.scenario.eta_max)
+        trial_deviations=tuple(
+            _by_trial(group, distances, plan.scenario.eta_max)
             for group, distances in zip(kamikaze, measured[DEVIATION].values, strict=True)
         ),
     )
 
 
-def _attempts_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], distances: FloatArray) -> Attempts:
-    """Return the attempts on one φ: those in which the moving car hit, and how many others ran to their end."""
+def _trials_of(group: KamikazeSet, phi: Trajectory, pairs: Sequence[Pair], distances: FloatArray) -> Trials:
+    """Return the trials on one φ: those in which the moving car hit, and how many others ran to their end."""
     hit = np.array([log.hit for log in group.logs], dtype=bool)
     mine = [pair for pair, counts in zip(pairs, hit, strict=True) if counts]
-    failed = group.attempts - group.aborted - len(mine)
-    return Attempts(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
+    failed = group.trials - group.aborted - len(mine)
+    return Trials(phi, [one.psi for one in mine], [one.duration for one in mine], failed, distances[hit])
 
 
 def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
-    """Refuse attempts of which nearly all are missing: figures are kept by their numbers, and a forged one is huge.
+    """Refuse trials of which nearly all are missing: figures are kept by their numbers, and a forged one is huge.
 
     Raises:
         UsageError: it is so.
@@ -268,13 +268,13 @@ def _check_numbers(kamikaze: Sequence[KamikazeSet]) -> None:
     there, told = sum(map(len, numbers)), sum(max(mine, default=-1) + 1 for mine in numbers)
     if told > _GAPS + _SPARSE * there:
         raise UsageError(
-            f"its attempts have numbers up to {max(map(max, filter(None, numbers)))}, of which {there} are there: no "
+            f"its trials have numbers up to {max(map(max, filter(None, numbers)))}, of which {there} are there: no "
             "campaign leaves such gaps"
         )
 
 
-def _by_attempt(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
-    """Return the deviation that each attempt on a φ counts as, by its number, m; nan: it was aborted, or not run."""
+def _by_trial(group: KamikazeSet, distances: FloatArray, eta_max: float) -> FloatArray:
+    """Return the deviation that each trial on a φ counts as, by its number, m; nan: it was aborted, or not run."""
     numbers = [split_episode_id(log.episode.episode_id)[2] for log in group.in_order]
     found = np.full(max(numbers, default=-1) + 1, np.nan)
     for log in group.misses:

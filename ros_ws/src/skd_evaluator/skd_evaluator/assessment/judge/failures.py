@@ -115,7 +115,7 @@ class Failures:
                     "nearest": [
                         {
                             "safe_trajectory": one.phi,
-                            "attempt": one.draw,
+                            "trial": one.draw,
                             "deviation": one.deviation,
                             "people": one.people,
                             "impact_speed": speeds[one.row],

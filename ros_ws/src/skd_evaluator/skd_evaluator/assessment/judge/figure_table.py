@@ -106,7 +106,7 @@ class Figure:
         label: what it is called where people read it.
         better: which way is better for the car.
         by_phi: whether it has an interval by φ, `…_ci95`.
-        independent: the end of the key of its interval that takes attempts, pairs or runs as independent; empty: none.
+        independent: the end of the key of its interval that takes trials, pairs or runs as independent; empty: none.
         bare: it stands without its intervals where several cars do.
         source: its key under an objective, where that is another one; then it stands there as a row of its own.
         per_phi: it stands in the rows of each φ, too.
@@ -189,7 +189,7 @@ class Figure:
         return {**self.kind.schema, "description": self.says} if self.says else self.kind.schema
 
 
-_OF_INDEPENDENT = "95 % interval of it, attempts or pairs taken as independent"
+_OF_INDEPENDENT = "95 % interval of it, trials or pairs taken as independent"
 _OF_THESE_PHI = "95 % interval of the estimate, for these φ"
 _WILSON = "Wilson's 95 % interval, episodes taken as independent"
 _MARGIN, _DEVIATION, _SKD, _OBJECTIVE, _SETTING = Of.MARGIN, Of.RANKING, Of.SKD, Of.OBJECTIVE, Of.SETTING
@@ -197,11 +197,11 @@ _RISK = Of.RISK
 _MORE, _LESS = Better.MORE, Better.LESS
 
 FIGURES = (
-    Figure("margin", LENGTH, "mean over all attempts of the least deviation with which anybody could have been hit "
+    Figure("margin", LENGTH, "mean over all trials of the least deviation with which anybody could have been hit "
            "by the moving car, at most eta_max each, m; null: not known", _MARGIN, "margin", _MORE, by_phi=True,
            summary=1, first=True, chart=1, difference=1, campaign=1, sweep=1, compare=1, junit=1),
-    Figure("margin_p10", LENGTH, "10 % of the attempts have a margin of at most this, m: how little is enough in the "
-           "worst of them", _MARGIN, "margin that 10 % of the attempts do not exceed", _MORE,
+    Figure("margin_p10", LENGTH, "10 % of the trials have a margin of at most this, m: how little is enough in the "
+           "worst of them", _MARGIN, "margin that 10 % of the trials do not exceed", _MORE,
            details=2, campaign=25, compare=24),
     Figure("margin_converged", FLAG_OR_NULL, "whether the search has converged; if not, the margin is an upper bound; "
            "exact ones are", _MARGIN, told=Told.SEARCH, campaign=2, compare=2, junit=2),
@@ -210,8 +210,8 @@ FIGURES = (
     Figure("margin_excess", Kind(or_null(ref("margin_excess"))), "how much too high the margin may still be, estimated "
            "from trials that were searched deeper; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
     Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
-    Figure("margin_attempts", COUNT_OR_NULL, of=_MARGIN, compare=6),
-    Figure("margin_beyond", COUNT_OR_NULL, "attempts in which nobody is hit within eta_max", _MARGIN,
+    Figure("margin_trials", COUNT_OR_NULL, of=_MARGIN, compare=6),
+    Figure("margin_beyond", COUNT_OR_NULL, "trials in which nobody is hit within eta_max", _MARGIN,
            campaign=5, compare=7),
     Figure("margin_how", TEXT_OR_NULL, "what was driven, where it was not the car itself in process", _MARGIN,
            told=Told.SEARCH, campaign=4, compare=4),
@@ -228,17 +228,17 @@ FIGURES = (
     Figure("risk", Kind(or_null(ref("risk"))), "by which behaviour model, and how it was estimated", _RISK),
     Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, campaign=29),
     Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
-    Figure("closeness", RATIO, "planned deviation over margin, in the same attempts",
-           label="closeness, planned / margin", better=Better.NEAR_1, by_phi=True,
+    Figure("optimality_gap", RATIO, "planned deviation over margin, in the same trials",
+           label="optimality_gap, planned / margin", better=Better.NEAR_1, by_phi=True,
            summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
-    Figure("deviation", LENGTH, "restricted mean deviation of planned kamikazes over all attempts; one that the "
+    Figure("deviation", LENGTH, "restricted mean deviation of planned kamikazes over all trials; one that the "
            "moving car does not hit counts as eta_max, m", _DEVIATION, "planned deviation", _MORE, by_phi=True,
-           independent="ci95_attempts", per_phi=True, clustered=True, planned=True,
+           independent="ci95_trials", per_phi=True, clustered=True, planned=True,
            summary=5, first=True, chart=3, difference=2, campaign=9, sweep=2, compare=15, junit=5),
-    Figure("deviation_of_successes", LENGTH, "mean deviation of the attempts that the moving car hit, m",
+    Figure("deviation_of_successes", LENGTH, "mean deviation of the trials that the moving car hit, m",
            _DEVIATION, better=_MORE, independent=CI95, bare=True, per_phi=True, campaign=10, sweep=3),
     Figure("deviation_success_rate", SHARE, "success rate of the kamikazes whose deviation is reported",
-           _DEVIATION, better=_LESS, by_phi=True, independent="ci95_attempts", bare=True, source="success_rate",
+           _DEVIATION, better=_LESS, by_phi=True, independent="ci95_trials", bare=True, source="success_rate",
            clustered=True, campaign=11, sweep=4, compare=16),
     Figure("equivalent_multiplier", NUMBER, "C of the basic car with the same margin on the same φ; null beyond those "
            "compared, or where it is not known", label="equivalent multiplier C", better=_MORE, spoken=True,
@@ -269,13 +269,13 @@ FIGURES = (
            "kamikazes", _SKD),
     Figure("probability_bound_ci95", _each(INTERVAL.schema), of=_SKD),
     Figure("kamikaze_success_rate", SHARE, "success rate of the kamikazes whose SKD is reported", _SKD,
-           "of the attempts of SKD collide", _LESS, by_phi=True, independent="ci95_attempts", bare=True,
+           "of the trials of SKD collide", _LESS, by_phi=True, independent="ci95_trials", bare=True,
            source="success_rate", clustered=True, summary=8, campaign=19, sweep=10, compare=20),
-    Figure("kamikaze_attempts", COUNT, of=_SKD, source="attempts"),
+    Figure("kamikaze_trials", COUNT, of=_SKD, source="trials"),
     Figure("kamikaze_aborted", COUNT, of=_SKD, source="aborted"),
-    Figure("success_rate", SHARE, "share of the attempts that reached what they planned for: a hit, or a collision",
-           _OBJECTIVE, better=_LESS, by_phi=True, independent="ci95_attempts", clustered=True),
-    Figure("attempts", COUNT, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
+    Figure("success_rate", SHARE, "share of the trials that reached what they planned for: a hit, or a collision",
+           _OBJECTIVE, better=_LESS, by_phi=True, independent="ci95_trials", clustered=True),
+    Figure("trials", COUNT, "kamikaze episodes, aborted ones left out", _OBJECTIVE),
     Figure("failed", COUNT, of=_OBJECTIVE),
     Figure("aborted", COUNT, of=_OBJECTIVE),
     Figure("mean_impact_speed", SPEED, "m/s", _SKD, "mean impact speed of these", details=1),
@@ -291,10 +291,11 @@ FIGURES = (
            "it, as the pedals of its vehicle, as it has measured them", told=Told.ASKED, optional=True),
     Figure("command_age", Kind(or_null(ref("command_age"))), "of episodes through the graph: wall time (s) from a "
            "command to its use, or from a state to its answer", told=Told.GRAPH),
-    Figure("hit_rate", SHARE, "share of the runs along φ that the moving car hit", label="hit along φ", better=_LESS,
-           by_phi=True, summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
-    Figure("collision_rate", SHARE, "share of the runs along φ that ended in a collision",
-           label="collisions along φ, any touch", better=_LESS, by_phi=True, independent="ci95_runs", clustered=True,
+    Figure("nominal_collision_rate", SHARE, "share of the runs along φ that the moving car hit",
+           label="nominal collision rate", better=_LESS, by_phi=True,
+           summary=3, first=True, chart=2, difference=5, campaign=8, compare=12, junit=4),
+    Figure("contact_rate", SHARE, "share of the runs along φ that ended in a collision",
+           label="contact rate along φ, any touch", better=_LESS, by_phi=True, independent="ci95_runs", clustered=True,
            summary=9, difference=6, campaign=14, sweep=11, compare=18, junit=9),
     Figure("clustering", Kind(ref("clusterings"))),
     Figure("clustering", Kind(ref("clusterings_of_objective")), of=_OBJECTIVE),
@@ -306,10 +307,10 @@ FIGURES = (
     Figure("static_tests", _typed("array", items=ref("static_test")), "what came of the protocol's static tests, of "
            "each impact place that one of the φ stands for", told=Told.TESTED, optional=True),
     Figure("name", TEXT, of=Of.PHI),
-    Figure("attempts", COUNT, "aborted ones included", Of.PHI),
+    Figure("trials", COUNT, "aborted ones included", Of.PHI),
     Figure("failed", COUNT, of=Of.PHI),
     Figure("aborted", COUNT, of=Of.PHI),
-    Figure("collision_rate", SHARE, of=Of.PHI_TOP),
+    Figure("contact_rate", SHARE, of=Of.PHI_TOP),
     Figure("collision_runs", COUNT, of=Of.PHI_TOP),
     Figure("safe", FLAG, "whether φ is safe with this car: not hit in nearly all runs along it", Of.PHI_TOP),
     Figure("distinct_safe_trajectories", COUNT, "how many φ differ from one another"),

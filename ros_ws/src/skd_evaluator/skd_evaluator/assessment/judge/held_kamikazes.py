@@ -16,10 +16,10 @@ from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 BUDGETS = (0.25, 0.5, 1.0, 2.0)
 """η, m, to which kamikazes are held."""
 _PART = 4
-"""One in so many of an assessment's attempts is made for each budget."""
+"""One in so many of an assessment's trials is made for each budget."""
 
 
-def held_attempts(plan: Plan) -> int:
+def held_trials(plan: Plan) -> int:
     """Return how many kamikazes are held to each η, for each φ."""
     return max(1, -(-plan.kamikaze_count // _PART))
 
@@ -30,11 +30,11 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> Budget
     Their number is fixed beforehand: to go on until enough have collided would make the share too high.
     """
     plan = replace(assessment.plan, maximum_distance=eta)
-    each = held_attempts(plan)
+    each = held_trials(plan)
     episodes: list[Episode] = [
-        plan.episode(Mode.KAMIKAZE, index, attempt, phi)
+        plan.episode(Mode.KAMIKAZE, index, trial, phi)
         for index, phi in enumerate(assessment.safe)
-        for attempt in range(each)
+        for trial in range(each)
     ]
     successes = aborted = 0
     for log in runner.run(episodes):
@@ -54,7 +54,7 @@ def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> R
     """
     begin = time.perf_counter()
     assessment = rating.for_deviation
-    if not assessment.plan.limits_deviation or not assessment.attempts:
+    if not assessment.plan.limits_deviation or not assessment.trials:
         return rating
     points: list[BudgetPoint] = []
     for number, eta in enumerate(BUDGETS, start=1):

@@ -33,7 +33,7 @@ from skd_evaluator.assessment.plan.plan import (
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.metrics.distances.measures import load_measures
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
-from skd_evaluator.metrics.margins import Margins, closeness
+from skd_evaluator.metrics.margins import Margins, optimality_gap
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.statistics.clustered import Clustered
 from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
@@ -54,7 +54,7 @@ class Rating:
     Attributes:
         assessments: one assessment for each objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
-        margins: the least way of each attempt; None where the margin is not known.
+        margins: the least way of each trial; None where the margin is not known.
         margin_note: why the margin is not known; else empty.
         risks: the risk; None where it is not known.
         risk_note: why the risk is not known; else empty.
@@ -115,9 +115,9 @@ class Rating:
         return found[first_of(preferred, found)]
 
     @property
-    def attempts(self) -> int:
+    def trials(self) -> int:
         """Kamikaze episodes run, aborted ones not counted."""
-        return sum(one.attempts for one in self.assessments)
+        return sum(one.trials for one in self.assessments)
 
     @property
     def successes(self) -> int:
@@ -127,7 +127,7 @@ class Rating:
     @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(group.attempts for one in self.assessments for group in one.kamikaze) + len(self.replays)
+        return sum(group.trials for one in self.assessments for group in one.kamikaze) + len(self.replays)
 
     @property
     def reasons(self) -> list[str]:
@@ -182,18 +182,18 @@ class Rating:
         """Runs along φ that ended in a hit by the moving car."""
         return sum(log.hit for log in self.replays)
 
-    def closeness(self) -> tuple[float | None, Interval | None]:
-        """Return how many times the margin the kamikazes that rank the car needed, in the same attempts."""
+    def optimality_gap(self) -> tuple[float | None, Interval | None]:
+        """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
         if self.margins is None:
             return None, None
         assessment = self.for_deviation
         planned = []
-        for mine, least in zip(assessment.attempt_deviations, self.margins.per_phi, strict=True):
+        for mine, least in zip(assessment.trial_deviations, self.margins.per_phi, strict=True):
             same = np.full(least.size, np.nan)
             count = min(mine.size, least.size)
             same[:count] = mine[:count]
             planned.append(same)
-        return closeness(planned, self.margins.per_phi, assessment.confidence)
+        return optimality_gap(planned, self.margins.per_phi, assessment.confidence)
 
     @cached_property
     def surrogates(self) -> Surrogates:
@@ -208,7 +208,7 @@ class Rating:
 
     @property
     def vulnerability(self) -> Vulnerability | None:
-        """The vulnerability curves, of margins and of planned kamikazes; None without an attempt."""
+        """The vulnerability curves, of margins and of planned kamikazes; None without a trial."""
         deviation = self.for_deviation.deviation
         planned = vulnerability_curve([row.restricted for row in deviation.per_safe_trajectory], deviation.eta_max)
         if planned is None:
@@ -226,12 +226,12 @@ class Rating:
         return sum(log.outcome == Outcome.COLLISION for log in self.replays)
 
     @property
-    def clustered_collision_rate(self) -> Clustered | None:
-        """The collision rate with what its error over φ is."""
+    def clustered_contact_rate(self) -> Clustered | None:
+        """The contact rate with what its error over φ is."""
         return clustered_rate(self.hits(), self.assessments[0].confidence)
 
     @property
-    def collision_rate(self) -> float | None:
+    def contact_rate(self) -> float | None:
         """Share of the runs along φ that ended in a collision."""
         return self.collisions / self.completed_replays if self.completed_replays else None
 
@@ -252,14 +252,14 @@ class Rating:
         plan = self.plan
         objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
         of_skd, of_deviation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deviation))
-        close, close_interval = self.closeness()
-        hit_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
-        rate = self.collision_rate
-        clustered = self.clustered_collision_rate
+        close, close_interval = self.optimality_gap()
+        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
+        rate = self.contact_rate
+        clustered = self.clustered_contact_rate
         clusterings: dict[Of, Mapping[str, Any]] = {
             Of.RANKING: of_deviation["clustering"],
             Of.SKD: of_skd["clustering"],
-            Of.CAR: {"collision_rate": clustered and clustered.as_dict()},
+            Of.CAR: {"contact_rate": clustered and clustered.as_dict()},
         }
         found = {
             **(dict.fromkeys(keys_of(Of.MARGIN)) if self.margins is None else self.margins.figures()),
@@ -268,8 +268,8 @@ class Rating:
             **taken(Of.RANKING, of_deviation),
             **taken(Of.SKD, of_skd),
             "margin_note": self.margin_note,
-            "closeness": close,
-            "closeness_ci95": close_interval,
+            "optimality_gap": close,
+            "optimality_gap_ci95": close_interval,
             **equivalent_entries(self.equivalent),
             "equivalent_multiplier_note": self.equivalent_note,
             "eta_max": plan.scenario.eta_max,
@@ -279,13 +279,13 @@ class Rating:
             **simulator_contacts(self._logs()),
             **({} if self.simulation is None else {"simulation": dict(self.simulation)}),
             "command_age": command_age(self._logs()),
-            "hit_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
-            "hit_rate_ci95": hit_rate and hit_rate.interval,
-            "collision_rate": rate,
-            "collision_rate_ci95_runs": wilson_interval(self.collisions, self.completed_replays)
+            "nominal_collision_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
+            "nominal_collision_rate_ci95": nominal_collision_rate and nominal_collision_rate.interval,
+            "contact_rate": rate,
+            "contact_rate_ci95_runs": wilson_interval(self.collisions, self.completed_replays)
             if rate is not None
             else None,
-            "collision_rate_ci95": clustered and clustered.interval,
+            "contact_rate_ci95": clustered and clustered.interval,
             "clustering": {
                 one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
             },
@@ -322,7 +322,7 @@ class Rating:
             {
                 **skd,
                 **{name: deviation[name] for name in ("deviation", "deviation_of_successes")},
-                "collision_rate": hits / runs if runs else None,
+                "contact_rate": hits / runs if runs else None,
                 "collision_runs": runs,
                 "safe": not hit_too_often(hits, runs),
             }

@@ -11,8 +11,8 @@ from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.world.episode import EpisodeLog, Outcome
 
+from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner, speed_ahead
 from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.judge.struck import ADVERSARY, speed_ahead, struck
 from skd_evaluator.assessment.plan.plan import EpisodeRunner
 from skd_evaluator.assessment.run.static_test import static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -59,7 +59,7 @@ class Tested:
         return cls(
             place=place,
             touched=touched,
-            target=touched and struck(log) == ADVERSARY,
+            target=touched and collision_partner(log) == ADVERSARY,
             impact_speed=impact,
             speed_ahead=speed_ahead(log) if touched else 0.0,
             fastest=max(impact, float(log.car[:, 2].max())),

@@ -17,7 +17,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
 
-from skd_evaluator.assessment.judge.struck import ADVERSARY, struck
+from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner
 from skd_evaluator.assessment.plan.plan import split_episode_id
 from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES, surrogate_measures
 from skd_evaluator.metrics.surrogate.scenes import course_of
@@ -56,12 +56,12 @@ class Surrogates:
     def write_csv(self, file: TextIO) -> None:
         """Write the content of surrogate_measures.csv, row by row: an episode each, blank where not defined."""
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["objective", "episode_id", "phi", "attempt", "outcome", *self.values])
+        rows.writerow(["objective", "episode_id", "phi", "trial", "outcome", *self.values])
         for log, objective, *values in zip(self.logs, self.objectives, *self.values.values(), strict=True):
             number = log.episode.episode_id
-            _, phi, attempt = split_episode_id(number)
+            _, phi, trial = split_episode_id(number)
             told = [f"{one:.9g}" if math.isfinite(one) else "" for one in values]
-            rows.writerow([objective, number, phi, attempt, log.outcome.name.lower(), *told])
+            rows.writerow([objective, number, phi, trial, log.outcome.name.lower(), *told])
 
     def _group(self, rows: Any, who: str) -> dict[str, Any]:
         found: dict[str, Any] = {"depends_on": DEPENDS_ON[who], "episodes": int(np.count_nonzero(rows))}
@@ -94,5 +94,5 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
         )
         for log in logs
     )
-    collided = np.array([struck(log) == ADVERSARY for log in logs], bool)
+    collided = np.array([collision_partner(log) == ADVERSARY for log in logs], bool)
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))

@@ -110,9 +110,9 @@ def _runs_along(
 ) -> list[list[EpisodeLog]]:
     """Run the car against an adversary that follows φ, for those from number `first` on; return the runs of each."""
     episodes = [
-        plan.episode(Mode.REPLAY, index, attempt, safe[index])
+        plan.episode(Mode.REPLAY, index, trial, safe[index])
         for index in range(first, len(safe))
-        for attempt in range(each)
+        for trial in range(each)
     ]
     logs = list(runner.run(episodes))
     return [logs[start : start + each] for start in range(0, len(logs), each)]

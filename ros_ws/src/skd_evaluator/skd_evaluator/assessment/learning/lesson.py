@@ -1,4 +1,4 @@
-"""What the adversary learns of a car before it is rated: probes, a model, attempts with that model, a better model.
+"""What the adversary learns of a car before it is rated: probes, a model, trials with that model, a better model.
 
 The episodes are the same for every campaign of the same car and scenario, whatever its seed, its φ and its budget, so
 that a model can be kept (`kept_models`), and none of their draws is one of a campaign's.
@@ -22,8 +22,8 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.learning.attempts import SEED, finished, own_attempts
 from skd_evaluator.assessment.learning.kept_models import day_of, files_of, folder_of, keep_model, kept_model
+from skd_evaluator.assessment.learning.trials import SEED, finished, own_trials
 from skd_evaluator.assessment.learning.waiting import with_waiting_reward
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.plan.probe import probe_episodes
@@ -34,7 +34,7 @@ from skd_evaluator.version import version
 
 PROBES: Final = 300
 """Episodes that show how the car reacts: as good as 1,000."""
-ATTEMPTS: Final = 150
+TRIALS: Final = 150
 """Episodes of kamikazes who plan with what the probes showed, in order to learn where they will go."""
 SAFE: Final = 15
 """Number of φ from which they start."""
@@ -64,7 +64,7 @@ class Lesson:
         """Return what a user should know, in one line."""
         where = f", {self.compared}" if self.compared else ""
         where += "" if self.folder is None else f", kept in {self.folder}"
-        done = f"{PROBES} probes and {ATTEMPTS} attempts of kamikazes in {self.seconds:.0f} s"
+        done = f"{PROBES} probes and {TRIALS} trials of kamikazes in {self.seconds:.0f} s"
         said = f"learned the car from {done}{where}" if self.fresh else f"the car was learned before{where}"
         return f"{said}; --knowledge nothing does without"
 
@@ -132,7 +132,7 @@ def lesson_of(
     progress: Progress = lambda *_told: None,
     of_reference: EpisodeRunner | None = None,
 ) -> FittedCar:
-    """Return what probes and own attempts show of a plan's car; neither its seed nor its φ matter.
+    """Return what probes and own trials show of a plan's car; neither its seed nor its φ matter.
 
     Args:
         plan: what is to be rated.
@@ -152,8 +152,8 @@ def lesson_of(
     recordings = _recordings(runner, probes, "probes", progress)
     first = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
-    attempts = own_attempts(plan, car_model_text(first), safe, ATTEMPTS)
-    recordings += _recordings(runner, attempts, "attempts to learn from", progress)
+    trials = own_trials(plan, car_model_text(first), safe, TRIALS)
+    recordings += _recordings(runner, trials, "trials to learn from", progress)
     car = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 

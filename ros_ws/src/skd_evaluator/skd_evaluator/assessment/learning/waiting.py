@@ -18,7 +18,7 @@ from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.learning.attempts import finished, own_attempts
+from skd_evaluator.assessment.learning.trials import finished, own_trials
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.measures import pair_of
@@ -26,9 +26,9 @@ from skd_evaluator.metrics.distances.measures import pair_of
 CHOICES: Final = (forest.WAITING_REWARD, basic.WAITING_REWARD, -0.4)
 """m of deviation for each step after φ's end."""
 TRIALS: Final = 60
-"""Attempts with each choice, which have their draws in common."""
-_FIRST: Final = 100  # number of each φ's first attempt, beyond those that the car is learned from
-_ENOUGH: Final = 0.98  # of the attempts hit: what is left to be gained is not in the waiting
+"""Trials with each choice, which have their draws in common."""
+_FIRST: Final = 100  # number of each φ's first trial, beyond those that the car is learned from
+_ENOUGH: Final = 0.98  # of the trials hit: what is left to be gained is not in the waiting
 
 
 def with_waiting_reward(
@@ -50,14 +50,14 @@ def with_waiting_reward(
         progress: called with how far the work is.
 
     Raises:
-        AssessmentError: all attempts with one of the choices were aborted.
+        AssessmentError: all trials with one of the choices were aborted.
     """
     usual = basic.WAITING_REWARD if car.forest is None else forest.WAITING_REWARD
     best, least = usual, np.inf
     for choice in (usual, *(one for one in CHOICES if one != usual)):
         model = car_model_text(replace(car, waiting_reward=choice))
-        attempts = own_attempts(plan, model, safe, TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,))
-        logs = finished(runner, attempts, f"attempts that wait at {-choice:g} m a step", progress)
+        trials = own_trials(plan, model, safe, TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,))
+        logs = finished(runner, trials, f"trials that wait at {-choice:g} m a step", progress)
         mean = float(np.mean([_strayed(log) for log in logs]))
         if mean < least:
             best, least = choice, mean
@@ -67,7 +67,7 @@ def with_waiting_reward(
 
 
 def _strayed(log: EpisodeLog) -> float:
-    """Return the deviation of an attempt, m; η_max where it did not hit."""
+    """Return the deviation of a trial, m; η_max where it did not hit."""
     episode = log.episode
     assert episode.safe_trajectory is not None
     if not log.hit:

@@ -50,7 +50,7 @@ class CampaignOptions(EpisodeOptions):
     )
     collision_runs: int = option(
         500,
-        "in how many runs the adversary just follows a safe trajectory: how often it is hit is the collision rate",
+        "in how many runs the adversary just follows a safe trajectory: how often it is hit is the contact rate",
         low=1,
         high=10_000_000,
         **_CAMPAIGN,

@@ -1,6 +1,6 @@
 """Campaigns: which episodes an assessment is made of, and in which order their results count.
 
-What counts never depends on who runs the episodes: attempts are numbered, and sets are filled in that order.
+What counts never depends on who runs the episodes: trials are numbered, and sets are filled in that order.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.behaviour.walking import normals_of, walked
 
-ATTEMPTS_PER_WANTED = 2
+TRIALS_PER_REQUESTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""
-SAFE_ATTEMPTS_PER_WANTED = 20
+SAFE_TRIALS_PER_REQUESTED = 20
 SAFE_SIMULATIONS = 2000
 
 
@@ -43,24 +43,24 @@ class Stage(IntEnum):
 
     SAFE = 0
     KAMIKAZE = 1
-    COLLISION_RATE = 2
+    NOMINAL = 2
     PROBE = 3
     LEARNING = 4
     RISK = 5
 
 
-STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.COLLISION_RATE}
+STAGES = {Mode.SAFE: Stage.SAFE, Mode.KAMIKAZE: Stage.KAMIKAZE, Mode.REPLAY: Stage.NOMINAL}
 
 
-def episode_id(stage: Stage, safe_index: int, attempt: int) -> int:
+def episode_id(stage: Stage, safe_index: int, trial: int) -> int:
     """Return the id, unique within a campaign and the same for every car, of an episode."""
-    if not (0 <= safe_index < 1 << 16 and 0 <= attempt < 1 << 32):
-        raise ValueError(f"out of range: safe_index {safe_index}, attempt {attempt}")
-    return int(stage) << 48 | safe_index << 32 | attempt
+    if not (0 <= safe_index < 1 << 16 and 0 <= trial < 1 << 32):
+        raise ValueError(f"out of range: safe_index {safe_index}, trial {trial}")
+    return int(stage) << 48 | safe_index << 32 | trial
 
 
 def split_episode_id(number: int) -> tuple[Stage, int, int]:
-    """Return (stage, safe_index, attempt) of an id made by `episode_id`.
+    """Return (stage, safe_index, trial) of an id made by `episode_id`.
 
     Raises:
         UsageError: it was not made by it.
@@ -82,7 +82,7 @@ def model_digest(number: int, car_model: str) -> str:
 
 
 def walks_a_way(episode: Episode) -> bool:
-    """Tell whether somebody follows a way that is no φ: one of the margin under an attempt's draws, or of the risk."""
+    """Tell whether somebody follows a way that is no φ: one of the margin under a trial's draws, or of the risk."""
     stage = split_episode_id(episode.episode_id)[0]
     return episode.mode == Mode.REPLAY and stage in (Stage.KAMIKAZE, Stage.RISK)
 
@@ -127,20 +127,20 @@ class Plan(CampaignOptions):
         """
         return log.hit if self.limits_deviation else log.outcome == Outcome.COLLISION
 
-    def episode(self, mode: Mode, safe_index: int, attempt: int, safe: Trajectory | None) -> Episode:
+    def episode(self, mode: Mode, safe_index: int, trial: int, safe: Trajectory | None) -> Episode:
         """Return the specification of one episode against the car under test.
 
         Args:
             mode: what the adversary does.
             safe_index: number of φ, from 0.
-            attempt: number within the stage and φ.
+            trial: number within the stage and φ.
             safe: φ; none in safe mode.
         """
         return Episode(
             self.scenario,
             mode,
             self.seed,
-            episode_id(STAGES[mode], safe_index, attempt),
+            episode_id(STAGES[mode], safe_index, trial),
             safe_trajectory=safe,
             **shared_options(self),
         )
@@ -160,20 +160,20 @@ class KamikazeSet:
     Attributes:
         safe_trajectory: the safe trajectory φ.
         logs: the episodes that collided.
-        attempts: number of episodes.
+        trials: number of episodes.
         misses: the episodes that ran to their end and did not collide.
         lost: the episodes that were aborted.
     """
 
     safe_trajectory: Trajectory
     logs: tuple[EpisodeLog, ...]
-    attempts: int
+    trials: int
     misses: tuple[EpisodeLog, ...] = ()
     lost: tuple[EpisodeLog, ...] = ()
 
     @property
     def in_order(self) -> list[EpisodeLog]:
-        """Logs of all episodes, in the order of their attempts."""
+        """Logs of all episodes, in the order of their trials."""
         return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
 
     @property
@@ -193,7 +193,7 @@ class KamikazeSet:
 
 
 def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
-    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their attempts."""
+    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their trials."""
     tried = tuple(logs)
     return KamikazeSet(
         safe_trajectory,
@@ -249,26 +249,26 @@ def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _s
     if plan.safe not in GENERATED:
         return load_safe_trajectories(plan.safe, plan.scenario, plan.safe_count)
     found: list[Trajectory] = []
-    attempt = 0
+    trial = 0
     reasons: list[str] = []
     while len(found) < plan.safe_count:
-        if attempt >= SAFE_ATTEMPTS_PER_WANTED * plan.safe_count:
-            if 2 * len(reasons) > attempt:
+        if trial >= SAFE_TRIALS_PER_REQUESTED * plan.safe_count:
+            if 2 * len(reasons) > trial:
                 raise AssessmentError(
-                    f"{len(reasons)} of {attempt} safe episodes were aborted, the last one so: {reasons[-1]}"
+                    f"{len(reasons)} of {trial} safe episodes were aborted, the last one so: {reasons[-1]}"
                 )
             raise UsageError(
-                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {attempt} "
+                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {trial} "
                 f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
             )
         missing = plan.safe_count - len(found)
-        episodes = [_safe_episode(plan, episode_id(Stage.SAFE, 0, attempt + i)) for i in range(missing)]
+        episodes = [_safe_episode(plan, episode_id(Stage.SAFE, 0, trial + i)) for i in range(missing)]
         for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):
             if log.outcome == Outcome.ARRIVED and (plan.safe != WALKERS or _crosses(plan.scenario, log.trajectory)):
-                found.append(replace(log.trajectory, name=f"{plan.safe}/{attempt}"))
+                found.append(replace(log.trajectory, name=f"{plan.safe}/{trial}"))
             elif log.outcome == Outcome.ABORTED:
                 reasons.append(log.reason)
-            attempt += 1
+            trial += 1
     return found
 
 
@@ -332,16 +332,16 @@ def kamikaze_sets(
     """
     tried: list[list[EpisodeLog]] = [[] for _ in safe]
     found = [0] * len(safe)
-    cap = ATTEMPTS_PER_WANTED * plan.kamikaze_count
+    cap = TRIALS_PER_REQUESTED * plan.kamikaze_count
     total = plan.kamikaze_count * len(safe)
     label = f"kamikazes ({plan.objective})"
     while True:
         batch: list[tuple[int, Episode]] = []
         for index, trajectory in enumerate(safe):
-            attempts = len(tried[index])
-            missing = min(plan.kamikaze_count - found[index], cap - attempts)
-            for attempt in range(attempts, attempts + missing):
-                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, attempt, trajectory)))
+            trials = len(tried[index])
+            missing = min(plan.kamikaze_count - found[index], cap - trials)
+            for trial in range(trials, trials + missing):
+                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, trial, trajectory)))
         if not batch:
             break
         logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
@@ -356,7 +356,7 @@ def collision_runs(
 ) -> list[EpisodeLog]:
     """Run the car under test against an adversary that follows φ, the runs dealt out evenly over Φ."""
     episodes = runs_along(plan, safe)
-    return list(_collect(runner, episodes, "collision rate", 0, len(episodes), progress))
+    return list(_collect(runner, episodes, "contact rate", 0, len(episodes), progress))
 
 
 def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[Episode]:

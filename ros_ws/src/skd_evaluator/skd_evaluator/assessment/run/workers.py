@@ -499,20 +499,18 @@ def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
     return with_control_period(scenario, period, car.controller)
 
 
-def single_episode(
-    plan: Plan, mode: Mode, attempt: int, safe: Trajectory | None = None, safe_number: int = 0
-) -> Episode:
+def single_episode(plan: Plan, mode: Mode, trial: int, safe: Trajectory | None = None, safe_number: int = 0) -> Episode:
     """Return one episode of a plan, the same that a campaign would run.
 
     Args:
         plan: plan of the assessment.
         mode: what the adversary does.
-        attempt: number of the attempt within its stage and φ.
+        trial: number of the trial within its stage and φ.
         safe: φ, if it is known already; only modes kamikaze and replay need it.
         safe_number: number of φ among those of the plan, counted from 0; of no meaning in safe mode.
     """
     if mode == Mode.SAFE:
-        return plan.episode(mode, 0, attempt, None)
+        return plan.episode(mode, 0, trial, None)
     if safe is None:
         safe = safe_trajectories(plan, InProcessRunner(1))[safe_number]
-    return plan.episode(mode, safe_number, attempt, safe)
+    return plan.episode(mode, safe_number, trial, safe)

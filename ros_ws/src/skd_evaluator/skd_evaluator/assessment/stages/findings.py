@@ -9,9 +9,9 @@ from typing import Any
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
 
+from skd_evaluator.assessment.judge.collision_partner import collision_partner
 from skd_evaluator.assessment.judge.rating import Rating, hit_too_often
 from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
-from skd_evaluator.assessment.judge.struck import struck
 from skd_evaluator.metrics import aborted
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.risks import Touch
@@ -25,11 +25,11 @@ def undefined(rating: Rating) -> str | None:
         return None
     discarded = assessment.skd.discarded_by_distance
     why = f"all {discarded} are further than the maximum distance" if discarded else "no kamikaze trajectory was found"
-    if assessment.reasons and not assessment.attempts:
+    if assessment.reasons and not assessment.trials:
         why = f"every kamikaze episode was aborted ({most_frequent(assessment.reasons)})"
     elif not discarded and any(kamikaze.aborted for kamikaze in assessment.kamikaze):
         lost = sum(kamikaze.aborted for kamikaze in assessment.kamikaze)
-        why = f"{why}, and {lost} of {assessment.attempts + lost} kamikaze episodes were aborted"
+        why = f"{why}, and {lost} of {assessment.trials + lost} kamikaze episodes were aborted"
     return f"{why}; SKD is not defined"
 
 
@@ -44,7 +44,7 @@ def figure_warnings(rating: Rating, *, planned: bool = True) -> list[str]:
 
     Args:
         rating: the rating with its figures.
-        planned: whether closeness is among the warnings; a table that has it as a column needs none.
+        planned: whether optimality gap is among the warnings; a table that has it as a column needs none.
     """
     found = []
     for trajectory, (hits, runs) in zip(rating.safe, rating.hits(), strict=True):
@@ -74,7 +74,7 @@ def _hits_of_others(rating: Rating) -> list[str]:
     """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
     others = rating.plan.scenario.others
     logs = [*rating.kamikaze_logs, *rating.replays] if others else []
-    who = [struck(log) for log in logs]
+    who = [collision_partner(log) for log in logs]
     return [
         f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "
         "the adversary; that counts as any collision"
@@ -90,9 +90,9 @@ def _warnings_of_margin(rating: Rating) -> list[str]:
         return []
     touched = sum(log.outcome == Outcome.COLLISION for log in rating.kamikaze_logs)
     hit = sum(log.hit for log in rating.kamikaze_logs) + rating.hit_runs
-    close, _ = rating.closeness()
+    close, _ = rating.optimality_gap()
     scenario = rating.plan.scenario.as_dict()
-    return margin_warnings({**margins.figures(), "closeness": close, "scenario": scenario}, touched, hit)
+    return margin_warnings({**margins.figures(), "optimality_gap": close, "scenario": scenario}, touched, hit)
 
 
 def any_aborted(rating: Rating) -> bool:

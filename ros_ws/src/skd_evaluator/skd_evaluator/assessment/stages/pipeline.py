@@ -130,7 +130,7 @@ class Further:
     """What an assessment has besides the figures of its kamikazes.
 
     Attributes:
-        margin_limit: how many ticks the search for the margin may simulate in each attempt; see `with_margins`.
+        margin_limit: how many ticks the search for the margin may simulate in each trial; see `with_margins`.
         curve: whether kamikazes that are held to a budget are run, for the vulnerability curve.
         risk: what is asked of the risk.
         until_width: width (m) of the interval by φ until which φ are added; None: as many as the plan says.

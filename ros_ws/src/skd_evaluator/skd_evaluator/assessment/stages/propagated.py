@@ -1,6 +1,6 @@
 """Margin and risk of a car in a calibrated simulator, with what is not known of the simulator in their intervals.
 
-Parameters of the simulator are drawn from what the calibration knows of them; with each draw the same φ, attempts and
+Parameters of the simulator are drawn from what the calibration knows of them; with each draw the same φ, trials and
 walkers are assessed. What is said is the mean over the draws; its interval is that of the mixture of all draws, each of
 which counts as normal to either side by its own interval (over φ). So it holds both: other φ of this kind, and other
 values of the parameters.
@@ -28,8 +28,8 @@ from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.margins import stopped_at
 from skd_evaluator.risk.asked import risk_asked
 
-ATTEMPTS, RUNS = 2, 125
-"""Attempts on each φ of the margin, and runs along φ, four crossings for each of which the risk has."""
+TRIALS, RUNS = 2, 125
+"""Trials on each φ of the margin, and runs along φ, four crossings for each of which the risk has."""
 _NORMAL = 1.959963984540054
 _PARTS = 4000  # quantiles by which a draw enters the mixture
 
@@ -89,7 +89,7 @@ def assessed_draws(
             controller=car.controller,
             multiplier=car.multiplier,
             safe_count=len(safe),
-            kamikaze_count=ATTEMPTS,
+            kamikaze_count=TRIALS,
             collision_runs=RUNS,
             objective=Objective.DEVIATION,
             knowledge=None if car.is_own and car.has_multiplier else Knowledge.NOTHING,
@@ -145,10 +145,10 @@ def draw_warnings(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) 
             f"in {len(loose)} of {count} draws the search for the margin {stopped_at(longest)}: the margin may be less"
         )
     if beyond := [one for one in searched if one["margin_beyond"]]:
-        attempts, every = (sum(one[key] for one in searched) for key in ("margin_beyond", "margin_attempts"))
+        trials, every = (sum(one[key] for one in searched) for key in ("margin_beyond", "margin_trials"))
         found.append(
             f"in {len(beyond)} of {count} draws nobody could be hit within η_max ({beyond[0]['eta_max']:g} m) in "
-            f"attempts of which the margin is made, {attempts} of {every} in all; they count as η_max: the margin may "
+            f"trials of which the margin is made, {trials} of {every} in all; they count as η_max: the margin may "
             "be more"
         )
     if aborted := [one for one in figures if one["aborted"]]:

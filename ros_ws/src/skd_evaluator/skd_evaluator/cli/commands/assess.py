@@ -153,7 +153,7 @@ def print_what_there_is(
         for objective in objectives
     }
     along = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
-    replays = [log for log in along if split_episode_id(log.episode.episode_id)[0] == Stage.COLLISION_RATE]
+    replays = [log for log in along if split_episode_id(log.episode.episode_id)[0] == Stage.NOMINAL]
     rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
     rating = replace(rating, margin_note="interrupted before it was searched")
     result = rating.as_dict()

@@ -36,11 +36,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
     prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
-    number, attempt = arguments.safe_number, arguments.attempt
+    number, trial = arguments.safe_number, arguments.trial
     if arguments.mode == "risk":
-        episode = single_crossing(plan, behaviour_asked(arguments.behaviour), number, attempt, arguments.scale)
+        episode = single_crossing(plan, behaviour_asked(arguments.behaviour), number, trial, arguments.scale)
     else:
-        episode = single_episode(plan, Mode[arguments.mode.upper()], attempt, safe_number=number)
+        episode = single_episode(plan, Mode[arguments.mode.upper()], trial, safe_number=number)
     compile_for_graph(plan, [plan.objective])
     with out.scratch() as scratch:
         setting = GraphSetting(

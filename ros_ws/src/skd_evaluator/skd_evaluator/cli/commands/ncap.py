@@ -130,7 +130,7 @@ def _found(arguments: argparse.Namespace, asked: Asked, grids: Sequence[Grid]) -
         skd=version(),
         car=car,
         seed=plan.seed,
-        attempts=plan.kamikaze_count,
+        trials=plan.kamikaze_count,
         margin_limit=asked.margin_limit,
         room=arguments.room,
         grids=tuple(grids),

@@ -30,7 +30,7 @@ _STATED = {
 and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
 where no result is given."""
 _FEW = 10
-_SIMULATED = ("margin", "deviation", "skd", "collision_rate")
+_SIMULATED = ("margin", "deviation", "skd", "contact_rate")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     source = _source(arguments, results)
     between, within = source.components.between, source.components.within
     if between is None or within is None:
-        raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 attempts each")
+        raise UsageError(f"{source.text}: to know how much φ differ takes at least 2 φ with 2 trials each")
     sizes = _sizes(arguments, source, between, within)
     if not sizes:
         raise UsageError("even 10,000 φ are not enough: ask for a wider interval or a larger difference")
@@ -82,13 +82,13 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         }
         print_json(content)
     else:
-        unit = "" if arguments.figure == "collision_rate" else " m"
+        unit = "" if arguments.figure == "contact_rate" else " m"
         print(
             f"{arguments.figure.replace('_', ' ')}: standard deviation {between**0.5:.3f}{unit} between φ, "
             f"{within**0.5:.3f}{unit} within; {source.text}"
         )
         print_table(_table(sizes, cheapest))
-        print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.attempts}")
+        print(f"fewest episodes: --safe-count {cheapest.safe} --kamikaze-count {cheapest.trials}")
     for line in (line for one in results for line in one.remarks):
         print(f"skd plan: warning: {line}", file=sys.stderr)
     if source.phi is not None and source.phi < _FEW:
@@ -103,7 +103,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
 def _sizes(arguments: argparse.Namespace, source: _Source, between: float, within: float) -> list[Size]:
     counts = [arguments.kamikaze_count] if arguments.kamikaze_count else COUNTS
     if arguments.width is not None:
-        prior = None if arguments.figure == "collision_rate" else DISTANCES
+        prior = None if arguments.figure == "contact_rate" else DISTANCES
         return sizes_for_width(arguments.width, between, within, prior=prior, counts=counts)
     return sizes_for_power(arguments.difference, arguments.power, between, within, paired=source.paired, counts=counts)
 
@@ -154,13 +154,13 @@ def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _S
         raise UsageError(held.planned_refusal or f"{first.folder} and {second.folder} have no {figure} in common")
     if not first.same_safe(second.safe):
         raise UsageError(f"{first.folder} and {second.folder} are of different φ: give one of them, with --unpaired")
-    differences = _attempt_differences(first.groups[figure], second.groups[figure])
+    differences = _trial_differences(first.groups[figure], second.groups[figure])
     text = f"of the difference on the same φ, from {first.folder} and {second.folder}"
     return _Source(variance_components(differences), True, text, len(differences))
 
 
-def _attempt_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
-    """Return per φ the differences of attempts of one number."""
+def _trial_differences(first: Sequence[Any], second: Sequence[Any]) -> list[Any]:
+    """Return per φ the differences of trials of one number."""
     pairs = zip(first, second, strict=True)
     return [np.subtract(other[: len(one)], one[: len(other)]) for one, other in pairs]
 
@@ -171,6 +171,6 @@ def _table(sizes: Sequence[Size], cheapest: Size) -> Table:
         table.add_column(name, justify="right")
     for size in sizes:
         power = "—" if size.power is None else f"{100 * size.power:.0f} %"
-        cells = (str(size.attempts), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
+        cells = (str(size.trials), str(size.safe), str(size.episodes), f"{size.width:.3f}", power)
         table.add_row(*(f"[bold]{cell}[/]" if size is cheapest else cell for cell in cells))
     return table

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         print_json(content)
         return 0
     for entry, table in zip(entries, tables, strict=True):
-        print(f"{entry['name']}: basic cars, {entry['safe']} φ × {entry['attempts']} attempts")
+        print(f"{entry['name']}: basic cars, {entry['safe']} φ × {entry['trials']} trials")
         print_table(table)
         if text := entry.get("equivalent_multiplier_text"):
             text = bounded(entry, text)
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, progress: Progress) -> Asked:
-    """Return where basic cars are compared: in the attempts of an assessment, or on an encounter's own φ."""
+    """Return where basic cars are compared: in the trials of an assessment, or on an encounter's own φ."""
     if (Path(name) / ASSESSMENT).is_file():
         result = read_result(Path(name))
         for line in result.remarks:
@@ -86,7 +86,7 @@ def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, pro
         objective=Objective.DEVIATION,
         safe=REGULATORY if regulatory else SYNTHETIC,
         safe_count=count_safe_trajectories(REGULATORY, scenario) if regulatory else _SYNTHETIC,
-        kamikaze_count=arguments.attempts,
+        kamikaze_count=arguments.trials,
         seed=arguments.seed,
     )
     return Asked(name, plan, safe_trajectories(plan, runner, progress))
@@ -102,7 +102,7 @@ def _entry(asked: Asked, found: Mapping[float, Margins]) -> dict[str, Any]:
     if asked.result is not None:
         compared = {"margin_converged": asked.result.figures["margin_converged"]}
         compared |= equivalent_entries(equivalent_in(asked, found))
-    return {**about, "safe": len(asked.safe), "attempts": asked.plan.kamikaze_count, "rows": rows, **compared}
+    return {**about, "safe": len(asked.safe), "trials": asked.plan.kamikaze_count, "rows": rows, **compared}
 
 
 def _table(found: Mapping[float, Margins]) -> Table:

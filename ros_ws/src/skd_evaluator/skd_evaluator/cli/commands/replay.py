@@ -17,7 +17,7 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
-from skd_evaluator.margin.actions import foretold
+from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
@@ -48,7 +48,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
         raise
     say_damage("replay", damage)
     plan = rating.plan
-    known = foretold(plan.car, plan.scenario) or plan.car.is_own
+    known = has_exact_margin(plan.car, plan.scenario) or plan.car.is_own
     if known:
         if arguments.margin_limit:
             warm_up_margins()

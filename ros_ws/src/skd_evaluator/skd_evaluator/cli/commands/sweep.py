@@ -1,4 +1,4 @@
-"""`skd sweep`: the paper's experiment, SKD and collision rate against the multiplier C."""
+"""`skd sweep`: the paper's experiment, SKD and contact rate against the multiplier C."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from skd_evaluator.risk.assessment_risk import warm_up_risk
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
     "margin": "margin",
-    "deviation": "deviation", "skd": "SKD", "skd_prefix": "prefix distance", "collision_rate": "collision rate",
+    "deviation": "deviation", "skd": "SKD", "skd_prefix": "prefix distance", "contact_rate": "contact rate",
 }  # fmt: skip
 
 

@@ -175,7 +175,7 @@ class Campaign:
             problem: BaseException | None = None
             try:
                 while not self._stop.is_set() and (cell := waiting.get()) is not None:
-                    self._attempt(cell, partial(self._rate, cell, runner, whole.of(cell)))
+                    self._trial(cell, partial(self._rate, cell, runner, whole.of(cell)))
             except StoppedError:
                 pass
             except BaseException as error:
@@ -212,11 +212,11 @@ class Campaign:
         """Run the cells of the node graph, one after the other, each in `graphs` graphs side by side."""
         whole = _OverallProgress(self.through_graph, progress)
         for cell in self.through_graph:
-            self._attempt(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
+            self._trial(cell, partial(self._rate_graph, cell, graphs, whole.of(cell)))
         with self._lock:
             self._save()
 
-    def _attempt(self, cell: Cell, work: Callable[[Callable[[Rating, Path | None], None]], None]) -> None:
+    def _trial(self, cell: Cell, work: Callable[[Callable[[Rating, Path | None], None]], None]) -> None:
         """Do the work of a cell, and take note of what came of it."""
         try:
             work(partial(self._finish, cell))

@@ -26,10 +26,10 @@ from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.assessment.files.verification import rating_of
 from skd_evaluator.assessment.judge.figure_table import columns
-from skd_evaluator.assessment.judge.held_kamikazes import BUDGETS, held_attempts
+from skd_evaluator.assessment.judge.held_kamikazes import BUDGETS, held_trials
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
-from skd_evaluator.assessment.plan.plan import ATTEMPTS_PER_WANTED, Plan, safe_trajectories
+from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
@@ -87,7 +87,7 @@ class Cell:
     @property
     def most(self) -> int:
         """How many kamikazes and runs it has at most; φ that are generated anew are beside them."""
-        return ATTEMPTS_PER_WANTED * self._kamikazes + self.plan.collision_runs + self._of_curve
+        return TRIALS_PER_REQUESTED * self._kamikazes + self.plan.collision_runs + self._of_curve
 
     @property
     def _kamikazes(self) -> int:
@@ -95,7 +95,7 @@ class Cell:
 
     @property
     def _of_curve(self) -> int:
-        return self.plan.safe_count * held_attempts(self.plan) * len(BUDGETS) if self.curve else 0
+        return self.plan.safe_count * held_trials(self.plan) * len(BUDGETS) if self.curve else 0
 
 
 def make_cells(combinations: Iterable[Combination]) -> list[Cell]:

@@ -38,7 +38,7 @@ FIGURES = {
     for one in (
         Figure("clearance", "least clearance", "m", 100.0),
         Figure("required_deceleration", "greatest required deceleration", "m/s²", MOST, wrong=1.0),
-        Figure("hit", "hit rate", "", 1.0, is_rate=True),
+        Figure("hit", "nominal collision rate", "", 1.0, is_rate=True),
         Figure("margin", "margin", "m", 100.0),
     )
 }

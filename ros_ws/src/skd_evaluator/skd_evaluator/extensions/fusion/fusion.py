@@ -27,7 +27,7 @@ from skd_evaluator.extensions.fusion.estimate.rate import LEAST_OF_EACH, alone_r
 from skd_evaluator.extensions.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
 from skd_evaluator.extensions.fusion.figures import FIGURES, Figure
 from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE, Pairs, paired
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 
 _MANY = 5
@@ -130,8 +130,8 @@ class Fusion:
 
 
 def fuse(
-    physical: Sequence[Trial],
-    simulated: Mapping[str, Sequence[Trial]],
+    physical: Sequence[PhysicalTrial],
+    simulated: Mapping[str, Sequence[PhysicalTrial]],
     *,
     looks: int = 1,
     confidence: float = 0.95,

@@ -21,7 +21,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE
 from skd_evaluator.extensions.fusion.recording import read_tracks
 from skd_evaluator.extensions.fusion.track import Frame, Track
-from skd_evaluator.extensions.fusion.trial import Trial, figures_of, gap_to_crossing
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.surrogate.clearance import clearances
 from skd_evaluator.metrics.surrogate.scene import Scene
 
@@ -62,7 +62,7 @@ class Recorder:
     tolerance: float = PATH_TOLERANCE
     gap_tolerance: float = GAP_TOLERANCE
 
-    def measured(self, path: Path, trial: Trial) -> Trial:
+    def measured(self, path: Path, trial: PhysicalTrial) -> PhysicalTrial:
         """Return a trial with timing and figures as its recording has them.
 
         Raises:
@@ -96,7 +96,7 @@ class Recorder:
         said = gap if trial.gap is None else trial.gap
         return replace(trial, values={**values, **trial.values}, gap=said, seen_hit=seen, track=track)
 
-    def laid(self, path: Path, trial: Trial, deeper: float = 0.0) -> Scene:
+    def laid(self, path: Path, trial: PhysicalTrial, deeper: float = 0.0) -> Scene:
         """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
 
         Args:
@@ -121,7 +121,7 @@ class Recorder:
         self._check_drives(scene, path)
         return scene
 
-    def _laid_apart(self, path: Path, trial: Trial) -> Scene:
+    def _laid_apart(self, path: Path, trial: PhysicalTrial) -> Scene:
         """Return the recording of a trial of which the table says that nobody was hit, to a contact beyond noise."""
         try:
             return self.laid(path, trial, _MARGIN)
@@ -230,7 +230,7 @@ def track_of(scene: Scene) -> FloatArray:
     return np.column_stack([scene.car[:, :2], scene.other])
 
 
-def overruled(trials: Sequence[Trial]) -> list[str]:
+def overruled(trials: Sequence[PhysicalTrial]) -> list[str]:
     """Return, in a line, in how many trials a table says that the car did not hit although its recording has a hit."""
     other = [one for one in trials if one.seen_hit and one.values["hit"] == 0.0]
     if not other:
@@ -243,7 +243,7 @@ def overruled(trials: Sequence[Trial]) -> list[str]:
     ]
 
 
-def _says_apart(trial: Trial) -> bool:
+def _says_apart(trial: PhysicalTrial) -> bool:
     return trial.values.get("hit") == 0.0 or trial.values.get("clearance", 0.0) > 0.0
 
 
@@ -270,7 +270,7 @@ def _until(scene: Scene, count: int) -> Scene:
     )
 
 
-def _check_agrees(trial: Trial, measured: Mapping[str, float]) -> None:
+def _check_agrees(trial: PhysicalTrial, measured: Mapping[str, float]) -> None:
     """Refuse a table that says otherwise than the recording beside it, noise left aside."""
     said = trial.values.get("hit")
     if said == 1.0 and measured["clearance"] > _MARGIN:

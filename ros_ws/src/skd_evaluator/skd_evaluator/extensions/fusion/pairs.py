@@ -11,7 +11,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean
 
 from skd_evaluator.extensions.fusion.figures import Figure
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 
 GAP_TOLERANCE = 0.5
 """m by which the gaps at the start of a simulated and a physical trial may differ for both to be of one timing."""
@@ -52,8 +52,8 @@ class Pairs:
 
 def paired(
     figure: Figure,
-    physical: Sequence[Trial],
-    simulated: Mapping[str, Sequence[Trial]],
+    physical: Sequence[PhysicalTrial],
+    simulated: Mapping[str, Sequence[PhysicalTrial]],
     tolerance: float = GAP_TOLERANCE,
 ) -> Pairs | None:
     """Pair physical with simulated trials.
@@ -93,7 +93,7 @@ def paired(
     return Pairs(names, groups, means, said, population, values, predicted, timed, runs)
 
 
-def _predicted(key: str, trial: Trial, every: Mapping[str, Sequence[Trial]], tolerance: float) -> float:
+def _predicted(key: str, trial: PhysicalTrial, every: Mapping[str, Sequence[PhysicalTrial]], tolerance: float) -> float:
     if trial.phi not in every:
         hint = did_you_mean(trial.phi, every)
         raise UsageError(f"{trial.where}: φ {trial.phi!r} was not simulated{hint}")

@@ -16,7 +16,7 @@ from skd_sim.world.episode import Mode, Outcome
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
 from skd_evaluator.assessment.files.results import read_both
-from skd_evaluator.extensions.fusion.trial import Trial, figures_of, gap_to_crossing
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial, figures_of, gap_to_crossing
 from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
 
@@ -35,23 +35,23 @@ class Simulated:
     """
 
     source: str
-    trials: Mapping[str, Sequence[Trial]]
+    trials: Mapping[str, Sequence[PhysicalTrial]]
     scenario: Scenario | None = None
     safe: Mapping[str, FloatArray] | None = None
     remarks: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
 
 
-def by_phi(trials: Sequence[Trial]) -> dict[str, list[Trial]]:
+def by_phi(trials: Sequence[PhysicalTrial]) -> dict[str, list[PhysicalTrial]]:
     """Return trials by the name of their φ, both in their order."""
-    found: dict[str, list[Trial]] = {}
+    found: dict[str, list[PhysicalTrial]] = {}
     for one in trials:
         found.setdefault(one.phi, []).append(one)
     return found
 
 
 def read_simulated(folder: Path) -> Simulated:
-    """Read the runs along φ of an assessment, and the margins of its attempts.
+    """Read the runs along φ of an assessment, and the margins of its trials.
 
     Raises:
         UsageError: it is none, is damaged, has no run along φ, or two φ of one name.
@@ -67,7 +67,7 @@ def read_simulated(folder: Path) -> Simulated:
     if not trials:
         raise UsageError(f"{folder}: has no run along φ; assess with --collision-runs")
     for name, margins in zip(names, result.groups.get("margin", ()), strict=False):
-        trials += [Trial(name, {"margin": float(margin)}, None, str(folder)) for margin in margins]
+        trials += [PhysicalTrial(name, {"margin": float(margin)}, None, str(folder)) for margin in margins]
     found = by_phi(trials)
     ordered = {name: found[name] for name in names if name in found}
     safe = dict(zip(names, stored.safe, strict=True))
@@ -75,7 +75,7 @@ def read_simulated(folder: Path) -> Simulated:
     return Simulated(str(folder), ordered, scenario, safe, remarks, result.figures)
 
 
-def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[Trial]:
+def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[PhysicalTrial]:
     ran = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED) & (stored.safe_index == index)
     found = []
     for number in np.flatnonzero(ran).tolist():
@@ -83,7 +83,7 @@ def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> 
         values = figures_of(scene_of(scenario, *course), hit=bool(stored.hit[number]))
         if stored.collided[number]:
             values["clearance"] = 0.0
-        found.append(Trial(name, values, gap_to_crossing(scenario, course.car[0]), stored_name(number, stored)))
+        found.append(PhysicalTrial(name, values, gap_to_crossing(scenario, course.car[0]), stored_name(number, stored)))
     return found
 
 

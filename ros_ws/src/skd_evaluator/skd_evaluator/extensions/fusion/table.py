@@ -13,7 +13,7 @@ from skd_sim.inputs.files import did_you_mean, finite_number, read_text, real_pa
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.extensions.fusion.figures import FIGURES, checked_value
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 
 NAME = "trials.csv"
 """The table in a folder of trials."""
@@ -37,7 +37,9 @@ def table_in(path: Path) -> Path:
     return table
 
 
-def read_trials(path: Path, measured: Callable[[Path, Trial], Trial] | None = None) -> list[Trial]:
+def read_trials(
+    path: Path, measured: Callable[[Path, PhysicalTrial], PhysicalTrial] | None = None
+) -> list[PhysicalTrial]:
     """Read a table of trials, in the order of its rows.
 
     Args:
@@ -54,8 +56,8 @@ def read_trials(path: Path, measured: Callable[[Path, Trial], Trial] | None = No
         header = [name.strip() for name in rows.fieldnames or []]
         _check_header(path, header, recordings=measured is not None)
         rows.fieldnames = header
-        found: list[Trial] = []
-        known: dict[Path, Trial] = {}
+        found: list[PhysicalTrial] = []
+        known: dict[Path, PhysicalTrial] = {}
         for row in rows:
             where = f"{path}, line {rows.line_num}"
             if None in row or None in row.values():
@@ -91,7 +93,7 @@ def _check_header(path: Path, header: list[str], *, recordings: bool) -> None:
         )
 
 
-def _check_once(known: dict[Path, Trial], file: Path, trial: Trial) -> None:
+def _check_once(known: dict[Path, PhysicalTrial], file: Path, trial: PhysicalTrial) -> None:
     """Refuse a recording that was there before, by its file or, of a copy, by its tracks: it would count twice."""
     path = real_path(file)
     before = known.get(path) or next((one for one in known.values() if _same_track(one, trial)), None)
@@ -100,7 +102,7 @@ def _check_once(known: dict[Path, Trial], file: Path, trial: Trial) -> None:
     known[path] = trial
 
 
-def _same_track(one: Trial, other: Trial) -> bool:
+def _same_track(one: PhysicalTrial, other: PhysicalTrial) -> bool:
     """Return whether two trials are of one drive; one of the recordings may end earlier."""
     if one.track is None or other.track is None:
         return False
@@ -108,7 +110,9 @@ def _same_track(one: Trial, other: Trial) -> bool:
     return bool(np.abs(one.track[:count] - other.track[:count]).max() < _SAME)
 
 
-def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path, Trial], Trial] | None) -> Trial:
+def _trial(
+    path: Path, where: str, row: dict[str, str], measured: Callable[[Path, PhysicalTrial], PhysicalTrial] | None
+) -> PhysicalTrial:
     if not row[_PHI]:
         raise UsageError(f"{where}: phi is empty")
     values = {
@@ -121,7 +125,7 @@ def _trial(path: Path, where: str, row: dict[str, str], measured: Callable[[Path
     gap = finite_number(row[_GAP], f"{where}: gap") if row.get(_GAP) else None
     if gap is not None and not 0.0 <= gap <= _FARTHEST:
         raise UsageError(f"{where}: gap must be from 0 to {_FARTHEST:g} m, got {gap:g}")
-    trial = Trial(row[_PHI], values, gap, where)
+    trial = PhysicalTrial(row[_PHI], values, gap, where)
     if row.get(_FILE):
         if "\0" in row[_FILE]:
             raise UsageError(f"{where}: file must be the path of a recording, got {short(row[_FILE])}")

@@ -17,7 +17,7 @@ from skd_evaluator.metrics.surrogate.scenes import Scenes
 
 
 @dataclass(frozen=True)
-class Trial:
+class PhysicalTrial:
     """One trial.
 
     Attributes:

@@ -42,7 +42,7 @@ class Asked:
         speeds: test speeds, km/h; None: those of the matrix.
         margin_limit: candidates that the search for the margin may drive in each trial; 0: no margin.
         planned: whether kamikazes are planned, too.
-        equivalent: whether basic cars are compared in the same attempts, too.
+        equivalent: whether basic cars are compared in the same trials, too.
     """
 
     plan: Plan
@@ -166,7 +166,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
             cell = replace(cell, deviation=judge(plan, [phi], sets, (), 0.0).deviation.mean)
         if why := why_no_margin(plan, asked.margin_limit):
             return replace(cell, margin_why=why)
-        episodes = [plan.episode(Mode.KAMIKAZE, 0, attempt, phi) for attempt in range(plan.kamikaze_count)]
+        episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
         by_id = {log.episode.episode_id: [log] for log in logs}
         found = least_ways(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
         ways, _ = with_planned_hits(episodes, found.ways, by_id)
@@ -190,7 +190,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
 def _with_equivalent(
     cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: ExecutorRunner
 ) -> Cell:
-    """Return a cell with the C of the basic car that has its margin, in the same attempts and by the same search."""
+    """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
     where = ReferenceAsked("", plan, [phi])
     swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)
     found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})

@@ -16,7 +16,7 @@ LIGHT = ("green", "yellow", "orange", "red")
 """Colours on which words are black: white would have a contrast below 4.5 (WCAG 2.2)."""
 LEGEND = (
     "colour of 2026 (G green, Y yellow, O orange, B brown, R red, – none), impact speed (km/h), margin (m; "
-    "≥ is a lower bound: no hit was found in some attempt)"
+    "≥ is a lower bound: no hit was found in some trial)"
 )
 
 
@@ -76,7 +76,7 @@ def impact_text(cell: Cell) -> str:
 
 
 def margin_text(cell: Cell) -> str:
-    """Return a cell's margin: at least so much where nobody could be hit within η_max in an attempt.
+    """Return a cell's margin: at least so much where nobody could be hit within η_max in a trial.
 
     A search that has not converged may have missed a hit, so that it gives no least value.
     """
@@ -106,9 +106,9 @@ def reasons(grid: Grid) -> list[str]:
             loose
         )
     if part := [cell for cell in grid.cells if 0 < cell.beyond < len(cell.margins)]:
-        found["in some attempts nobody could be hit within η_max, with which they count in the margin"] = part
+        found["in some trials nobody could be hit within η_max, with which they count in the margin"] = part
     if none := unfound(grid):
-        found["the search found no hit in any attempt: the margin stands at η_max, and was not measured"] = none
+        found["the search found no hit in any trial: the margin stands at η_max, and was not measured"] = none
     for cell in grid.cells:
         for why in dict.fromkeys(filter(None, (cell.why, cell.margin_why and f"no margin: {cell.margin_why}"))):
             if why != f"no margin: {cell.why}":
@@ -117,7 +117,7 @@ def reasons(grid: Grid) -> list[str]:
 
 
 def unfound(grid: Grid) -> list[Cell]:
-    """Return the cells whose margin is η_max because no attempt has a hit."""
+    """Return the cells whose margin is η_max because no trial has a hit."""
     return [cell for cell in grid.cells if cell.margins and cell.beyond == len(cell.margins)]
 
 

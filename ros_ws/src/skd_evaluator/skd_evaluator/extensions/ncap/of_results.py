@@ -46,7 +46,7 @@ class Result(Protocol):
 
     @property
     def margins(self) -> Sequence[FloatArray]:
-        """Per φ what each attempt of the margin counts as, m; none of each where it is not known."""
+        """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class View:
 def views_of(results: Sequence[Result], room: float) -> list[View]:
     """Return the regulator's view of results that have static tests, a grid for each car in each encounter.
 
-    Results that differ in test speed and seed alone make up one grid; where two have the same cell, its attempts are
+    Results that differ in test speed and seed alone make up one grid; where two have the same cell, its trials are
     those of both.
 
     Args:
@@ -149,7 +149,7 @@ def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
     margins, figures = one.margins[index], one.figures
     cell = replace(cell, deviation=figures["per_safe_trajectory"][index]["deviation"])
     if not margins.size:
-        return replace(cell, margin_why=str(figures["margin_note"]) or "no attempt of it has one")
+        return replace(cell, margin_why=str(figures["margin_note"]) or "no trial of it has one")
     return replace(
         cell,
         margin=mean(margins),
@@ -160,7 +160,7 @@ def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
 
 
 def _joined(first: Cell, second: Cell) -> Cell:
-    """Return a cell with the attempts of two, which differ in their seed."""
+    """Return a cell with the trials of two, which differ in their seed."""
     margins = (*first.margins, *second.margins)
     planned = [one for one in (first.deviation, second.deviation) if one is not None]
     return replace(

@@ -50,11 +50,9 @@ def details(cell: Cell) -> str:
     if cell.touched and not cell.impact_speed:
         said.append("the target ran into the car, which stood")
     if cell.margins:
-        said.append(f"margins of the attempts (m): {', '.join(f'{margin:.2f}' for margin in cell.margins)}")
+        said.append(f"margins of the trials (m): {', '.join(f'{margin:.2f}' for margin in cell.margins)}")
     if cell.beyond:
-        said.append(
-            f"no hit was found in {cell.beyond} of {counted(len(cell.margins), 'attempt')}, which count as η_max"
-        )
+        said.append(f"no hit was found in {cell.beyond} of {counted(len(cell.margins), 'trial')}, which count as η_max")
     if not cell.converged:
         said.append("they are upper bounds")
     if cell.deviation is not None:

@@ -46,15 +46,15 @@ class Cell(Frozen):
         value: of the criterion, km/h.
         colour: of 2026.
         why: why it has no colour.
-        margin: mean over the attempts of the least deviation with which anybody could have been hit, m.
-        margins: that of each attempt, m; η_max where nobody could have been.
-        beyond: attempts in which nobody could have been hit within η_max, as far as was found.
+        margin: mean over the trials of the least deviation with which anybody could have been hit, m.
+        margins: that of each trial, m; η_max where nobody could have been.
+        beyond: trials in which nobody could have been hit within η_max, as far as was found.
         converged: whether the search for the margin has converged.
-        margin_is: `at least` where attempts without a hit count as η_max in the margin, `at most` where the search has
+        margin_is: `at least` where trials without a hit count as η_max in the margin, `at most` where the search has
             not converged; empty: neither.
         margin_why: why there is no margin.
-        deviation: mean deviation of planned kamikazes, m; an attempt that failed counts as η_max.
-        equivalent: C of the basic car that has the same margin in these attempts; None: beyond those compared.
+        deviation: mean deviation of planned kamikazes, m; a trial that failed counts as η_max.
+        equivalent: C of the basic car that has the same margin in these trials; None: beyond those compared.
         equivalent_text: the same as people read it, `below 0.5` or `above 1.5` where it is beyond.
     """
 
@@ -139,7 +139,7 @@ class Ncap(Frozen):
         skd: version of SKD.
         car: the car, as people read it.
         seed: of all draws.
-        attempts: for each margin.
+        trials: for each margin.
         margin_limit: candidates that the search may drive in each trial.
         room: margin below which a green test stands out, m.
         grids: one for each encounter.
@@ -152,7 +152,7 @@ class Ncap(Frozen):
     skd: str
     car: str
     seed: Count
-    attempts: Count
+    trials: Count
     margin_limit: Count
     room: Metres
     grids: tuple[Grid, ...]
@@ -208,7 +208,7 @@ def checked(found: Ncap, path: Path) -> Ncap:
             if (which := (cell.speed, cell.target, cell.place)) in known:
                 raise UsageError(f"{where}: is there twice")
             known.add(which)
-            _check(cell, found.attempts, where)
+            _check(cell, found.trials, where)
     tests = [grid.test for grid in found.grids if grid.test]
     for one in found.points:
         if one.test not in tests:
@@ -225,7 +225,7 @@ def ncap_of(data: Any, where: str) -> Ncap:
     return read_model(Ncap, data, where)
 
 
-def _check(cell: Cell, attempts: int, where: str) -> None:
+def _check(cell: Cell, trials: int, where: str) -> None:
     """Refuse a cell of which one entry contradicts another."""
     if (cell.touched is None) != (cell.impact_speed is None) or (cell.impact_speed and not cell.touched):
         raise UsageError(f"{where}: its impact speed does not go with whether the car touched the target")
@@ -240,7 +240,7 @@ def _check(cell: Cell, attempts: int, where: str) -> None:
     if cell.colour:
         _check_colour(cell, where)
     if cell.margin is not None or cell.margins:
-        _check_margin(cell, attempts, where)
+        _check_margin(cell, trials, where)
     if cell.equivalent is not None and cell.equivalent_text != f"{cell.equivalent:.3f}":
         raise UsageError(f"{where}: its equivalent multiplier is {cell.equivalent:.3f}, and not {cell.equivalent_text}")
 
@@ -258,15 +258,15 @@ def _check_colour(cell: Cell, where: str) -> None:
         raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
 
 
-def _check_margin(cell: Cell, attempts: int, where: str) -> None:
+def _check_margin(cell: Cell, trials: int, where: str) -> None:
     if cell.margin is None or not cell.margins or abs(cell.margin - fmean(cell.margins)) > _SAME:
         said = "no margin" if cell.margin is None else f"a margin of {cell.margin:g} m"
-        raise UsageError(f"{where}: has {said}, which is no mean of those of its attempts")
-    if len(cell.margins) != attempts:
-        raise UsageError(f"{where}: has margins of {len(cell.margins)} attempts, and there were {attempts}")
-    # Attempts without a hit count as η_max, and none counts more.
-    if cell.beyond > attempts or sorted(cell.margins)[attempts - cell.beyond :] != [max(cell.margins)] * cell.beyond:
-        raise UsageError(f"{where}: says that {cell.beyond} attempts have no hit, which its margins do not")
+        raise UsageError(f"{where}: has {said}, which is no mean of those of its trials")
+    if len(cell.margins) != trials:
+        raise UsageError(f"{where}: has margins of {len(cell.margins)} trials, and there were {trials}")
+    # Trials without a hit count as η_max, and none counts more.
+    if cell.beyond > trials or sorted(cell.margins)[trials - cell.beyond :] != [max(cell.margins)] * cell.beyond:
+        raise UsageError(f"{where}: says that {cell.beyond} trials have no hit, which its margins do not")
     if cell.margin_is not in ("", cell.bound):
         raise UsageError(f"{where}: its margin is {cell.margin_is} what it says, which does not follow from its search")
 

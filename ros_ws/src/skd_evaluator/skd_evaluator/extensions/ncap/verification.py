@@ -40,12 +40,12 @@ def with_regulator(found: Verified) -> Verified:
     problems += _beyond(said, path)
     remarks += not_credible(said.warnings)
     remarks += _bounds(said)
-    remarks.append("colours follow from impact speeds, and margins from attempts; page and picture are not compared")
+    remarks.append("colours follow from impact speeds, and margins from trials; page and picture are not compared")
     return replace(found, problems=tuple(problems), remarks=tuple(remarks))
 
 
 def _beyond(said: Ncap, path: Path) -> list[str]:
-    """Return, a line each, in which of SKD's own encounters other attempts than those without a hit count as η_max."""
+    """Return, a line each, in which of SKD's own encounters other trials than those without a hit count as η_max."""
     lines = []
     for grid in said.grids:
         if not is_named(grid.encounter):
@@ -55,7 +55,7 @@ def _beyond(said: Ncap, path: Path) -> list[str]:
             count = sum(margin >= most for margin in cell.margins)
             if count != cell.beyond or any(margin > most for margin in cell.margins):
                 lines.append(
-                    f"{path}: a cell of {grid.encounter} at {cell.speed:g} km/h says that {cell.beyond} attempts have "
+                    f"{path}: a cell of {grid.encounter} at {cell.speed:g} km/h says that {cell.beyond} trials have "
                     f"no hit, and {count} of its margins are η_max, {most:g} m"
                 )
     return lines
@@ -66,7 +66,7 @@ def _bounds(said: Ncap) -> list[str]:
     cells = [cell for grid in said.grids for cell in grid.cells if cell.margin is not None]
     lines = []
     for bound, why in (
-        (AT_LEAST, "lower bounds: no hit was found in some of their attempts, which count as η_max"),
+        (AT_LEAST, "lower bounds: no hit was found in some of their trials, which count as η_max"),
         (AT_MOST, "upper bounds: the search has not converged"),
     ):
         if count := sum(cell.bound == bound for cell in cells):

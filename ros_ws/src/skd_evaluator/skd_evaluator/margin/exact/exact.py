@@ -1,6 +1,6 @@
-"""The exact margin of the basic car: the least deviation with which anybody could have been hit in an attempt.
+"""The exact margin of the basic car: the least deviation with which anybody could have been hit in a trial.
 
-An attempt's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
+A trial's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
 known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,
 `LeastWay.gap` says how far the result may be from the least.
 """
@@ -15,10 +15,10 @@ from skd_sim.world.episode import Episode, controller_generator, controller_seed
 from skd_sim.world.state import Trajectory
 from skd_sim.world.world import Contact, make_world
 
-from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_foretold, way_velocity
+from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_exact, way_velocity
 from skd_evaluator.margin.exact.course import make_course
 from skd_evaluator.margin.exact.exact_search import CROWDED, FOUND, FULL, make_nodes, search_least_way
-from skd_evaluator.margin.exact.foresight import make_foresight
+from skd_evaluator.margin.exact.reachability import make_reachability
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.least_way import LeastWay
 
@@ -44,17 +44,17 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         was found: then the least, if there is one, is just below the bound.
 
     Raises:
-        ValueError: the episode is none of those that are foretold.
+        ValueError: the episode is none of those that are predictable.
         UsageError: the search would need too much memory.
     """
-    require_foretold(episode)
+    require_exact(episode)
     course = make_course(episode, WAY_COUNT if half_speed else FIRST_HALF)
     ticks = episode.scenario.ticks
     upper = (episode.scenario.eta_max if upper_bound is None else upper_bound) * (1.0 + TOLERANCE) + TOLERANCE
     ways = np.empty(ticks, np.int64)
     for histories, nodes, loose in _EFFORTS:
-        foresight = make_foresight(histories, ticks)
-        state, distance, gap, length = search_least_way(course, foresight, make_nodes(nodes), upper, loose, ways)
+        reachability = make_reachability(histories, ticks)
+        state, distance, gap, length = search_least_way(course, reachability, make_nodes(nodes), upper, loose, ways)
         if state not in (FULL, CROWDED):
             break
     if state == CROWDED:

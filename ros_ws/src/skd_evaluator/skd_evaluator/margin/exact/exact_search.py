@@ -1,8 +1,8 @@
 """Kernels behind the exact margin: tick by tick, all places that the adversary can reach within a limit.
 
 A node is a place, a state of the car, and the least deviation of a way that leads there. A node is left out if the
-foresight shows that no hit can follow. Sequences that come to the same place merge: a place is the sum of moves,
-whatever their order.
+reachability bound shows that no hit can follow. Sequences that come to the same place merge: a place is the sum of
+moves, whatever their order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from skd_sim.world.contact import first_contact
 
 from skd_evaluator.margin.actions import WAY_COUNT, way_velocity
 from skd_evaluator.margin.exact.course import SURE, Course, place_of_phi
-from skd_evaluator.margin.exact.foresight import Foresight, fill_ways, foresee, is_hopeful, look_back, where_of
+from skd_evaluator.margin.exact.reachability import Reachability, fill_ways, foresee, is_hopeful, look_back, where_of
 
 NOTHING, FOUND, FULL, CROWDED = range(4)
 """What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""
@@ -41,7 +41,7 @@ class Nodes(NamedTuple):
 
     size: IntArray  # [nodes, layers so far]
     place: FloatArray  # node → x, y, m
-    history: IntArray  # node → history of the foresight
+    history: IntArray  # node → history of the reachability bound
     strayed: FloatArray  # node → greatest distance from φ so far, m
     origin: IntArray  # node → node before
     way: IntArray  # node → way that led here
@@ -111,12 +111,12 @@ def _visit(
 
 
 @kernel
-def search_within(c: Course, f: Foresight, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
-    """Search for the hit of least deviation below a limit for which the foresight was made.
+def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: float) -> tuple[int, int, int, float]:
+    """Search for the hit of least deviation below a limit for which the reachability bound was made.
 
     Args:
         c: what is known of the episode beforehand.
-        f: the foresight, with its sets.
+        f: the reachability bound, with its sets.
         q: memory of the search.
         limit: only hits with less deviation than this are found, m.
         cell: side of the cells, m; in each cell the place with the least deviation stands for all. SAME: all places
@@ -209,8 +209,8 @@ def _fine(limit: float) -> float:
 
 
 @kernel
-def _least_possible(c: Course, f: Foresight, low: float, high: float, share: float) -> float:
-    """Return a limit within which the foresight sees no hit, near the greatest; `low` is one, and `high` is none."""
+def _least_possible(c: Course, f: Reachability, low: float, high: float, share: float) -> float:
+    """Return a limit near the greatest within which nothing can be reached; `low` is one, `high` is none."""
     while high - low > share * high + _NEAR_ENOUGH:
         middle = 0.5 * (low + high)
         if foresee(c, f, middle, _fine(middle), True) == 0:
@@ -221,8 +221,8 @@ def _least_possible(c: Course, f: Foresight, low: float, high: float, share: flo
 
 
 @kernel
-def _search(c: Course, f: Foresight, q: Nodes, limit: float, cell: float, ways: IntArray) -> tuple[int, float, int]:
-    """Make the foresight of a limit and search within it; return what `search_least_way` does, but for the gap."""
+def _search(c: Course, f: Reachability, q: Nodes, limit: float, cell: float, ways: IntArray) -> tuple[int, float, int]:
+    """Bound what a limit lets reach, and search within it; return what `search_least_way` does, but for the gap."""
     fine = _fine(limit)
     possible = foresee(c, f, limit, fine, False)
     if possible == 0:
@@ -244,16 +244,17 @@ def _search(c: Course, f: Foresight, q: Nodes, limit: float, cell: float, ways: 
 
 @kernel(nogil=True)
 def search_least_way(
-    c: Course, f: Foresight, q: Nodes, upper: float, loose: bool, ways: IntArray
+    c: Course, f: Reachability, q: Nodes, upper: float, loose: bool, ways: IntArray
 ) -> tuple[int, float, float, int]:
     """Search for the hit of least deviation.
 
-    First, by the foresight alone, a limit within which nothing is possible; then, in cells, a hit not far above; last
-    all that there is below that. Where there is no room for all, finer cells and limits in between narrow the gap.
+    First, by the reachability bound alone, a limit within which nothing is possible; then, in cells, a hit not far
+    above; last all that there is below that. Where there is no room for all, finer cells and limits in
+    between narrow the gap.
 
     Args:
         c: what is known of the episode beforehand.
-        f: memory for the foresight.
+        f: memory for the reachability bound.
         q: memory of the search.
         upper: only hits with less deviation than this are looked for, m.
         loose: whether a gap is accepted if there is no room for all nodes.

@@ -170,7 +170,7 @@ def _still(
     """Return how far from φ, at least, the car can be met, wherever between full brake and none it is; or infinity.
 
     Args:
-        problem: what is known of the attempt beforehand.
+        problem: what is known of the trial beforehand.
         view: says what the car can do.
         tick: number of the tick that is now.
         ticks: the ticks in which φ is near enough.
@@ -315,7 +315,7 @@ def plan(
     """Find the planned hit of least deviation.
 
     Args:
-        problem: what is known of the attempt beforehand.
+        problem: what is known of the trial beforehand.
         view: how the surrogate of the controller is asked.
         moments: the moments that were simulated, n × COLUMNS.
         ticks: the tick of each moment.

@@ -1,4 +1,4 @@
-"""The way of least deviation on which the moving car hits, in one attempt."""
+"""The way of least deviation on which the moving car hits, in one trial."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skd_sim.world.state import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class LeastWay:
-    """The way of least deviation that ends in a hit, under the draws of one attempt.
+    """The way of least deviation that ends in a hit, under the draws of one trial.
 
     Attributes:
         distance: deviation of the way, m.

@@ -1,7 +1,7 @@
 """How much further one car's kamikazes strayed than another's: the difference of two means over safe trajectories.
 
 On the same φ the cars are compared φ by φ, and what makes a φ easy or hard for both drops out; where seed and numbers
-of attempts are the same too, so does what the draws have in common. On different φ it does not, and the difference is
+of trials are the same too, so does what the draws have in common. On different φ it does not, and the difference is
 known worse (Welch's test, with the degrees of freedom of Satterthwaite's rule).
 """
 

@@ -3,7 +3,7 @@
 Five φ say little of how φ differ. Three of four synthetic ones are straight crossings; five of these often hold none of
 the others, are alike, and their mean is then too small and looks more certain than it is: Student's t misses the truth,
 and from below. The five themselves do not show it. What other campaigns had in common does: how much φ differ, measured
-by how much the attempts on one φ do, and that a few φ ask for much more than the rest.
+by how much the trials on one φ do, and that a few φ ask for much more than the rest.
 
 *How much they differ.* The values of φ number i are normal about a mean of their own with variance σ², and these means
 normal about that of all φ with variance ρ·σ²: the one-way layout with random effects. Beforehand nothing is known of

@@ -1,8 +1,8 @@
 """How many safe trajectories, and how many kamikazes for each, a wanted certainty takes.
 
 From the variances between and within φ of an earlier assessment follows how wide the interval of another will be,
-and how likely it finds a difference: with m φ and n attempts on each the squared error of a mean is
-(between + within / n) / m. More attempts on the same φ only help until `between` is left.
+and how likely it finds a difference: with m φ and n trials on each the squared error of a mean is
+(between + within / n) / m. More trials on the same φ only help until `between` is left.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
 _PRECISION = 1e-4
 """Relative error of a width that is planned with: a hundredth of what is shown of it."""
 COUNTS = (10, 20, 25, 50, 100, 200, 400)
-"""Attempts on each φ that are offered."""
+"""Trials on each φ that are offered."""
 
 
 @dataclass(frozen=True)
@@ -35,24 +35,24 @@ class Size:
 
     Attributes:
         safe: number of φ.
-        attempts: number of attempts on each φ.
+        trials: number of trials on each φ.
         width: expected width of the interval, in the unit of the values.
         power: chance that a difference is found; None where none was asked about.
     """
 
     safe: int
-    attempts: int
+    trials: int
     width: float
     power: float | None = None
 
     @property
     def episodes(self) -> int:
         """Kamikaze episodes of one objective."""
-        return self.safe * self.attempts
+        return self.safe * self.trials
 
 
 def expected_width(
-    between: float, within: float, safe: int, attempts: int, *, prior: Prior | None = None, confidence: float = 0.95
+    between: float, within: float, safe: int, trials: int, *, prior: Prior | None = None, confidence: float = 0.95
 ) -> float:
     """Return how wide an interval over φ is expected to be.
 
@@ -60,14 +60,14 @@ def expected_width(
         between: variance of the φ's own means.
         within: variance of the values of one φ.
         safe: number of φ, ≥ 2.
-        attempts: number of attempts on each φ, ≥ 1.
+        trials: number of trials on each φ, ≥ 1.
         prior: what the interval takes as known beforehand. With many φ it makes no difference, and is left out.
         confidence: two-sided, in (0, 1).
     """
-    error, inside = math.sqrt((between + within / attempts) / safe), within * safe * (attempts - 1.0)
+    error, inside = math.sqrt((between + within / trials) / safe), within * safe * (trials - 1.0)
     if prior is None or not prior.can_tell(inside) or safe > _MANY:
         return 2.0 * student_quantile(safe - 1.0, confidence) * error * _mean_of_root(safe - 1.0)
-    counts = np.full(safe, float(attempts))
+    counts = np.full(safe, float(trials))
     # Means whose sample has no skewness and the variance 1, and the values that their estimated variance may take.
     means = np.linspace(-1.0, 1.0, safe)
     means /= means.std(ddof=1)
@@ -84,21 +84,21 @@ def _mean_of_root(freedom: float) -> float:
 
 
 def power(
-    difference: float, between: float, within: float, safe: int, attempts: int, *, paired: bool, level: float = 0.05
+    difference: float, between: float, within: float, safe: int, trials: int, *, paired: bool, level: float = 0.05
 ) -> float:
     """Return the chance that two cars are told apart, by noncentral t.
 
     Args:
         difference: difference of the means, in the unit of the values.
         between: variance between φ: with `paired`, of the differences on each φ; else of each car's means.
-        within: variance of one attempt on a φ: with `paired`, of the difference of two attempts with one number.
+        within: variance of one trial on a φ: with `paired`, of the difference of two trials with one number.
         safe: number of φ of each car, ≥ 2.
-        attempts: number of attempts on each φ.
+        trials: number of trials on each φ.
         paired: whether both cars face the same φ.
         level: how often a difference may be found where there is none.
     """
     samples = 1 if paired else 2
-    error = math.sqrt(samples * (between + within / attempts) / safe)
+    error = math.sqrt(samples * (between + within / trials) / safe)
     if error == 0.0:
         return 1.0 if difference else level
     freedom = samples * (safe - 1.0)
@@ -111,13 +111,13 @@ def power(
 def sizes_for_width(
     width: float, between: float, within: float, *, prior: Prior | None = None, counts: Sequence[int] = COUNTS
 ) -> list[Size]:
-    """Return for each number of attempts the least number of φ whose interval is expected to be so narrow.
+    """Return for each number of trials the least number of φ whose interval is expected to be so narrow.
 
     Those that no number of φ up to `MOST` suffices for are left out.
     """
 
-    def found(safe: int, attempts: int) -> Size:
-        return Size(safe, attempts, expected_width(between, within, safe, attempts, prior=prior))
+    def found(safe: int, trials: int) -> Size:
+        return Size(safe, trials, expected_width(between, within, safe, trials, prior=prior))
 
     return _least(counts, found, lambda size: size.width <= width)
 
@@ -131,25 +131,25 @@ def sizes_for_power(
     paired: bool,
     counts: Sequence[int] = COUNTS,
 ) -> list[Size]:
-    """Return for each number of attempts the least number of φ that tells a difference with the power wanted."""
+    """Return for each number of trials the least number of φ that tells a difference with the power wanted."""
 
-    def found(safe: int, attempts: int) -> Size:
+    def found(safe: int, trials: int) -> Size:
         samples = 1 if paired else 2
-        wide = expected_width(samples * between, samples * within, safe, attempts)
-        return Size(safe, attempts, wide, power(difference, between, within, safe, attempts, paired=paired))
+        wide = expected_width(samples * between, samples * within, safe, trials)
+        return Size(safe, trials, wide, power(difference, between, within, safe, trials, paired=paired))
 
     return _least(counts, found, lambda size: size.power is not None and size.power >= wanted)
 
 
 def _least(counts: Sequence[int], found: Callable[[int, int], Size], enough: Callable[[Size], bool]) -> list[Size]:
-    """Return for each number of attempts the size with the least number of φ that is enough: more φ always are."""
+    """Return for each number of trials the size with the least number of φ that is enough: more φ always are."""
     sizes = []
-    for attempts in counts:
-        if not enough(found(MOST, attempts)):
+    for trials in counts:
+        if not enough(found(MOST, trials)):
             continue
         low, high = 1, MOST
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (low, middle) if enough(found(middle, attempts)) else (middle, high)
-        sizes.append(found(high, attempts))
+            low, high = (low, middle) if enough(found(middle, trials)) else (middle, high)
+        sizes.append(found(high, trials))
     return sizes

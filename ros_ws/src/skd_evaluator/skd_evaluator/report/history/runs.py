@@ -70,7 +70,17 @@ class Run:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
-        keys = ("margin", "margin_ci95", "hit_rate", "hit_rate_ci95", "deviation", "skd", "risk_1", "seed", "safe")
+        keys = (
+            "margin",
+            "margin_ci95",
+            "nominal_collision_rate",
+            "nominal_collision_rate_ci95",
+            "deviation",
+            "skd",
+            "risk_1",
+            "seed",
+            "safe",
+        )
         return {
             "folder": str(self.folder),
             "car": self.car,
@@ -78,7 +88,7 @@ class Run:
             "date": self.date,
             "revision": self.revision,
             "safe_count": len(self.figures["per_safe_trajectory"]),
-            "attempts": self.figures.get("margin_attempts"),
+            "trials": self.figures.get("margin_trials"),
             "margin_converged": self.figures.get("margin_converged"),
             **{key: self.figures.get(key) for key in keys},
             "remark": self.remark,

@@ -27,7 +27,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
     table.add_column("folder", overflow="fold")
     table.add_column("car", overflow="fold")
     table.add_column("encounter", overflow="fold")
-    for name in ("margin\n(m)", "95 %,\nby φ", "hit\nalong φ", "φ"):
+    for name in ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("code of\nthe car", no_wrap=True)
     table.add_column("date\n(UTC)")
@@ -38,7 +38,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
             escape(run.encounter),
             bounded_cell(run.figures, _number(run.figures["margin"])),
             _interval(run.figures["margin_ci95"], 2),
-            TERMINAL.share(run.figures["hit_rate"]),
+            TERMINAL.share(run.figures["nominal_collision_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
             run.revision or _UNKNOWN,
             day(run.date),

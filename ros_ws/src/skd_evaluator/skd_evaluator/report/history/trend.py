@@ -14,7 +14,7 @@ from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.statistics.statistics import Interval
 from skd_evaluator.report.history.runs import Run
 
-FIGURES = ("margin", "deviation", "skd", "hit_rate", "risk_1")
+FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1")
 """Figures that can be followed."""
 
 

@@ -80,7 +80,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
     end = _end([*map(_main, ordered), *([planned] if planned else [])])
     x = alt.X("eta:Q", title="η: how far the adversary may stray from φ (m)")
     x = x.scale(domain=[0.0, end], nice=False)
-    y, low = (alt.Y(f"{name}:Q", title="can be hit (% of attempts)").scale(domain=[0, 100]) for name in ("rate", "low"))
+    y, low = (alt.Y(f"{name}:Q", title="can be hit (% of trials)").scale(domain=[0, 100]) for name in ("rate", "low"))
     legend = None if alone else _legend("the most vulnerable first", symbolType="stroke", symbolSize=600)
     dashes = [list(one) for one in palette.in_turn(len(names))]
     colour = alt.Color("car:N", sort=names, legend=legend).scale(domain=names, range=palette.ordered(len(names)))
@@ -98,7 +98,9 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
         _of(rates).mark_rule(strokeWidth=2).encode(x=x, y=low, y2="high:Q", color=colour),
         _of(rates)
         .mark_point(filled=True, size=60, opacity=1)
-        .encode(x=x, y=y, color=colour, tooltip=_tooltip(car="car", rate=("hit along φ (%)", ".1f"), **_ENDS)),
+        .encode(
+            x=x, y=y, color=colour, tooltip=_tooltip(car="car", rate=("nominal collision rate (%)", ".1f"), **_ENDS)
+        ),
     ]
     if planned:
         behind: Spec = {**line, "strokeDash": [8, 2, 2, 2], "strokeWidth": 1.5, "color": palette.BEHIND}
@@ -110,7 +112,7 @@ def _vulnerability(subjects: Sequence[Subject]) -> Spec:
             _of(budgets).mark_rule(color=palette.BEHIND).encode(x=x, y=low, y2="high:Q"),
             _of(budgets).mark_point(color=palette.BEHIND, **diamond).encode(x=x, y=y),
         ]
-    described = "Vulnerability curve: share of attempts in which somebody who strays at most η can be hit"
+    described = "Vulnerability curve: share of trials in which somebody who strays at most η can be hit"
     return _drawn(layers, 320, described)
 
 
@@ -154,16 +156,23 @@ def _band(one: Subject, end: float) -> list[dict[str, Any]]:
 
 
 def _rates(one: Subject) -> list[dict[str, Any]]:
-    rate = one.figures["hit_rate"]
+    rate = one.figures["nominal_collision_rate"]
     if rate is None:
         return []
-    return [{"car": one.label, "eta": 0.0, "rate": 100.0 * rate, **_ends(one.figures["hit_rate_ci95"] or (rate, rate))}]
+    return [
+        {
+            "car": one.label,
+            "eta": 0.0,
+            "rate": 100.0 * rate,
+            **_ends(one.figures["nominal_collision_rate_ci95"] or (rate, rate)),
+        }
+    ]
 
 
 def _budgets(one: Subject) -> list[dict[str, Any]]:
-    points = [point for point in (one.curve or {})["budgets"] if point["attempts"]]
+    points = [point for point in (one.curve or {})["budgets"] if point["trials"]]
     return [
-        {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_attempts"])} for point in points
+        {"eta": point["eta"], "rate": 100.0 * point["probability"], **_ends(point["ci95_trials"])} for point in points
     ]
 
 
@@ -184,7 +193,7 @@ def against_multiplier(subjects: Sequence[Subject]) -> bool:
 
 
 def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
-    """Return margin, hits along φ, planned deviation and SKD of several cars: against C where all have one."""
+    """Return margin, nominal collision rate, planned deviation and SKD of several cars, against C where all have it."""
     if len(subjects) < 2:
         return []
     return [
@@ -202,7 +211,7 @@ def _compared(subjects: Sequence[Subject], figure: Figure) -> list[dict[str, Any
             continue
         by_phi = one.figures.get(f"{key}_{CI95}") if figure.by_phi else None
         low, high = by_phi or one.figures.get(f"{key}_{figure.independent}") or (value, value)
-        independent = "attempts or pairs taken as independent" if figure.independent else "not known"
+        independent = "trials or pairs taken as independent" if figure.independent else "not known"
         rows.append(
             {
                 "car": one.label,
@@ -261,12 +270,12 @@ def per_safe_chart() -> Spec:
     }
     pairs, means = (alt.Chart(alt.InlineData(values=[], name=name)) for name in ("pairs", "means"))
     diamond: Spec = {"shape": "diamond", "filled": True, "size": 110, "opacity": 1, "stroke": "white", "strokeWidth": 1}
-    said = _tooltip(name="φ", what="what", value=("mean (m)", ".3f"), count=("attempts", "d"))
+    said = _tooltip(name="φ", what="what", value=("mean (m)", ".3f"), count=("trials", "d"))
     layers = [
         pairs.mark_tick(thickness=1.2, opacity=0.45).encode(**placed),
         means.mark_point(**diamond).encode(**placed, tooltip=said),
     ]
-    return _drawn(layers, 0, "Distances of each attempt per φ")
+    return _drawn(layers, 0, "Distances of each trial per φ")
 
 
 # --- margin against risk

@@ -36,17 +36,17 @@ def sentences_of(subject: Subject) -> list[str]:
     figures, ranking = subject.figures, subject.ranking
     if state_of(subject) == "failed":
         aborted = figures["aborted"]
-        why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no attempt ran"
+        why = f"{counted(aborted, 'episode')} were aborted" if aborted else "no trial ran"
         return [f"This is no rating: no kamikaze ran to its end ({why}). It says nothing about the car."]
     first = headline(figures)
     if figures["deviation"] is None:
         return [first, "No planned kamikaze ran to its end."]
     knowledge = figures.get("knowledge")
     known = f" (knowledge of the car: {knowledge})" if knowledge else ""
-    hit = ranking["attempts"] - ranking["failed"]
+    hit = ranking["trials"] - ranking["failed"]
     planned = (
         f"Planned kamikazes{known} needed {number(figures['deviation'], 2, 'm')} on average; {hit} of "
-        f"{counted(ranking['attempts'], 'attempt')} were hit"
+        f"{counted(ranking['trials'], 'trial')} were hit"
     )
     counts = f"; one that was not counts as {figures['eta_max']:g} m" if ranking["failed"] else ""
     return [first, f"{planned}{counts}."]
@@ -66,7 +66,7 @@ def warnings_of(subject: Subject) -> list[str]:
     for row in figures["per_safe_trajectory"]:
         if not row["safe"]:
             found.append(
-                f"safe trajectory {row['name']} was hit in {percent(row['collision_rate'], 0)} of "
+                f"safe trajectory {row['name']} was hit in {percent(row['contact_rate'], 0)} of "
                 f"{counted(row['collision_runs'], 'run')} along it: with this car it is not safe, and a kamikaze need "
                 "not leave it"
             )
@@ -168,10 +168,10 @@ def per_safe_rows(subject: Subject) -> list[dict[str, str | bool]]:
             "name": str(row["name"]),
             "safe": bool(row["safe"]),
             "margin": number(mean(margins) if margins.size else None),
-            "collision_rate": percent(row["collision_rate"]),
+            "contact_rate": percent(row["contact_rate"]),
             "collision_runs": str(row["collision_runs"]),
             "deviation": number(row["deviation"]),
-            "attempts": f"{mine['failed']} of {mine['attempts'] - mine['aborted']}",
+            "trials": f"{mine['failed']} of {mine['trials'] - mine['aborted']}",
             "aborted": str(mine["aborted"]),
             "skd": number(row["skd"]),
             "skd_prefix": number(row["skd_prefix"]),

@@ -68,6 +68,6 @@ def _cell(one: Subject) -> Cell:
     return Cell(
         bounded(figures, number(figures["margin"])),
         interval(figures["margin_ci95"]),
-        percent(figures["hit_rate"]),
+        percent(figures["nominal_collision_rate"]),
         figures["margin_converged"] is False,
     )

@@ -86,7 +86,7 @@ def episode_columns(subjects: Sequence[Subject], order: Sequence[tuple[int, int]
         columns["subject"].append(index % count)
         columns["objective"].append(objectives.index(str(stored.objective[number])))
         columns["hit"].append(bool(stored.hit[number]))
-        columns["attempt"].append(stored.episode_id[number] & 0xFFFF_FFFF)
+        columns["trial"].append(stored.episode_id[number] & 0xFFFF_FFFF)
         for name in ("safe_index", "outcome", "deviation", "frechet", "impact_time", "impact_speed"):
             columns[name].append(getattr(stored, name)[number])
         belief = _belief(subjects[index], number) if shown else None  # none where it never began
@@ -111,7 +111,7 @@ _WAY = 6
 """Columns of a way."""
 _KINDS: Mapping[str, npt.DTypeLike] = {
     "subject": np.uint16, "safe_index": np.uint16, "objective": np.uint8, "outcome": np.uint8, "hit": np.uint8,
-    "attempt": np.int32, "rows": np.uint16, "believed": np.uint8, "deviation": np.float32, "frechet": np.float32,
+    "trial": np.int32, "rows": np.uint16, "believed": np.uint8, "deviation": np.float32, "frechet": np.float32,
     "impact_time": np.float32, "impact_speed": np.float32,
 }  # fmt: skip
 

@@ -19,7 +19,7 @@ from skd_evaluator.extensions.ncap.colours import ROOM
 from skd_evaluator.extensions.ncap.layout import COLOURS, LEGEND, LIGHT, impact_text, letter_of, margin_text
 from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.extensions.ncap.page import details
-from skd_evaluator.metrics.margins import CLOSENESS_WARNING
+from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
@@ -110,10 +110,10 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         scales=len(SCALES),
         against=against_multiplier(subjects),
         unranked=figures.unranked_notes(subjects),
-        by_phi=any(one.figures["hit_rate_ci95"] for one in subjects),
+        by_phi=any(one.figures["nominal_collision_rate_ci95"] for one in subjects),
         of_margins=any(one.figures["margin"] is not None for one in subjects),
         hit_speed=", ".join(dict.fromkeys(f"{one.scenario.collision.hit_speed:g}" for one in subjects)),
-        closeness_warning=CLOSENESS_WARNING,
+        gap_warning=GAP_WARNING,
         style=style,
         no_rating=NO_RATING,
         scripts=[_in_html(one) for one in (library, script)],

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
-from skd_evaluator.metrics.margins import CLOSENESS_WARNING
+from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.statistics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NOTHING,
@@ -34,8 +34,8 @@ class Row:
         name: name of the figure.
         value: value of the figure, as text.
         clustered: 95 % interval of the figure by φ, as text.
-        plain: 95 % interval that takes attempts, pairs or runs as independent of one another, as text.
-        basis: how many attempts, pairs or runs the figure is of, as text.
+        plain: 95 % interval that takes trials, pairs or runs as independent of one another, as text.
+        basis: how many trials, pairs or runs the figure is of, as text.
         main: whether the figure is one of those that are read first.
         alert: whether a warning is about the figure.
     """
@@ -84,7 +84,7 @@ def failure_rows(subject: Subject) -> list[dict[str, Any]]:
 def _first_rows(subject: Subject) -> list[Row]:
     figures, ranking = subject.figures, subject.ranking
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
-    speed, knowledge, close = figures["impact_speed"], figures.get("knowledge"), figures["closeness"]
+    speed, knowledge, close = figures["impact_speed"], figures.get("knowledge"), figures["optimality_gap"]
     told: dict[str, dict[str, Any]] = {
         "margin": {"basis": _margin_basis(figures)},
         "equivalent_multiplier": {
@@ -92,18 +92,20 @@ def _first_rows(subject: Subject) -> list[Row]:
             "plain": _equivalent_interval(figures, THESE_PHI),
             "basis": figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
         },
-        "hit_rate": {"basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"},
+        "nominal_collision_rate": {
+            "basis": f"{counted(figures['collision_runs'], 'run')} over {phis}, in which nobody planned"
+        },
         "impact_speed": {"basis": f"90 % below {speed['p90']:.1f} m/s; of the ways of the margin" if speed else ""},
         "deviation": {
-            "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['attempts'], 'attempt')} "
+            "basis": f"{f'knowledge: {knowledge}; ' if knowledge else ''}{counted(ranking['trials'], 'trial')} "
             f"over {phis}; {ranking['failed']} not hit, counted as {figures['eta_max']:g} m"
         },
-        "closeness": {
-            "basis": "how many times the margin planned kamikazes needed, in the same attempts",
-            "alert": close is not None and close > CLOSENESS_WARNING,
+        "optimality_gap": {
+            "basis": "how many times the margin planned kamikazes needed, in the same trials",
+            "alert": close is not None and close > GAP_WARNING,
         },
         "skd": {
-            "basis": f"{percent(figures['kamikaze_success_rate'])} of attempts collide; "
+            "basis": f"{percent(figures['kamikaze_success_rate'])} of trials collide; "
             f"{counted(figures['pairs'], 'pair')} over {phis}"
         },
     }
@@ -135,7 +137,7 @@ def _margin_basis(figures: Mapping[str, Any]) -> str:
     how = "exact" if figures["margin_budget"] is None else "found by search"
     how = how if figures["margin_converged"] else "not converged"
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
-    return f"{how}; {counted(figures['margin_attempts'], 'attempt')} over {phis}"
+    return f"{how}; {counted(figures['margin_trials'], 'trial')} over {phis}"
 
 
 def _margin_details(subject: Subject) -> list[Row]:
@@ -150,12 +152,12 @@ def _margin_details(subject: Subject) -> list[Row]:
             rows.append(Row("margin: the least is at most this much less (m)", number(figures["margin_gap"], 4)))
         if figures["margin_how"]:
             rows.append(Row("margin: what was searched", "", basis=str(figures["margin_how"])))
-        name = f"margin: attempts in which nobody is hit within {figures['eta_max']:g} m"
-        rows.append(Row(name, f"{figures['margin_beyond']} of {figures['margin_attempts']}"))
+        name = f"margin: trials in which nobody is hit within {figures['eta_max']:g} m"
+        rows.append(Row(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
         rows += _further(figures, Of.MARGIN)
     walked = figures["collision_standing_contacts"]
     runs = counted(figures["collision_runs"], "run") + (f"; {walked} walked into a standing car" if walked else "")
-    return [*rows, _row(AT_THE_TOP["collision_rate"], figures, basis=runs), *_further(figures, Of.CAR)]
+    return [*rows, _row(AT_THE_TOP["contact_rate"], figures, basis=runs), *_further(figures, Of.CAR)]
 
 
 def _planned_details(subject: Subject) -> list[Row]:
@@ -166,14 +168,14 @@ def _planned_details(subject: Subject) -> list[Row]:
             Row("planned deviation of those that were hit alone (m)", number(figures["deviation_of_successes"]))
         )
     for name, found in figures["objectives"].items():
-        tried = f"{found['attempts'] - found['failed']} of {counted(found['attempts'], 'attempt')}"
+        tried = f"{found['trials'] - found['failed']} of {counted(found['trials'], 'trial')}"
         walked = f"; {found['standing_contacts']} walked into a standing car" if found["standing_contacts"] else ""
         rows.append(
             Row(
                 f"success rate, {name}",
                 percent(found["success_rate"]),
                 percent_interval(found.get("success_rate_ci95")),
-                percent_interval(found.get("success_rate_ci95_attempts")),
+                percent_interval(found.get("success_rate_ci95_trials")),
                 f"{tried} {'were hit' if found['plans_deviation'] else 'collided'}{walked}",
             )
         )
@@ -206,7 +208,7 @@ class Bound:
 
     Attributes:
         eta: deviation η, m.
-        found: share P(η) of attempts that needed at most η.
+        found: share P(η) of trials that needed at most η.
         theorem: upper bound of P(η) by Theorem 1.
         cantelli: upper bound of P(η) by Cantelli's inequality.
     """
@@ -236,7 +238,7 @@ def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
     """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
     ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
     own = figures["multiplier"]
-    # A basic car is compared with itself, in the same attempts: there is no chance in it.
+    # A basic car is compared with itself, in the same trials: there is no chance in it.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
     return (spoken_interval(figures, f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")

@@ -60,9 +60,9 @@ def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
                 "points": _rounded(way.positions),
                 "deviation": round(way.distance, 3),
                 "impactSpeed": round(way.impact_speed, 2),
-                "attempt": way.attempt,
+                "trial": way.trial,
             }
-            for way in sorted(ways, key=lambda one: (one.distance, one.attempt))[:most]
+            for way in sorted(ways, key=lambda one: (one.distance, one.trial))[:most]
         ]
         for ways in subject.episodes.margin_ways
     ]

@@ -83,7 +83,7 @@ class Subject:
 
     @cached_property
     def margins(self) -> tuple[FloatArray, ...]:
-        """Per φ what each attempt of the margin counts as, m; none of each where it is not known."""
+        """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
         if self.episodes.margins is None:
             return (np.empty(0),) * len(self.episodes.safe)
         return tuple(np.minimum(one, float(self.figures["eta_max"])) for one in self.episodes.margins)

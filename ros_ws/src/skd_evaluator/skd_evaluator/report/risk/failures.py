@@ -59,7 +59,7 @@ def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:
     return [
         KeptFailure(
             str(group["kind"]),
-            one["attempt"] * phis + one["safe_trajectory"],
+            one["trial"] * phis + one["safe_trajectory"],
             rank,
             one["deviation"],
             one["people"],

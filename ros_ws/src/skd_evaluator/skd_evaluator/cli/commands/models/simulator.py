@@ -30,7 +30,7 @@ from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded
 from skd_evaluator.extensions.fusion.measured import PATH_TOLERANCE, track_of
 from skd_evaluator.extensions.fusion.simulated import Simulated, read_simulated
 from skd_evaluator.extensions.fusion.table import read_trials, table_in
-from skd_evaluator.extensions.fusion.trial import Trial
+from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
@@ -126,7 +126,7 @@ def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: arg
     found: list[Recorded] = []
     assert recorder is not None
 
-    def keep(path: Path, trial: Trial) -> Trial:
+    def keep(path: Path, trial: PhysicalTrial) -> PhysicalTrial:
         scene = recorder.laid(path, trial)
         found.append(recorded(world, scene, trial.phi, trial.where))
         return replace(trial, track=track_of(scene))

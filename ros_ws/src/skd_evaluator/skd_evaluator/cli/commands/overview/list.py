@@ -24,7 +24,9 @@ _KEYS: dict[str, Callable[[Run], Any]] = {
     "folder": lambda run: str(run.folder),
     "car": lambda run: (run.car, run.date),
     "margin": lambda run: _LAST if run.figures["margin"] is None else run.figures["margin"],
-    "hit_rate": lambda run: _LAST if run.figures["hit_rate"] is None else run.figures["hit_rate"],
+    "nominal_collision_rate": lambda run: (
+        _LAST if run.figures["nominal_collision_rate"] is None else run.figures["nominal_collision_rate"]
+    ),
 }
 
 

@@ -49,7 +49,7 @@ class Episodes {
   command(k) {
     const { repeat, repeatFailure } = this.subject(k);
     const prefix = this.isFailure(k) ? repeatFailure : repeat[this.objectives[this.columns.objective[k]]];
-    return `${prefix} --safe-number ${this.columns.safe_index[k]} --attempt ${this.columns.attempt[k]}`;
+    return `${prefix} --safe-number ${this.columns.safe_index[k]} --trial ${this.columns.trial[k]}`;
   }
 
   // Positions at ticks, the last at the contact; null where they are not in the page.

@@ -106,7 +106,7 @@ class Detail {
     const beyond = margin ? all.filter((one) => one >= this.subject.etaMax).length : 0;
     const found = all.length - beyond;
     const few = ways.length < found ? `, the ${margin ? "least " : ""}${ways.length} drawn` : "";
-    const none = beyond ? `, none in ${beyond} of ${all.length} attempts` : "";
+    const none = beyond ? `, none in ${beyond} of ${all.length} trials` : "";
     const text = all.length ? `${found} ${noun}${few}${none}` : "no kamikaze";
     return html("figure", {}, picture.svg, html("figcaption", { textContent: `${phi.name}: ${text}` }));
   }

@@ -19,7 +19,7 @@ class Table {
       { title: "Fréchet distance (m)", ...number("frechet", 3) },
       { title: "impact (m/s)", ...number("impact_speed", 2) },
       { title: "contact after (s)", ...number("impact_time", 2) },
-      { title: "attempt", ...number("attempt", 0) },
+      { title: "trial", ...number("trial", 0) },
     ];
     this.order = { column: 0, down: false };
     this.page = 0;

@@ -16,7 +16,7 @@ SEED: Final = 2_718_281_828
 """Of every draw; no campaign's, unless somebody asks for it."""
 
 
-def own_attempts(
+def own_trials(
     plan: Plan,
     car_model: str,
     safe: Sequence[Trajectory],
@@ -32,7 +32,7 @@ def own_attempts(
         car_model: the model of the car with which they plan, as an episode carries it.
         safe: φ, from which they start in turn.
         count: how many kamikazes there are.
-        begin: number of the first; attempts of the same number have their draws in common.
+        begin: number of the first; trials of the same number have their draws in common.
         objectives: the objectives of the kamikazes.
     """
     return [

@@ -16,7 +16,7 @@ from skd_evaluator.metrics.surrogate.scene import Scene
 ADVERSARY = -1
 
 
-def struck(log: EpisodeLog) -> int | None:
+def collision_partner(log: EpisodeLog) -> int | None:
     """Return who was touched: `ADVERSARY`, or the number of one of the others; None without a collision.
 
     It is the one who is nearest to the car at the impact, whose place within the tick is interpolated.
@@ -40,7 +40,7 @@ def closing_speed(log: EpisodeLog) -> float:
 
     Euro NCAP's impact speeds of pedestrians are the car's own; of two vehicles what counts is this.
     """
-    who = struck(log)
+    who = collision_partner(log)
     if who is None:
         return math.nan
     heading = car_at_contact(log)[0][2]

@@ -28,7 +28,7 @@ _PIECES = 24  # of a tick in which there can be a contact, at most
 _OUTSTANDING = 0.003  # share of a limit by which a set may stand out of it
 
 
-class Foresight(NamedTuple):
+class Reachability(NamedTuple):
     """Memory for histories; their id is a row. Sets are rows of `points` and `planes`."""
 
     size: IntArray  # [histories, rows of points, rows of planes]
@@ -44,13 +44,13 @@ class Foresight(NamedTuple):
     way_count: IntArray  # tick → its corners
 
 
-def make_foresight(histories: int, ticks: int) -> Foresight:
+def make_reachability(histories: int, ticks: int) -> Reachability:
     """Return memory for this many histories."""
 
     def integers(*shape: int) -> IntArray:
         return np.empty(shape, np.int64)
 
-    return Foresight(
+    return Reachability(
         size=np.zeros(3, np.int64),
         car=np.empty((histories, 3)),
         tick=integers(histories),
@@ -66,7 +66,7 @@ def make_foresight(histories: int, ticks: int) -> Foresight:
 
 
 @kernel
-def fill_ways(c: Course, f: Foresight) -> None:
+def fill_ways(c: Course, f: Reachability) -> None:
     """Fill in the hulls of displacements."""
     points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
@@ -114,7 +114,7 @@ def in_zone(
 @kernel
 def contact_set(
     c: Course,
-    f: Foresight,
+    f: Reachability,
     tick: int,
     before: FloatArray,
     after: FloatArray,
@@ -129,7 +129,7 @@ def contact_set(
 
     Args:
         c: what is known of the episode beforehand.
-        f: the foresight, which has the ways.
+        f: the reachability bound, which has the ways.
         tick: number of the tick in which the hit is.
         before: state of the car when it begins.
         after: state of the car when it ends.
@@ -220,7 +220,7 @@ def _box_of(points: FloatArray, count: int, box: FloatArray) -> None:
 
 
 @kernel
-def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bool) -> int:
+def foresee(c: Course, f: Reachability, limit: float, fine: float, only_whether: bool) -> int:
     """Make all histories within a limit, and the sets that go with them.
 
     Args:
@@ -303,7 +303,7 @@ def foresee(c: Course, f: Foresight, limit: float, fine: float, only_whether: bo
 
 
 @kernel
-def look_back(c: Course, f: Foresight, limit: float, fine: float) -> int:
+def look_back(c: Course, f: Reachability, limit: float, fine: float) -> int:
     """Fill in, after `foresee` with the same limit, from where there can be a hit.
 
     Returns:
@@ -378,7 +378,7 @@ def look_back(c: Course, f: Foresight, limit: float, fine: float) -> int:
 
 
 @kernel(inline=True)
-def where_of(c: Course, f: Foresight, state: int, x: float, y: float) -> int:
+def where_of(c: Course, f: Reachability, state: int, x: float, y: float) -> int:
     """Return where an adversary at (x, y), m, is for the car; beside a standing one it is all the same."""
     if f.car[state, 2] == 0.0:
         return BRAKED
@@ -390,8 +390,8 @@ def where_of(c: Course, f: Foresight, state: int, x: float, y: float) -> int:
 
 
 @kernel(inline=True)
-def is_hopeful(f: Foresight, state: int, where: int, x: float, y: float) -> bool:
-    """Tell whether there can still be a hit within the limit of the foresight."""
+def is_hopeful(f: Reachability, state: int, where: int, x: float, y: float) -> bool:
+    """Tell whether there can still be a hit within the limit of the reachability bound."""
     first, count = f.hopeful[state, where, 0], f.hopeful[state, where, 1]
     if count == 0:
         return False
