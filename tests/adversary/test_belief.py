@@ -37,11 +37,6 @@ def test_initial_belief_is_the_prior() -> None:
     np.testing.assert_array_equal(belief.weights, 1.0 / 12_000)
 
 
-def test_a_belief_needs_a_particle() -> None:
-    with pytest.raises(ValueError, match="at least one particle"):
-        ParticleBelief(ring(), 0, np.random.default_rng(0))
-
-
 def test_effective_sample_size() -> None:
     assert effective_sample_size(np.full(8, 0.125)) == pytest.approx(8.0)
     assert effective_sample_size(np.array([1.0, 0.0, 0.0])) == pytest.approx(1.0)
@@ -114,25 +109,6 @@ def test_depletion_redraws_and_counts(seen: float) -> None:
     assert (belief.particles[:, 0] == CELLS - 1).all()
     assert belief.depletions == 1
     np.testing.assert_array_equal(belief.weights, 0.01)
-
-
-def test_depletion_when_every_particle_has_ended() -> None:
-    belief = ParticleBelief(ring(cells=1, stop=1.0), 50, np.random.default_rng(8))
-    belief.predict(1)
-    assert (belief.weights == 0.0).all()
-    belief.correct(1, np.array([0.0]))
-    assert belief.depletions == 1
-    np.testing.assert_array_equal(belief.weights, 0.02)
-
-
-def test_same_generator_same_belief() -> None:
-    beliefs = [ParticleBelief(ring(), 500, np.random.default_rng(9)) for _ in range(2)]
-    for belief in beliefs:
-        for action, seen in SCRIPT:
-            belief.predict(action)
-            belief.correct(action, np.array([seen]))
-    assert beliefs[0].particles.tobytes() == beliefs[1].particles.tobytes()
-    assert beliefs[0].weights.tobytes() == beliefs[1].weights.tobytes()
 
 
 def test_particle_filter_against_the_exact_filter() -> None:

@@ -10,14 +10,16 @@ import pytest
 from recorded_cars import logs_of
 from skd_adversary.adversary import learned_car
 from skd_adversary.car_models import Observations, learn_car
-from skd_adversary.car_models.car_forest import GRID, leaf_of
-from skd_adversary.car_models.car_model_file import car_model_text, fitted_car, read_car_model, write_car_model
-from skd_adversary.car_models.fitted_car import FittedCar
-from skd_adversary.car_models.forest import LEAST_DONORS, TREES, described, forest_transform, grow
-from skd_adversary.crossing.car.basic import unknown_car
-from skd_adversary.crossing.car.forest import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE
-from skd_adversary.crossing.composer import compose
-from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.car_models.car_model_file import (
+    FittedCar,
+    car_model_text,
+    fitted_car,
+    read_car_model,
+    write_car_model,
+)
+from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, forest_transform, grow, leaf_of
+from skd_adversary.crossing.cars import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE, unknown_car
+from skd_adversary.crossing.model import CAR_S, CAR_SPEED, STATE_DIM, compose
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers import BasicController
@@ -47,7 +49,7 @@ def logs() -> Observations:
 
 @pytest.fixture(scope="module")
 def learned(logs: Observations) -> FittedCar:
-    return learn_car(logs, folds=2)
+    return learn_car(logs, folds=2)[0]
 
 
 def test_its_leaves_are_those_of_scikit_learn(logs: Observations) -> None:
@@ -86,7 +88,7 @@ def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: FittedCar)
 
 
 def test_the_law_stays_where_the_car_has_one() -> None:
-    car = learn_car(logs_of(BasicController(), 96), folds=2)
+    car, _ = learn_car(logs_of(BasicController(), 96), folds=2)
     assert car.forest is None
     assert [one.model for one in car.predictions] == ["law", "forest"]
 

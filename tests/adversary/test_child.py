@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.crossing.road_user.walker import nearest_walked
+from road_user_limits import beyond
+from skd_adversary.crossing.on_foot import nearest_walked
 from skd_adversary.crossing.road_users import check_kind
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
@@ -26,15 +27,6 @@ STARTS = Trajectory(np.column_stack([4.0 - 2.2 * STEP * np.maximum(0, np.arange(
 """Stands, and leaps to 2.2 m/s in one tick, as no child can."""
 
 
-def beyond_the_limits(path: np.ndarray, way: np.ndarray) -> float:
-    """By how much (m/s²) the worst step of a way changes its velocity beyond the 2 m/s² of docs/decisions.md.
-
-    It comes as φ does in its first step.
-    """
-    velocities = np.vstack([(path[1] - path[0]) / STEP, np.diff(way, axis=0) / STEP])
-    return float(np.hypot(*np.diff(velocities, axis=0).T).max() / STEP) - 2.0
-
-
 @given(*[st.floats(-3.0, 3.0) for _ in range(4)])
 def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: float, wx: float, wy: float) -> None:
     x, y = nearest_walked(0.6, vx, vy, wx, wy)
@@ -46,7 +38,7 @@ def test_nothing_that_it_could_do_comes_nearer_to_what_is_wanted(vx: float, vy: 
 @pytest.mark.parametrize("phi", [STEADY, STARTS], ids=["steady", "leaps"])
 @pytest.mark.parametrize("objective", list(Objective))
 def test_every_step_is_within_its_limits(phi: Trajectory, objective: Objective) -> None:
-    assert (beyond_the_limits(phi.positions, phi.positions) > 1.0) == (phi is STARTS)
+    assert (beyond("child", phi.positions, phi.positions, STEP) > 1.0) == (phi is STARTS)
     hits = 0
     for number in range(12):
         log = run_episode(
@@ -55,7 +47,7 @@ def test_every_step_is_within_its_limits(phi: Trajectory, objective: Objective) 
                 multiplier=0.5,
             )
         )  # fmt: skip
-        assert beyond_the_limits(phi.positions, log.adversary) <= 1e-6, number
+        assert beyond("child", phi.positions, log.adversary, STEP) <= 1e-6, number
         assert recompute(log).deviation <= ROUNDING, recompute(log).where
         hits += log.outcome == Outcome.COLLISION
     assert hits >= 4

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from similaritymeasures import frechet_dist
-from skd_adversary.crossing.coupling import first_row, next_row
+from skd_adversary.crossing.path import first_row, next_row
 
 coordinate = st.floats(-20.0, 20.0)
 curve = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=12)

@@ -9,16 +9,22 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_adversary.crossing import crossing
-from skd_adversary.crossing.car.basic import KERNELS, CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing.composer import compose, transition_parts
-from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
-from skd_adversary.crossing.objective.paper import OBJECTIVE
-from skd_adversary.crossing.road import curved, straight
-from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, EAST, action_velocity
-from skd_adversary.crossing.road_user.pedestrian import KERNELS as PEDESTRIAN
+from skd_adversary.crossing.cars import BASIC_KERNELS, CarModel, known_basic_car, unknown_car
+from skd_adversary.crossing.model import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    CAR_SPEED,
+    STATE_DIM,
+    TRIGGER,
+    compose,
+    transition_parts,
+)
+from skd_adversary.crossing.objectives import PAPER
+from skd_adversary.crossing.on_foot import ACTION_COUNT, EAST, PEDESTRIAN, action_velocity
+from skd_adversary.crossing.path import polyline_distance, polyline_segments
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.safe_path import polyline_distance, polyline_segments
+from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError
@@ -38,12 +44,12 @@ def _scenario(speed_noise: float, acceleration_noise: float) -> Scenario:
 def _model(scenario: Scenario, car_model: CarModel) -> Pomdp:
     adversary, user = scenario.adversary, road_user_named(scenario.adversary.kind)
     start = adversary.start_x, adversary.start_y
-    return compose(scenario, OBJECTIVE, car_model, start=start, gap=scenario.car.start_gap, road_user=user)
+    return compose(scenario, PAPER, car_model, start=start, gap=scenario.car.start_gap, road_user=user)
 
 
 def _step(model: Pomdp, state: np.ndarray, action: int, after: np.ndarray, rng: np.random.Generator) -> bool:
     """One transition of an adversary beside a basic car on the straight lane; whether the two touch."""
-    move = transition_parts(KERNELS, PEDESTRIAN, straight.ROAD)["move"]
+    move = transition_parts(BASIC_KERNELS, PEDESTRIAN.kernels, STRAIGHT)["move"]
     velocity = action_velocity(action, model.parameters.adversary_speed)
     return bool(move(model.parameters, state, *velocity, after, rng) <= 1.0)
 
@@ -70,8 +76,8 @@ def test_transition_without_noise_is_the_world(name: str, multiplier: float, odd
     scenario = replace(scenario, car=replace(scenario.car, speed_noise=0.0, acceleration_noise=0.0))
     model = _model(scenario, known_basic_car(multiplier))
     parameters = model.parameters
-    road = straight.ROAD if scenario.road.straight else curved.ROAD
-    parts = transition_parts(KERNELS, road_user_named(scenario.adversary.kind).kernels, road)
+    road = STRAIGHT if scenario.road.straight else CURVED
+    parts = transition_parts(BASIC_KERNELS, road_user_named(scenario.adversary.kind).kernels, road)
     near = 1e-12 if scenario.road.straight else 1e-9  # m: what path coordinates there and back may round
     choose = np.random.default_rng(1)
     collisions = 0
@@ -107,7 +113,7 @@ def test_nobody_counts_on_a_contact_that_rounding_decides(side: float) -> None:
     """Disc and side just touch: who is hit in the model is hit in the world, and who stands 2 nm nearer is in both."""
     scenario = _scenario(0.0, 0.0)
     model = _model(scenario, known_basic_car(0.0))
-    move = transition_parts(KERNELS, PEDESTRIAN, straight.ROAD)["move"]
+    move = transition_parts(BASIC_KERNELS, PEDESTRIAN.kernels, STRAIGHT)["move"]
     edge = scenario.car.half_width + scenario.adversary.radius
     for x, sure in [*((edge + ulps * np.spacing(edge), False) for ulps in range(-12, 13)), (edge - 2e-9, True)]:
         start = replace(scenario, adversary=replace(scenario.adversary, start_x=side * x))
@@ -155,7 +161,7 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
     model = _model(CROSSING, unknown_car())
     rng = np.random.default_rng(4)
     n = 4000
-    states = np.empty((n, crossing.STATE_DIM))
+    states = np.empty((n, STATE_DIM))
     for state in states:
         model.initial(model.parameters, state, rng)
     assert (states[:, [ADVERSARY_X, ADVERSARY_Y]] == (-3.5, 0.0)).all()
@@ -163,13 +169,6 @@ def test_initial_state_covers_the_start_range_and_the_prior() -> None:
     kappa = CROSSING.car.safe_distance
     for column, low, width in ((CAR_S, -15.25 - 2.5, 2.5), (TRIGGER, 0.25 * kappa, 1.25 * kappa)):
         assert stats.kstest(states[:, column], "uniform", args=(low, width)).pvalue > 1e-3
-
-
-def test_known_multiplier_is_known() -> None:
-    model = _model(CROSSING, known_basic_car(0.75))
-    state = np.empty(crossing.STATE_DIM)
-    model.initial(model.parameters, state, np.random.default_rng(0))
-    assert state[TRIGGER] == 0.75 * CROSSING.car.safe_distance
 
 
 @pytest.mark.parametrize(("low", "high"), [(-0.1, 1.0), (1.0, 0.5), (0.0, math.inf), (math.nan, 1.0)])
@@ -200,22 +199,15 @@ def test_polyline_distance(at: tuple[float, float], path: list[tuple[float, floa
 STATES = np.array([[-3.5, 0.0, -15.0, 8.0, 9.9], [-1.0, 0.5, -6.0, 5.0, 9.9], [0.5, -1.0, 2.0, 3.0, 9.9]])
 
 
-def test_likelihood_of_the_position_is_gaussian_up_to_a_factor() -> None:
-    """The East component, of which the model says nothing, has the same density whatever the car does."""
-    adversary = replace(CROSSING.adversary, position_noise=0.7)
-    model = _model(replace(CROSSING, adversary=adversary), known_basic_car(1.0))
-    got = [model.likelihood(model.parameters, state, 0, np.array([-7.1])) for state in STATES]
-    expected = [stats.norm.pdf(-7.1, s[CAR_S] - s[ADVERSARY_Y], 0.7) for s in STATES]
-    np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * np.array(expected), rtol=1e-10)
-
-
-def test_likelihood_of_the_distance_is_gaussian_up_to_a_factor() -> None:
-    adversary = replace(CROSSING.adversary, distance_noise=1.7)
-    model = _model(replace(CROSSING, adversary=adversary), unknown_car())
-    got = [model.likelihood(model.parameters, state, 0, np.array([6.0])) for state in STATES]
-    true = [math.hypot(s[ADVERSARY_X], s[CAR_S] - s[ADVERSARY_Y]) for s in STATES]
-    expected = math.sqrt(2.0 * math.pi) * 1.7 * stats.norm.pdf(6.0, true, 1.7)
-    np.testing.assert_allclose(got, expected, rtol=1e-10)
+@pytest.mark.parametrize(("sensor", "seen"), [("position", -7.1), ("distance", 6.0)])
+def test_likelihoods_are_gaussian_up_to_a_factor(sensor: str, seen: float) -> None:
+    """Of the position, the East component has the same density whatever the car does: the model goes without it."""
+    scenario = replace(CROSSING, adversary=replace(CROSSING.adversary, position_noise=0.7, distance_noise=0.7))
+    model = _model(scenario, known_basic_car(1.0) if sensor == "position" else unknown_car())
+    got = [model.likelihood(model.parameters, state, 0, np.array([seen])) for state in STATES]
+    north, east = STATES[:, CAR_S] - STATES[:, ADVERSARY_Y], STATES[:, ADVERSARY_X]
+    expected = stats.norm.pdf(seen, north if sensor == "position" else np.hypot(east, north), 0.7)
+    np.testing.assert_allclose(got, math.sqrt(2.0 * math.pi) * 0.7 * expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -241,7 +233,7 @@ def test_reinvigoration_keeps_the_adversary_and_agrees_with_the_observation(stat
     by_distance = _model(CROSSING, unknown_car())
     parameters = by_distance.parameters
     rng = np.random.default_rng(7)
-    redrawn = np.empty(crossing.STATE_DIM)
+    redrawn = np.empty(STATE_DIM)
     n = 2000
     relative, distance = np.empty(n), np.empty(n)
     far = 12.0

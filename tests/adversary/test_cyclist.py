@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_adversary.crossing.car.basic import known_basic_car
-from skd_adversary.crossing.composer import compose, road_user_interfaces
-from skd_adversary.crossing.crossing import STATE_DIM
-from skd_adversary.crossing.objective.deviation import OBJECTIVE
-from skd_adversary.crossing.road_user import cyclist, pedestrian, wheeled
-from skd_adversary.crossing.road_user.wheeled import (
+from road_user_limits import beyond
+from skd_adversary.crossing import on_foot, on_wheels
+from skd_adversary.crossing.cars import known_basic_car
+from skd_adversary.crossing.deviation import DEVIATION
+from skd_adversary.crossing.model import STATE_DIM, compose, road_user_interfaces
+from skd_adversary.crossing.on_wheels import (
     ACCELERATE,
     ACTION_COUNT,
     BRAKE,
@@ -25,7 +25,7 @@ from skd_adversary.crossing.road_user.wheeled import (
     LEFT,
     RIGHT,
 )
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.road_users import CYCLIST, road_user_named
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.errors import UsageError
@@ -36,7 +36,8 @@ from skd_sim.world.state import Trajectory
 
 SCENARIO = load_scenario("cyclist")
 ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md has them
-ridden, nearest_ridden = (partial(kernel, cyclist.LIMITS) for kernel in (wheeled.ridden, wheeled.nearest_ridden))
+LIMITS = CYCLIST.parameters(SCENARIO)["own_limits"]
+ridden, nearest_ridden = (partial(kernel, LIMITS) for kernel in (on_wheels.ridden, on_wheels.nearest_ridden))
 STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed
 ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), STEP)  # at 5 m/s
 
@@ -70,24 +71,24 @@ def test_speeds_by_hand() -> None:
 @pytest.mark.parametrize(
     ("way", "expected"),
     [
-        (pedestrian.EAST, ACCELERATE),
-        (pedestrian.NORTH_EAST, LEFT),
-        (pedestrian.SOUTH_EAST, RIGHT),
-        (pedestrian.SOUTH, RIGHT),
-        (pedestrian.STAY, BRAKE),
+        (on_foot.EAST, ACCELERATE),
+        (on_foot.NORTH_EAST, LEFT),
+        (on_foot.SOUTH_EAST, RIGHT),
+        (on_foot.SOUTH, RIGHT),
+        (on_foot.STAY, BRAKE),
     ],
 )
 def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int) -> None:
     """A cyclist who rides East with 5 m/s, where φ does."""
     car = known_basic_car(1.0)
     start, path = (-8.0, 0.0), ACROSS.positions
-    model = compose(SCENARIO, OBJECTIVE, car, start=start, gap=13.0, path=path, road_user=cyclist.ROAD_USER)
+    model = compose(SCENARIO, DEVIATION, car, start=start, gap=13.0, path=path, road_user=CYCLIST)
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_interfaces(cyclist.ROAD_USER.kernels, car.kernels)["steer"]
+    steer = road_user_interfaces(CYCLIST.kernels, car.kernels)["steer"]
     assert steer(model.parameters, state, way) == expected
     state[STATE_DIM] = math.radians(60.0)  # 60° to the left
-    if way == pedestrian.SOUTH:
+    if way == on_foot.SOUTH:
         assert steer(model.parameters, state, way) == BRAKE_RIGHT
 
 
@@ -121,25 +122,6 @@ def test_it_hits_and_its_recordings_are_believed(objective: Objective) -> None:
     assert strange
 
 
-def beyond_the_limits(path: np.ndarray, way: np.ndarray) -> float:
-    """By how much (m/s², or rad) the worst step of a way is beyond what docs/decisions.md allows a cyclist.
-
-    It comes with the heading and the speed of φ's first step; pedals with 1 m/s², brakes with 3, and turns by at most
-    30° in a step, or by what 3 m/s² to the side allow at the speed that it then has.
-    """
-    before = (path[1] - path[0]) / STEP
-    heading, speed, worst = math.atan2(before[1], before[0]), float(np.hypot(*before)), 0.0
-    for vx, vy in np.diff(way, axis=0) / STEP:
-        after = math.hypot(vx, vy)
-        worst = max(worst, (after - speed) / STEP - 1.0, (speed - after) / STEP - 3.0)
-        if after > 1e-9:
-            turned = abs(math.remainder(math.atan2(vy, vx) - heading, math.tau))
-            worst = max(worst, turned - math.radians(30.0), turned * after / STEP - 3.0)
-            heading = math.atan2(vy, vx)
-        speed = after
-    return worst
-
-
 WAVERING = Trajectory(
     np.column_stack([-8.0 + 1.3 * np.arange(9) + 0.25 * np.sin(1.7 * np.arange(9)), 0.5 * np.cos(2.3 * np.arange(9))]),
     STEP,
@@ -150,9 +132,9 @@ STEADY = Trajectory(np.column_stack([-8.0 + 4.2 * STEP * np.arange(12), np.zeros
 
 @pytest.mark.parametrize("phi", [STEADY, WAVERING], ids=["steady", "wavering"])
 def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
-    assert (beyond_the_limits(phi.positions, phi.positions) > 1.0) == (phi is WAVERING)
+    assert (beyond("cyclist", phi.positions, phi.positions, STEP) > 1.0) == (phi is WAVERING)
     hits = 0
-    for number in range(40):
+    for number in range(12):
         log = run_episode(
             Episode(
                 SCENARIO,
@@ -165,30 +147,10 @@ def test_as_phi_is_within_its_limits_too(phi: Trajectory) -> None:
             )
         )
         walked = log.adversary
-        assert beyond_the_limits(phi.positions, walked) <= 1e-6, number
+        assert beyond("cyclist", phi.positions, walked, STEP) <= 1e-6, number
         assert recompute(log).deviation <= ROUNDING
         hits += log.outcome == Outcome.COLLISION
-    assert hits >= 10
-
-
-@given(
-    heading=st.floats(-math.pi, math.pi),
-    speed=st.floats(0.0, 1.2 * MOST),
-    wanted=st.floats(0.0, 1.5 * MOST),
-    towards=st.floats(-math.pi, math.pi),
-)
-def test_what_comes_nearest_to_a_wanted_velocity_is_possible(
-    heading: float, speed: float, wanted: float, towards: float
-) -> None:
-    vx, vy = wanted * math.cos(towards), wanted * math.sin(towards)
-    ridden_x, ridden_y = nearest_ridden(heading, speed, vx, vy, MOST, STEP)
-    first = np.array([-STEP * speed * np.array([math.cos(heading), math.sin(heading)]), np.zeros(2)])
-    if speed > 1e-6:
-        assert beyond_the_limits(first, np.array([[0.0, 0.0], [STEP * ridden_x, STEP * ridden_y]])) <= 1e-6
-        possible = beyond_the_limits(first, np.array([[0.0, 0.0], [STEP * vx, STEP * vy]])) <= 0.0
-        if possible and wanted <= MOST:
-            assert (ridden_x, ridden_y) == pytest.approx((vx, vy), abs=1e-8)
-    assert math.hypot(ridden_x, ridden_y) <= max(MOST, speed) + 1e-9
+    assert hits >= 3
 
 
 def test_an_unknown_kind_is_refused() -> None:

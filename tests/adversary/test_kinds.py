@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-
 import numpy as np
 import pytest
 from road_user_limits import BODIES, beyond, straight, tally, with_kind
-from skd_adversary.crossing.road_user.wheeled import BRAKE, BRAKE_LEFT, ridden, settled
+from skd_adversary.crossing.on_wheels import BRAKE, BRAKE_LEFT, ridden, settled
+from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario
@@ -34,14 +33,14 @@ def test_kamikazes_keep_to_the_limits_of_their_kind(kind: str) -> None:
 @pytest.mark.parametrize("kind", WHEELED)
 def test_nobody_who_has_braked_to_a_stand_turns_on_the_spot(kind: str) -> None:
     """Braking ends at no speed at all: 0.9 − 3 · 0.3 leaves 1e-16 m/s, which would turn by 30° a tick."""
-    module = importlib.import_module(f"skd_adversary.crossing.road_user.{kind}")
+    limits = road_user_named(kind).parameters(load_scenario("cyclist"))["own_limits"]
     for start in np.linspace(0.1, 6.0, 60).tolist():
         heading, speed = 0.5, start
         for _ in range(40):
-            velocity = ridden(module.LIMITS, heading, speed, BRAKE, 10.0, 0.3)
+            velocity = ridden(limits, heading, speed, BRAKE, 10.0, 0.3)
             heading, speed = settled(heading, *velocity)
         for _ in range(3):
-            velocity = ridden(module.LIMITS, heading, speed, BRAKE_LEFT, 10.0, 0.3)
+            velocity = ridden(limits, heading, speed, BRAKE_LEFT, 10.0, 0.3)
             heading, speed = settled(heading, *velocity)
             assert velocity == (0.0, 0.0)
         assert heading == pytest.approx(0.5, abs=1e-12)

@@ -145,11 +145,6 @@ def test_never_the_wrong_door_in_the_near_tie(count: int) -> None:
     assert shares[OPEN_RIGHT if count > 0 else OPEN_LEFT] == 0.0
 
 
-def test_policy_value_of_the_optimal_policy() -> None:
-    listen, open_ = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    assert return_of_choices([listen, listen, open_]) == pytest.approx(_tiger_values(500)[:, 2000].max(), abs=0.01)
-
-
 def test_expected_return_of_the_planner() -> None:
     """The return is computed from the planner's choices, which has far less variance than playing."""
     runs = 30
@@ -180,15 +175,6 @@ def test_it_opens_once_it_knows_from_continuous_observations() -> None:
     assert _shares(tiger(gaussian=True), 0.999, OPTIONS, 20)[OPEN_LEFT] > 0.84
 
 
-def test_useless_hearing_is_worth_less_than_useful_hearing() -> None:
-    """With σ = 10⁶ m nothing is learnt: opening blindly loses 45, so listening, at 1 a step, is all that is left."""
-    useful = _tiger_values(200, 1.0)[:, 2000].max()
-    for seed in range(10):
-        planner, belief = _planner(tiger(gaussian=True, sigma=1e6), 0.5, OPTIONS, seed)
-        assert planner.plan(belief) == LISTEN
-        assert planner.values.max() < useful
-
-
 def test_same_generator_same_actions() -> None:
     def play(seed: int) -> tuple[list[int], bytes]:
         rng = np.random.default_rng(seed)
@@ -204,14 +190,6 @@ def test_same_generator_same_actions() -> None:
 
     assert play(1) == play(1)
     assert play(1)[1] != play(2)[1]
-
-
-def test_every_simulation_is_counted_once() -> None:
-    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=777, depth=5, exploration=50.0), 0)
-    planner.plan(belief)
-    assert planner.visits.sum() == 777
-    planner.plan(belief)
-    assert planner.visits.sum() == 777
 
 
 @pytest.mark.parametrize("backup", list(Backup))
@@ -230,15 +208,6 @@ def test_the_subtree_of_what_was_done_and_heard_is_kept(backup: Backup) -> None:
     assert planner.visits.sum() == kept + 500
 
 
-def test_without_keeping_the_tree_every_decision_starts_anew() -> None:
-    options = PlannerOptions(simulations=500, depth=6, exploration=50.0, keep_tree=False)
-    planner, belief = _planner(tiger(), 0.5, options, 3)
-    planner.plan(belief)
-    planner.advance(LISTEN, np.array([1.0]))
-    planner.plan(belief)
-    assert planner.visits.sum() == 500
-
-
 def test_an_observation_that_was_never_simulated_starts_anew() -> None:
     planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1, depth=1), 3)
     planner.plan(belief)
@@ -251,21 +220,14 @@ def test_an_observation_that_was_never_simulated_starts_anew() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"simulations": 1.5}, "simulations must be a whole number, got 1.5"),
+        ({"depth": 0}, "depth must be a whole number of at least 1, got 0"),
+        ({"simulations": 1.5}, "simulations must be a whole number of at least 1, got 1.5"),
         ({"observation_factor": 0.0}, "needs k > 0"),
         ({"observation_exponent": 2.0}, r"α in \[0, 1\]"),
-        ({"backup": "MEAN"}, "backup must be one of .*, got 'MEAN'"),
-        ({"cells": 7}, "cells must be one of .*, got 7"),
     ],
 )
 def test_options_of_another_kind(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        PlannerOptions(**options)
-
-
-@pytest.mark.parametrize("options", [{"simulations": 0}, {"depth": 0}])
-def test_impossible_options(options: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="at least one simulation and a depth of one"):
         PlannerOptions(**options)
 
 

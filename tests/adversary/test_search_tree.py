@@ -120,15 +120,6 @@ def test_of_two_children_equally_near_the_newest_is_taken() -> None:
     assert nearest_child(tree, 0, 1, np.zeros(DIMENSION, np.float32)) == (2, 1.0)
 
 
-def test_a_tree_takes_the_memory_that_it_says() -> None:
-    tree = empty_tree(7, ACTIONS, DIMENSION)
-    assert tree.statistics.shape == tree.links.shape == (7, ACTIONS, 2)
-    assert tree.sibling.shape == tree.total.shape == (7,)
-    assert tree.observation.shape == (7, DIMENSION)
-    # In four bytes each, an action's figures lie in one cache line with those of its neighbours.
-    assert sum(array.nbytes for array in tree) == 7 * (4 * (4 * ACTIONS + 2) + 8 * DIMENSION)
-
-
 def test_of_children_that_are_equally_alike_the_newest_is_taken() -> None:
     tree = empty_tree(4, 1, 1, references=2, state_dim=1)
     seen = np.zeros(1, np.float32)

@@ -10,7 +10,7 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from skd_adversary.crossing.road import curved
+from skd_adversary.crossing.roads import CURVED
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.options.adversary import Objective
@@ -28,8 +28,8 @@ Parameters = namedtuple("Parameters", ("line", "straight_from", "chord", "rear",
 
 def left_behind(scenario: Scenario, x: float, y: float, car_s: float) -> bool:
     """Return what the model says of a place and a car, m."""
-    own = Parameters(**curved.parameters_of(scenario), rear=scenario.car.rear, radius=scenario.adversary.reach)
-    return bool(curved.left_behind(own, x, y, car_s))
+    own = Parameters(**CURVED.parameters(scenario), rear=scenario.car.rear, radius=scenario.adversary.reach)
+    return bool(CURVED.left_behind(own, x, y, car_s))
 
 
 def box(scenario: Scenario, car_s: float) -> shapely.Polygon:

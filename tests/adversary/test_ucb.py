@@ -98,12 +98,6 @@ def test_a_certain_catastrophe_is_not_tried_over_and_over() -> None:
     assert planner.visits[OPEN_RIGHT] == 1
 
 
-def test_an_exploration_that_is_given_is_kept() -> None:
-    planner = Planner(tiger(), PlannerOptions(simulations=50, exploration=12.5), np.random.default_rng(1))
-    planner.plan(ParticleBelief(tiger(), 20, np.random.default_rng(1)))
-    assert planner.exploration == 12.5
-
-
 @pytest.mark.parametrize("exploration", [-1.0, -1e-9, math.nan])
 def test_an_exploration_that_is_none(exploration: float) -> None:
     with pytest.raises(ValueError, match="exploration must not be negative"):

@@ -19,8 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_adversary.car_models.car_model_file import car_model_text
-from skd_adversary.car_models.fitted_car import PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior, car_model_text
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.judge.assessment import assess
 from skd_evaluator.assessment.judge.rating import Rating
@@ -62,15 +61,17 @@ def a_walk() -> str:
 def a_fitted_car() -> str:
     """A car learned from logs, as an episode carries it, with every kind of prior."""
     priors = {
-        "trigger": Prior("normal", 9.3, 0.6),
-        "deceleration": Prior("uniform", 3.0, 4.0),
-        "deceleration_noise": Prior("point", 0.1),
-        "reaction_delay": Prior("point", 0.3),
-        "cruise_speed": Prior("point", 25.0 / 3.0),
-        "speed_noise": Prior("normal", 0.05, 0.005),
+        "trigger": ParameterPrior("normal", 9.3, 0.6),
+        "deceleration": ParameterPrior("uniform", 3.0, 4.0),
+        "deceleration_noise": ParameterPrior("point", 0.1),
+        "reaction_delay": ParameterPrior("point", 0.3),
+        "cruise_speed": ParameterPrior("point", 25.0 / 3.0),
+        "speed_noise": ParameterPrior("normal", 0.05, 0.005),
     }
     parameters = {
-        name: Parameter(prior := priors.get(name, Prior("point", 0.0)), prior.first, 0.0, (prior.first, prior.first))
+        name: CarParameter(
+            prior := priors.get(name, ParameterPrior("point", 0.0)), prior.first, 0.0, (prior.first, prior.first)
+        )
         for name in PARAMETERS
     }
     car = FittedCar("distance", "none", "encounter", 0.0, parameters, (), "distance", None, 10, 100, 20, 0.3)

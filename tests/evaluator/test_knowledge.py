@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cli_support import one_line, skd
 from skd_adversary.adversary import make_adversary, predicted_car
-from skd_adversary.crossing.car.basic import known_basic_car, unknown_car
+from skd_adversary.crossing.cars import known_basic_car, unknown_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.learning import lesson, waiting
 from skd_evaluator.assessment.learning.kept_models import folder_of, kept_models

@@ -17,9 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_support import SMALL, one_line
-from skd_adversary.car_models.car_model_file import car_model_for_scenario, car_model_text, fitted_car
-from skd_adversary.car_models.fitted_car import Calibration
-from skd_adversary.safe_trajectories import table
+from skd_adversary.car_models.car_model_file import LawCalibration, car_model_for_scenario, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.verification import folders_below, verify
@@ -171,18 +169,11 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     assert risk_asked(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
 
 
-def test_a_table_has_so_many_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "_MOST", 100)
-    (tmp_path / "x.csv").write_text("x,y\n" + "0,0\n" * 101)
-    with pytest.raises(UsageError, match=r"x.csv, line 102: more than 100 rows"):
-        table.read_table(tmp_path / "x.csv", {"x": 1.0})
-
-
 @pytest.mark.parametrize("value", [".nan", "[1]"])
 @pytest.mark.parametrize("key", ["statistic", "p_value"])
 def test_what_stands_beside_a_law_is_finite(tmp_path, key, value):
     """Episodes carry it as JSON, which has no such values."""
-    car = replace(fitted_car(any_car_models()[0]), calibration=Calibration(100, 0.05, 0.5))
+    car = replace(fitted_car(any_car_models()[0]), calibration=LawCalibration(100, 0.05, 0.5))
     model = yaml.safe_dump(yaml.safe_load(car_model_text(car)))
     path = tmp_path / "car_model.yaml"
     path.write_text(re.sub(rf"(calibration:(?:\n  .*)*\n  {key}: ).*", rf"\g<1>{value}", model))

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pytest
 from skd_adversary.adversary import predicted_car
-from skd_adversary.car_models.car_model_file import car_model_from, car_model_text, fitted_car
-from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_from, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.learning.waiting import CHOICES, TRIALS, with_waiting_reward
 from skd_evaluator.assessment.plan.plan import Plan, split_episode_id

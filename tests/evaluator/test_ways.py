@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary.crossing.road_user import cyclist, wheeled
-from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.crossing import on_wheels
+from skd_adversary.crossing.on_foot import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.crossing.road_users import road_user_named
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
 from skd_sim.scenario.scenario import load_scenario
 
 CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
+LIMITS = road_user_named("cyclist").parameters(CYCLIST)["own_limits"]
 PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])
 
 
@@ -40,7 +42,7 @@ def test_a_cyclist_has_its_own_actions_from_its_own_state():
     found = velocities(CYCLIST, straight, 1, walked)
     heading, speed = math.atan2(0.2, 0.9), math.hypot(0.2, 0.9) / step
     expected = [
-        wheeled.ridden(cyclist.LIMITS, heading, speed, action, most, step) for action in range(wheeled.ACTION_COUNT)
+        on_wheels.ridden(LIMITS, heading, speed, action, most, step) for action in range(on_wheels.ACTION_COUNT)
     ]
     assert found[:-1] == pytest.approx(np.array(expected))
 
@@ -54,9 +56,9 @@ def test_a_cyclist_goes_as_phi_as_far_as_it_can():
     jump = straight.copy()
     jump[3:, 1] = 0.6
     bounded = velocities(CYCLIST, jump, 2, jump[:3])[-1]
-    assert np.hypot(*bounded) == pytest.approx(3.0 + step * cyclist.LIMITS.acceleration)
+    assert np.hypot(*bounded) == pytest.approx(3.0 + step * LIMITS.acceleration)
     turned = math.atan2(bounded[1], bounded[0])
-    assert turned == pytest.approx(cyclist.LIMITS.lateral * step / np.hypot(*bounded))
+    assert turned == pytest.approx(LIMITS.lateral * step / np.hypot(*bounded))
     # What is between its actions it can do.
     between = 2.8 * np.array([math.cos(0.1), math.sin(0.1)])
     reachable = np.vstack([straight[:3], straight[2] + step * between])

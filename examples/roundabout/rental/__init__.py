@@ -12,9 +12,9 @@ def __getattr__(name: str) -> object:
     """Make the scooter when it is asked for: who wants the scenario alone waits for no kernels."""
     if name != "SCOOTER":
         raise AttributeError(name)
-    from skd_adversary.crossing.road_user.wheeled import Limits, wheeled
+    from skd_adversary.crossing.on_wheels import RidingLimits, wheeled
 
-    limits = Limits(
+    limits = RidingLimits(
         acceleration=0.8,  # m/s²: its motor is throttled
         deceleration=3.5,  # m/s²: what the law asks of its brakes
         lateral=2.0,  # m/s²: a lean of 12°

@@ -5,31 +5,28 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final, NamedTuple, Protocol
 
-import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode, Role, generator
 from skd_sim.world.state import CarState, Trajectory
 
-from skd_adversary.car_models.car_model_file import fitted_car
-from skd_adversary.car_models.fitted_car import FittedCar
-from skd_adversary.crossing.car.basic import CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing.car.fitted import LearnedCar
-from skd_adversary.crossing.car.forest import WAITING_REWARD, ForestCar
-from skd_adversary.crossing.composer import compose, road_user_interfaces
-from skd_adversary.crossing.crossing import CAR_S, CAR_SPEED
-from skd_adversary.crossing.objective import safe
-from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.parts import CarPrediction, RoadUserModel
+from skd_adversary.car_models.car_model_file import FittedCar, fitted_car
+from skd_adversary.crossing.cars import (
+    FOREST_WAITING_REWARD,
+    CarModel,
+    ForestCar,
+    LearnedCar,
+    known_basic_car,
+    unknown_car,
+)
+from skd_adversary.crossing.model import CAR_S, CAR_SPEED, compose, road_user_interfaces
+from skd_adversary.crossing.objectives import SAFE, objective_named
+from skd_adversary.crossing.parts import CarPrediction
+from skd_adversary.crossing.path import velocities_of, velocity_at
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.safe_path import velocities_of, velocity_at
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.search import PlannerOptions
 
 
 class BelievedCar(NamedTuple):
@@ -66,32 +63,43 @@ class Adversary(Protocol):
 class PlanningAdversary:
     """Plans by a POMDP: senses the car through noise, updates its belief, searches."""
 
-    def __init__(
-        self,
-        model: Pomdp,
-        car: CarPrediction,
-        road_user: RoadUserModel,
-        scenario: Scenario,
-        start: tuple[float, float],
-        options: PlannerOptions,
-        *,
-        sensor_rng: np.random.Generator,
-        planner_rng: np.random.Generator,
-    ) -> None:
-        """Prepare for one episode that starts with the adversary at `start` (x, y), m."""
-        self._scenario = scenario
-        self._sensor = car.sensor
+    def __init__(self, episode: Episode) -> None:
+        """Prepare for an episode, safe or kamikaze.
+
+        Raises:
+            UsageError: the car is to have been learned, and the episode carries no model of it.
+        """
+        scenario = self._scenario = episode.scenario
+        if episode.mode == Mode.SAFE:
+            objective, path = SAFE, None
+            particles = objective.options.particles
+        else:
+            assert episode.safe_trajectory is not None
+            objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
+            particles = episode.particles or objective.options.particles
+        car, road_user = predicted_car(episode), road_user_named(scenario.adversary.kind)
+        model = compose(
+            scenario,
+            objective,
+            car,
+            start=episode.start,
+            gap=episode.start_gap,
+            path=path,
+            maximum_distance=episode.maximum_distance,
+            road_user=road_user,
+        )
+        self._sensor, self._road_user = car.sensor, road_user.kernels
         interfaces = road_user_interfaces(road_user.kernels, car.kernels)
         self._velocity, self._possible = interfaces["velocity"], interfaces["possible"]
-        self._road_user = road_user.kernels
-        self._sensor_rng = sensor_rng
-        self._position = start
-        self._tick = 0
+        self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
+        self._position, self._tick = episode.start, 0
         self._parameters = model.parameters
         self._phi = velocities_of(model.parameters.path, scenario.time_step)
         self._action: int | None = None
-        self._belief = ParticleBelief(model, options.particles, planner_rng)
-        self._planner = Planner(model, options, planner_rng)
+        rng = generator(episode.seed, episode.episode_id, Role.PLANNER)
+        self._belief = ParticleBelief(model, particles, rng)
+        options = replace(objective.options, simulations=episode.simulations, particles=particles)
+        self._planner = Planner(model, options, rng)
 
     @property
     def depletions(self) -> int:
@@ -146,16 +154,6 @@ class ReplayAdversary:
         return velocity
 
 
-def car_model_for(car: CarUnderTest) -> CarModel:
-    """Return what the adversary knows of a car: C of the basic controller, nothing of another."""
-    return known_basic_car(car.multiplier) if car.is_known else unknown_car()
-
-
-def safe_car_model(multiplier: float) -> CarModel:
-    """Return the car model of safe mode: C known, distance observed (paper, "Safe Trajectories")."""
-    return CarModel(multiplier, multiplier, observes_position=False)
-
-
 def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
     """Return the model of a learned car with which kamikazes plan: its forest, if it has one, else its law.
 
@@ -165,7 +163,7 @@ def learned_car(car: FittedCar, known: CarModel) -> CarPrediction:
     """
     if car.forest is None:
         return LearnedCar(car, known)
-    return ForestCar(car.forest, known, WAITING_REWARD if car.waiting_reward is None else car.waiting_reward)
+    return ForestCar(car.forest, known, FOREST_WAITING_REWARD if car.waiting_reward is None else car.waiting_reward)
 
 
 def predicted_car(episode: Episode) -> CarPrediction:
@@ -174,47 +172,15 @@ def predicted_car(episode: Episode) -> CarPrediction:
     Raises:
         UsageError: the car is to have been learned, and the episode carries no model of it.
     """
-    known = unknown_car() if episode.knowledge == Knowledge.NOTHING else car_model_for(episode.car)
-    if episode.mode == Mode.SAFE and known.observes_position:
-        known = safe_car_model(episode.multiplier)
+    basic = episode.car.is_known and episode.knowledge != Knowledge.NOTHING
+    known = known_basic_car(episode.car.multiplier) if basic else unknown_car()
+    if episode.mode == Mode.SAFE and basic:  # C known, distance observed (paper, "Safe Trajectories")
+        known = CarModel(episode.multiplier, episode.multiplier, observes_position=False)
     if episode.car_model:
         return learned_car(fitted_car(episode.car_model), known)
     if episode.mode == Mode.KAMIKAZE and episode.knowledge == Knowledge.LEARNED:
         raise UsageError("knowledge learned needs a car model, and the episode carries none")
     return known
-
-
-def _planning(episode: Episode) -> PlanningAdversary:
-    """Return an adversary that plans with a predicted car, safe or kamikaze."""
-    if episode.mode == Mode.SAFE:
-        objective, path = safe.OBJECTIVE, None
-        particles = objective.options.particles
-    else:
-        assert episode.safe_trajectory is not None
-        objective, path = objective_named(episode.objective), episode.safe_trajectory.positions
-        particles = episode.particles or objective.options.particles
-    car = predicted_car(episode)
-    road_user = road_user_named(episode.scenario.adversary.kind)
-    model = compose(
-        episode.scenario,
-        objective,
-        car,
-        start=episode.start,
-        gap=episode.start_gap,
-        path=path,
-        maximum_distance=episode.maximum_distance,
-        road_user=road_user,
-    )
-    return PlanningAdversary(
-        model,
-        car,
-        road_user,
-        episode.scenario,
-        episode.start,
-        replace(objective.options, simulations=episode.simulations, particles=particles),
-        sensor_rng=generator(episode.seed, episode.episode_id, Role.SENSOR),
-        planner_rng=generator(episode.seed, episode.episode_id, Role.PLANNER),
-    )
 
 
 def make_adversary(episode: Episode) -> Adversary:
@@ -226,4 +192,4 @@ def make_adversary(episode: Episode) -> Adversary:
     if episode.mode == Mode.REPLAY:
         assert episode.safe_trajectory is not None
         return ReplayAdversary(episode.safe_trajectory)
-    return _planning(episode)
+    return PlanningAdversary(episode)

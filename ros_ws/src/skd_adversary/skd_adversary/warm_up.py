@@ -11,15 +11,21 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_adversary.car_models.car_forest import TICK, gridded, pack
-from skd_adversary.car_models.car_model_file import car_model_text
-from skd_adversary.car_models.fitted_car import OPTIONAL, PARAMETERS, FittedCar, Parameter, Prior
+from skd_adversary.car_models.car_model_file import (
+    OPTIONAL,
+    PARAMETERS,
+    CarParameter,
+    FittedCar,
+    ParameterPrior,
+    car_model_text,
+)
+from skd_adversary.car_models.forest import TICK, gridded, pack
 
 
 def any_car_models() -> list[str]:
     """Return a model of each kind that a car can have, as an episode carries it, which says nothing of any car."""
     parameters = {
-        name: Parameter(Prior("point", 0.0), reason="not identifiable: there are no logs")
+        name: CarParameter(ParameterPrior("point", 0.0), reason="not identifiable: there are no logs")
         for name in PARAMETERS
         if name not in OPTIONAL
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,24 +10,48 @@ from dataclasses import dataclass, replace
 import numpy as np
 from skd_sim.arrays import BoolArray, FloatArray
 
-from skd_adversary.car_models.braking import braking_estimates
-from skd_adversary.car_models.calibration import braking_probability, integral_transform, kolmogorov_smirnov
-from skd_adversary.car_models.families import Law, evidence, fit_family, gate_estimate, sharp_estimate
-from skd_adversary.car_models.fitted_car import (
+from skd_adversary.car_models.car_model_file import (
     OPTIONAL,
     PARAMETERS,
-    Calibration,
+    CarParameter,
     FamilyRow,
     FittedCar,
-    Parameter,
-    Prior,
+    LawCalibration,
+    ParameterPrior,
 )
-from skd_adversary.car_models.identifiability import LEAST_LOGS, Judge, parameter, wide_prior
-from skd_adversary.car_models.intervals import LEVEL, Estimate, half_width_estimate
+from skd_adversary.car_models.identifiability import (
+    LEAST_LOGS,
+    LEVEL,
+    Identification,
+    IntervalEstimate,
+    half_width_estimate,
+    wide_prior,
+)
+from skd_adversary.car_models.laws import (
+    Law,
+    LawCandidate,
+    braking_probability,
+    choose,
+    compare,
+    evidence,
+    fit_family,
+    folds_of,
+    gate_estimate,
+    integral_transform,
+    kolmogorov_smirnov,
+    sharp_estimate,
+    sharp_spread,
+    spread_estimates,
+)
 from skd_adversary.car_models.observations import Observations
-from skd_adversary.car_models.selection import Candidate, choose, compare, folds_of
-from skd_adversary.car_models.speed_change import SpeedChange, densities, fit_speed_change, moving, refit
-from skd_adversary.car_models.spread import sharp_spread, spread_estimates
+from skd_adversary.car_models.speed_change import (
+    SpeedChange,
+    braking_estimates,
+    densities,
+    fit_speed_change,
+    moving,
+    refit,
+)
 
 _HELD_OUT_FOLDS = 4  # one of them is predicted from the others, for the calibration
 _KS_TICKS = 20  # fewer say nothing about calibration
@@ -47,7 +72,9 @@ def _modes(change: SpeedChange, law: Law, data: Observations, rows: BoolArray) -
     return _Modes(for_it > against, (against >= for_it) & (brakes < 0.5))
 
 
-def _learn(change: SpeedChange, data: Observations, rows: BoolArray) -> tuple[SpeedChange, Candidate, list[Candidate]]:
+def _learn(
+    change: SpeedChange, data: Observations, rows: BoolArray
+) -> tuple[SpeedChange, LawCandidate, list[LawCandidate]]:
     """Return the change of speed, the chosen family and all families."""
     candidates = compare(change, data, rows)
     chosen = choose(candidates)
@@ -86,17 +113,19 @@ def fit_with_law(
     law = chosen.law
     modes = _modes(change, law, data, rows)
     free = seen.of(modes.free & (densities(change, seen)[0] > 0.0))
-    judge = Judge(
+    braking = int(modes.braking.sum())
+    identification = Identification(
         logs=data.episodes,
         braking_logs=int(np.unique(seen.episode[modes.braking]).size),
         free=len(free),
-        braking=int(modes.braking.sum()),
+        braking=braking,
         lapse=law.lapse,
+        start_speed=start_speed,
     )
     parameters = {
-        **_law_parameters(judge, chosen, candidates, data.time_step, start_speed),
-        **_braking_parameters(judge, change, seen.of(modes.braking), start_speed),
-        **_free_parameters(judge, change, free, starts, start_speed),
+        **_law_parameters(identification, chosen, candidates, data.time_step),
+        **_braking_parameters(identification, change, seen.of(modes.braking)),
+        **_free_parameters(identification, change, free, starts),
     }
     rows_of_table = tuple(
         FamilyRow(
@@ -110,22 +139,16 @@ def fit_with_law(
         )
         for one in candidates
     )
-    car = FittedCar(
+    car = replace(
+        _without_law(parameters, data, version),
         measure=law.family.measure,
         gate=law.family.gate,
         spread=law.family.spread,
         lapse=law.lapse,
-        parameters=parameters,
         families=rows_of_table,
         chosen=law.family.name,
         calibration=_calibration(data, change, law, seed),
-        logs=data.episodes,
-        ticks=len(data),
-        braking_ticks=int(modes.braking.sum()),
-        time_step=data.time_step,
-        version=version,
-        front=data.front,
-        rear=data.rear,
+        braking_ticks=braking,
     )
     return car, (change, law)
 
@@ -134,15 +157,15 @@ def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
     """Return a car for logs that show too little to fit anything."""
     why = f"not identifiable: only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
     parameters = {
-        name: Parameter(wide_prior(name, "distance", start_speed), reason=why)
+        name: CarParameter(wide_prior(name, "distance", start_speed), reason=why)
         for name in PARAMETERS
         if name not in OPTIONAL
     }
     return _without_law(parameters, data, version)
 
 
-def _without_law(parameters: dict[str, Parameter], data: Observations, version: str) -> FittedCar:
-    """Return a car that was seen braking too seldom to say by which law it does."""
+def _without_law(parameters: dict[str, CarParameter], data: Observations, version: str) -> FittedCar:
+    """Return a car of which no law is known: it was seen braking too seldom to say by which it does."""
     return FittedCar(
         measure="distance",
         gate="none",
@@ -166,51 +189,40 @@ def _never_brakes(
     change: SpeedChange, data: Observations, seen: Observations, starts: FloatArray, start_speed: float, version: str
 ) -> FittedCar:
     """Return the car that was only seen driving freely."""
-    judge = Judge(logs=data.episodes, braking_logs=0, free=len(seen), braking=0, lapse=0.0)
-    why = f"not identifiable: {judge.why_not_braking()}"
+    identification = Identification(
+        logs=data.episodes, braking_logs=0, free=len(seen), braking=0, lapse=0.0, start_speed=start_speed
+    )
+    why = f"not identifiable: {identification.why_not_braking()}"
     names = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
-    parameters = {name: Parameter(wide_prior(name, "distance", start_speed), reason=why) for name in names}
-    parameters |= _free_parameters(judge, change, seen, starts, start_speed)
+    parameters = {name: CarParameter(wide_prior(name, "distance", start_speed), reason=why) for name in names}
+    parameters |= _free_parameters(identification, change, seen, starts)
     return _without_law(parameters, data, version)
 
 
 def _law_parameters(
-    judge: Judge, chosen: Candidate, candidates: Sequence[Candidate], time_step: float, start_speed: float
-) -> dict[str, Parameter]:
+    identification: Identification, chosen: LawCandidate, candidates: Sequence[LawCandidate], time_step: float
+) -> dict[str, CarParameter]:
     """Return trigger, its spread, path and delay."""
     law, e = chosen.law, chosen.evidence
-    measure, why = law.family.measure, judge.why_no_law()
-
-    def wide(name: str) -> Prior:
-        return wide_prior(name, measure, start_speed)
-
+    why, make = identification.why_no_law(), functools.partial(identification.parameter, measure=law.family.measure)
     if law.family.spread == "sharp":
-        trigger = parameter(lambda: sharp_estimate(e, law), why, wide("trigger"), distribution="uniform")
-        spread = parameter(
-            lambda: sharp_spread(e, law), why, wide("trigger_spread"), distribution="uniform", limit=None
-        )
+        trigger = make("trigger", lambda: sharp_estimate(e, law), why, "uniform")
+        spread = make("trigger_spread", lambda: sharp_spread(e, law), why, "uniform", limit=None)
         if spread.identifiable:
-            spread = replace(spread, prior=Prior("point", 0.0))  # the family says so
+            spread = replace(spread, prior=ParameterPrior("point", 0.0))  # the family says so
     else:
         both = [] if why else [*spread_estimates(e, law)]
-        trigger = parameter(lambda: both[0], why, wide("trigger"), distribution="normal")
-        spread = parameter(lambda: both[1], why, wide("trigger_spread"), distribution="normal")
+        trigger = make("trigger", lambda: both[0], why)
+        spread = make("trigger_spread", lambda: both[1], why)
     found = {"trigger": trigger, "trigger_spread": spread}
     if law.family.gate != "none":
-        found["path_half_width"] = parameter(
-            lambda: gate_estimate(e, law), why, wide("path_half_width"), distribution="uniform"
-        )
-    found["reaction_delay"] = parameter(
-        lambda: _delay_estimate(law, candidates, time_step),
-        why,
-        wide("reaction_delay"),
-        distribution="uniform",
-        limit=None,
-    )
+        found["path_half_width"] = make("path_half_width", lambda: gate_estimate(e, law), why, "uniform")
+    delay = functools.partial(_delay_estimate, law, candidates, time_step)
+    found["reaction_delay"] = make("reaction_delay", delay, why, "uniform", limit=None)
     return found
 
 
-def _delay_estimate(law: Law, candidates: Sequence[Candidate], time_step: float) -> Estimate:
+def _delay_estimate(law: Law, candidates: Sequence[LawCandidate], time_step: float) -> IntervalEstimate:
     """Return the delay, in whole ticks: those that together have 95 % of the likelihood."""
     family = law.family
     tried = {
@@ -228,76 +240,47 @@ def _delay_estimate(law: Law, candidates: Sequence[Candidate], time_step: float)
     deviation = math.sqrt(max(0.0, float(share @ np.square(delays - mean))))
     deviation = 0.0 if kept.size == 1 else deviation
     low, high = min(int(kept.min()), family.delay), max(int(kept.max()), family.delay)
-    return Estimate(family.delay * time_step, deviation * time_step, low * time_step, high * time_step)
+    return IntervalEstimate(family.delay * time_step, deviation * time_step, low * time_step, high * time_step)
 
 
 def _braking_parameters(
-    judge: Judge, change: SpeedChange, braking: Observations, start_speed: float
-) -> dict[str, Parameter]:
+    identification: Identification, change: SpeedChange, braking: Observations
+) -> dict[str, CarParameter]:
     """Return the deceleration and its noise."""
-    why = judge.why_not_braking()
+    why = identification.why_not_braking()
     both = [] if why else [*braking_estimates(change, braking)]
-    names = ("deceleration", "deceleration_noise")
     return {
-        name: parameter(
-            lambda index=index: both[index],  # type: ignore[misc]
-            why,
-            wide_prior(name, "distance", start_speed),
-            distribution="normal",
-        )
-        for index, name in enumerate(names)
+        "deceleration": identification.parameter("deceleration", lambda: both[0], why),
+        "deceleration_noise": identification.parameter("deceleration_noise", lambda: both[1], why),
     }
 
 
 def _free_parameters(
-    judge: Judge, change: SpeedChange, free: Observations, starts: FloatArray, start_speed: float
-) -> dict[str, Parameter]:
+    identification: Identification, change: SpeedChange, free: Observations, starts: FloatArray
+) -> dict[str, CarParameter]:
     """Return noise of the speed, cruise speed and the gain that holds it."""
-    why = judge.why_not_free()
-    count = len(free)
-    noise = parameter(
-        lambda: half_width_estimate(change.speed_noise, count),
-        why,
-        wide_prior("speed_noise", "distance", start_speed),
-        distribution="uniform",
-    )
+    why, make = identification.why_not_free(), identification.parameter
+    noise = make("speed_noise", lambda: half_width_estimate(change.speed_noise, len(free)), why, "uniform")
     if change.gain > 0.0 and not why:
         pulled = _pull_estimates(change, free)
-        cruise = parameter(
-            lambda: pulled[0], "", wide_prior("cruise_speed", "distance", start_speed), distribution="normal"
-        )
-        gain = parameter(
-            lambda: pulled[1], "", wide_prior("cruise_gain", "distance", start_speed), distribution="normal"
-        )
+        cruise = make("cruise_speed", lambda: pulled[0], "")
+        gain = make("cruise_gain", lambda: pulled[1], "")
         found = {"cruise_speed": cruise, "cruise_gain": gain, "speed_noise": noise}
         if math.isfinite(change.limit):
-            found["cruise_acceleration"] = parameter(
-                lambda: pulled[2],
-                "",
-                wide_prior("cruise_acceleration", "distance", start_speed),
-                distribution="normal",
-            )
+            found["cruise_acceleration"] = make("cruise_acceleration", lambda: pulled[2], "")
         return found
     # A car that does not return to a speed cruises at the one that it is started with.
     deviation = float(starts.std()) / math.sqrt(max(1, starts.size))
     half = 1.96 * deviation
     mean = float(starts.mean())
-    cruise = parameter(
-        lambda: Estimate(mean, deviation, mean - half, mean + half),
-        why,
-        wide_prior("cruise_speed", "distance", start_speed),
-        distribution="normal",
-    )
-    still = parameter(
-        lambda: Estimate(0.0, 0.0, 0.0, 0.0),
-        why,
-        wide_prior("cruise_gain", "distance", start_speed),
-        distribution="uniform",
-    )
+    cruise = make("cruise_speed", lambda: IntervalEstimate(mean, deviation, mean - half, mean + half), why)
+    still = make("cruise_gain", lambda: IntervalEstimate(0.0, 0.0, 0.0, 0.0), why, "uniform")
     return {"cruise_speed": cruise, "cruise_gain": still, "speed_noise": noise}
 
 
-def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, Estimate, Estimate]:
+def _pull_estimates(
+    change: SpeedChange, free: Observations
+) -> tuple[IntervalEstimate, IntervalEstimate, IntervalEstimate]:
     """Return cruise speed (m/s), gain (1/s) and largest acceleration (m/s²) with intervals by weighted least squares.
 
     Each from the ticks that tell of it: below the speed at which the limit begins to hold, and above.
@@ -321,13 +304,13 @@ def _pull_estimates(change: SpeedChange, free: Observations) -> tuple[Estimate, 
     gain_error = math.sqrt(float(covariance[0, 0]))
     cruise, gain, limit = change.cruise_speed, change.gain, change.limit
     return (
-        Estimate(cruise, cruise_error, cruise - 1.96 * cruise_error, cruise + 1.96 * cruise_error),
-        Estimate(gain, gain_error, gain - 1.96 * gain_error, gain + 1.96 * gain_error),
-        Estimate(limit, limit_error, limit - 1.96 * limit_error, limit + 1.96 * limit_error),
+        IntervalEstimate(cruise, cruise_error, cruise - 1.96 * cruise_error, cruise + 1.96 * cruise_error),
+        IntervalEstimate(gain, gain_error, gain - 1.96 * gain_error, gain + 1.96 * gain_error),
+        IntervalEstimate(limit, limit_error, limit - 1.96 * limit_error, limit + 1.96 * limit_error),
     )
 
 
-def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -> Calibration | None:
+def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -> LawCalibration | None:
     """Return how well a fourth of the logs is predicted from the others by the chosen family."""
     test = folds_of(data.episode, _HELD_OUT_FOLDS) == _HELD_OUT_FOLDS - 1
     if not test.any() or int(moving(data.of(test)).sum()) < _KS_TICKS:
@@ -343,4 +326,4 @@ def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -
         known = fit_family(law.family, evidence(change, train, law.family, rows), near=law)
     values = integral_transform(change, known, data.of(test), np.random.default_rng(seed))
     statistic, p_value = kolmogorov_smirnov(values)
-    return Calibration(int(values.size), statistic, p_value)
+    return LawCalibration(int(values.size), statistic, p_value)

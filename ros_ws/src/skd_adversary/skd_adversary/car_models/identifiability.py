@@ -1,13 +1,99 @@
-"""Parameters that the logs do not determine: each gets a reason in words and a wide prior."""
+"""Intervals of estimates, and parameters that the logs do not determine: each gets a reason in words and a wide prior.
+
+Intervals are for where the likelihood is flat or ends abruptly and a Hessian would say nothing:
+
+* A boundary between what braked and what did not: the likelihood is a step function of it. With a flat prior its
+  posterior is piecewise constant. The nearest observations above and below a boundary are, for many episodes,
+  exponentially far away, so the boundary is uniform between them: the central 95 % cover it 95 % of the time.
+* The half-width of uniform noise: the largest of m draws is Beta(m, 1) of it, exactly.
+* Location and half-width of the braking noise: a posterior on a grid, flat priors.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
+import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.world.state import braking_distance
 
-from skd_adversary.car_models.fitted_car import Parameter, Prior
-from skd_adversary.car_models.intervals import Estimate
+from skd_adversary.car_models.car_model_file import CarParameter, ParameterPrior
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class IntervalEstimate:
+    """A number with its uncertainty.
+
+    Attributes:
+        value: maximum of the likelihood; its middle, where it is flat.
+        standard_error: standard deviation of what the data leave open.
+        low: lower end of the 95 % interval.
+        high: upper end of the interval.
+    """
+
+    value: float
+    standard_error: float
+    low: float
+    high: float
+
+
+def half_width_estimate(largest: float, count: int) -> IntervalEstimate:
+    """Return the half-width of uniform noise from the largest of `count` absolute draws; the interval is exact.
+
+    The likelihood is zero below the largest draw and falls above it: the shortest interval begins there.
+    """
+    n = max(1, count)
+    deviation = largest * math.sqrt(n / (n + 2.0)) / (n + 1.0)
+    return IntervalEstimate(largest, deviation, largest, largest * (1.0 - LEVEL) ** (-1.0 / n))
+
+
+def step_estimate(edges: FloatArray, values: FloatArray) -> IntervalEstimate:
+    """Return the estimate of a boundary whose log-likelihood is constant between edges.
+
+    Args:
+        edges: k + 1 increasing positions; the range that is thought possible.
+        values: k log-likelihoods, of the segments between them.
+    """
+    widths = np.diff(edges)
+    edges, values, widths = np.append(edges[:-1][widths > 0.0], edges[-1]), values[widths > 0.0], widths[widths > 0.0]
+    top = int(np.argmax(values))
+    low = high = top
+    while low > 0 and values[low - 1] >= values[top] - 1e-9:
+        low -= 1
+    while high + 1 < values.size and values[high + 1] >= values[top] - 1e-9:
+        high += 1
+    mass = np.exp(values - values[top]) * widths
+    cumulative = np.append(0.0, np.cumsum(mass)) / mass.sum()
+    tail = 0.5 * (1.0 - LEVEL)
+    ends = np.interp([tail, 1.0 - tail], cumulative, edges)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    share = mass / mass.sum()
+    mean = float(share @ middles)
+    variance = float(share @ (np.square(middles - mean) + np.square(widths) / 12.0))
+    value = 0.5 * float(edges[low] + edges[high + 1])
+    return IntervalEstimate(value, math.sqrt(variance), min(float(ends[0]), value), max(float(ends[1]), value))
+
+
+def marginal_estimate(grid: FloatArray, density: FloatArray, value: float) -> IntervalEstimate:
+    """Return the estimate that a posterior density on an even grid gives.
+
+    Args:
+        grid: the k positions of the grid.
+        density: k densities, up to a factor.
+        value: the maximum of the likelihood.
+    """
+    weights = 0.5 * (density[1:] + density[:-1])
+    cumulative = np.append(0.0, np.cumsum(weights)) / weights.sum()
+    tail = 0.5 * (1.0 - LEVEL)
+    low, high = np.interp([tail, 1.0 - tail], cumulative, grid)
+    mean = float(np.average(grid, weights=density))
+    deviation = math.sqrt(float(np.average(np.square(grid - mean), weights=density)))
+    return IntervalEstimate(value, deviation, min(float(low), value), max(float(high), value))
+
 
 LEAST_LOGS = 5
 LEAST_BRAKING_LOGS = 5
@@ -22,7 +108,7 @@ PRIOR_DECELERATION = 3.5
 """m/s², of the paper's car: a car that never braked is thought to be like it, within wide limits."""
 
 
-def wide_prior(name: str, measure: str, start_speed: float) -> Prior:
+def wide_prior(name: str, measure: str, start_speed: float) -> ParameterPrior:
     """Return the prior of a parameter about which nothing is known; triggers have that of an unknown car.
 
     Args:
@@ -45,19 +131,22 @@ def wide_prior(name: str, measure: str, start_speed: float) -> Prior:
         "cruise_acceleration": (0.5, 5.0),
         "speed_noise": (0.0, 0.15),
     }
-    return Prior("uniform", *limits[name])
+    return ParameterPrior("uniform", *limits[name])
 
 
-class Judge:
+class Identification:
     """Turns estimates into parameters, or into the reason why there is none."""
 
-    def __init__(self, *, logs: int, braking_logs: int, free: int, braking: int, lapse: float) -> None:
-        """Take the counts of the logs: episodes, those with braking, free and braking ticks, the law's lapse."""
+    def __init__(
+        self, *, logs: int, braking_logs: int, free: int, braking: int, lapse: float, start_speed: float
+    ) -> None:
+        """Take the counts of the logs: episodes, those with braking, free and braking ticks; the law's lapse; m/s."""
         self._logs = logs
         self._braking_logs = braking_logs
         self._free = free
         self._braking = braking
         self._lapse = lapse
+        self._start_speed = start_speed
 
     def why_not_free(self) -> str:
         """Return why the logs say nothing of driving freely; empty if they do."""
@@ -88,31 +177,39 @@ class Judge:
             return f"{100 * self._lapse:.0f} % of the ticks go against the best law: no family explains this car"
         return why
 
+    def parameter(
+        self,
+        name: str,
+        estimate: Callable[[], IntervalEstimate],
+        why: str,
+        distribution: str = "normal",
+        *,
+        measure: str = "distance",
+        limit: float | None = WIDEST,
+    ) -> CarParameter:
+        """Return a parameter, or that it is not identifiable.
 
-def parameter(
-    estimate: Callable[[], Estimate], why: str, wide: Prior, *, distribution: str, limit: float | None = WIDEST
-) -> Parameter:
-    """Return a parameter, or that it is not identifiable.
-
-    Args:
-        estimate: makes the estimate; called only if there is no reason against it.
-        why: why the parameter is not identifiable; empty if it is.
-        wide: prior if it is not identifiable.
-        distribution: prior if the parameter is identifiable: `uniform` over the interval, or `normal`.
-        limit: largest half interval, as a share of the estimate; None: any.
-    """
-    if why:
-        return Parameter(wide, reason=f"not identifiable: {why}")
-    found = estimate()
-    if limit is not None and found.high - found.low > 2.0 * limit * abs(found.value):
-        prior = Prior("uniform", max(0.0, min(wide.first, found.low)), max(wide.second, found.high))
-        return Parameter(
-            prior, reason=f"not identifiable: the logs leave it between {found.low:.3g} and {found.high:.3g}"
-        )
-    if found.high <= found.low:
-        prior = Prior("point", found.value)
-    elif distribution == "uniform":
-        prior = Prior("uniform", found.low, found.high)
-    else:
-        prior = Prior("normal", found.value, found.standard_error)
-    return Parameter(prior, found.value, found.standard_error, (found.low, found.high))
+        Args:
+            name: name of the parameter.
+            estimate: makes the estimate; called only if there is no reason against it.
+            why: why the parameter is not identifiable; empty if it is.
+            distribution: prior if the parameter is identifiable: `uniform` over the interval, or `normal`.
+            measure: what the trigger is compared with, `distance` or `time`.
+            limit: largest half interval, as a share of the estimate; None: any.
+        """
+        wide = wide_prior(name, measure, self._start_speed)
+        if why:
+            return CarParameter(wide, reason=f"not identifiable: {why}")
+        found = estimate()
+        if limit is not None and found.high - found.low > 2.0 * limit * abs(found.value):
+            prior = ParameterPrior("uniform", max(0.0, min(wide.first, found.low)), max(wide.second, found.high))
+            return CarParameter(
+                prior, reason=f"not identifiable: the logs leave it between {found.low:.3g} and {found.high:.3g}"
+            )
+        if found.high <= found.low:
+            prior = ParameterPrior("point", found.value)
+        elif distribution == "uniform":
+            prior = ParameterPrior("uniform", found.low, found.high)
+        else:
+            prior = ParameterPrior("normal", found.value, found.standard_error)
+        return CarParameter(prior, found.value, found.standard_error, (found.low, found.high))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
@@ -11,7 +12,7 @@ from skd_sim.errors import UsageError
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class RecordedEpisode:
     """One recorded episode, whatever it was recorded from.
 
     Attributes:
@@ -80,25 +81,11 @@ class Observations:
 
     def of(self, rows: BoolArray) -> Observations:
         """Return the chosen rows; whole episodes, where a delay is to be looked back over."""
-        return Observations(
-            episode=self.episode[rows],
-            tick=self.tick[rows],
-            gap=self.gap[rows],
-            lateral=self.lateral[rows],
-            receding=self.receding[rows],
-            sideways=self.sideways[rows],
-            speed=self.speed[rows],
-            speed_after=self.speed_after[rows],
-            walking_away=self.walking_away[rows],
-            walking_sideways=self.walking_sideways[rows],
-            travelled=self.travelled[rows],
-            time_step=self.time_step,
-            front=self.front,
-            rear=self.rear,
-        )
+        columns: dict[str, Any] = {name: one[rows] for name, one in vars(self).items() if isinstance(one, np.ndarray)}
+        return replace(self, **columns)
 
 
-def observe(recordings: Sequence[Recording]) -> Observations:
+def observe(recordings: Sequence[RecordedEpisode]) -> Observations:
     """Return the ticks of recorded episodes.
 
     Raises:
@@ -108,7 +95,6 @@ def observe(recordings: Sequence[Recording]) -> Observations:
     if not usable:
         raise UsageError("the logs hold no episode with a tick; record some with skd probe")
     first = usable[0]
-    columns: list[list[FloatArray]] = [[] for _ in range(9)]
     for index, recording in enumerate(usable):
         for name, unit in (("time_step", "s"), ("front", "m"), ("rear", "m")):
             one, other = getattr(first, name), getattr(recording, name)
@@ -119,37 +105,26 @@ def observe(recordings: Sequence[Recording]) -> Observations:
             raise UsageError(f"log {index}: {len(car)} states of the car and {len(adversary)} of the adversary")
         if not (np.isfinite(adversary).all() and np.isfinite(car).all()):
             raise UsageError(f"log {index}: a state is not finite")
-        velocity = np.zeros((len(car) - 1, 2))
-        walking = np.diff(adversary, axis=0) / recording.time_step
-        velocity[1:] = walking[:-1]
-        parts = (
-            adversary[:-1, 1] - car[:-1, 1] - recording.front,
-            adversary[:-1, 0] - car[:-1, 0],
-            velocity[:, 1],
-            velocity[:, 0],
-            car[:-1, 2],
-            car[1:, 2],
-            walking[:, 1],
-            walking[:, 0],
-            np.diff(car[:, 1]),
-        )
-        for column, part in zip(columns, parts, strict=True):
-            column.append(part)
-    ticks = [len(recording.car) - 1 for recording in usable]
-    gap, lateral, receding, sideways, speed, speed_after, away, aside, travelled = map(np.concatenate, columns)
-    return Observations(
-        episode=np.repeat(np.arange(len(usable)), ticks),
-        tick=np.concatenate([np.arange(count) for count in ticks]),
-        gap=gap,
-        lateral=lateral,
-        receding=receding,
-        sideways=sideways,
-        speed=speed,
-        speed_after=speed_after,
-        walking_away=away,
-        walking_sideways=aside,
-        travelled=travelled,
-        time_step=first.time_step,
-        front=first.front,
-        rear=first.rear,
-    )
+    episodes = [_columns(index, recording) for index, recording in enumerate(usable)]
+    columns: dict[str, Any] = {name: np.concatenate([one[name] for one in episodes]) for name in episodes[0]}
+    return Observations(**columns, time_step=first.time_step, front=first.front, rear=first.rear)
+
+
+def _columns(episode: int, recording: RecordedEpisode) -> dict[str, FloatArray | IntArray]:
+    """Return the columns of `Observations` for one episode."""
+    adversary, car = recording.adversary, recording.car
+    walking = np.diff(adversary, axis=0) / recording.time_step
+    before = np.vstack([np.zeros((1, 2)), walking[:-1]])
+    return {
+        "episode": np.full(len(walking), episode),
+        "tick": np.arange(len(walking)),
+        "gap": adversary[:-1, 1] - car[:-1, 1] - recording.front,
+        "lateral": adversary[:-1, 0] - car[:-1, 0],
+        "receding": before[:, 1],
+        "sideways": before[:, 0],
+        "speed": car[:-1, 2],
+        "speed_after": car[1:, 2],
+        "walking_away": walking[:, 1],
+        "walking_sideways": walking[:, 0],
+        "travelled": np.diff(car[:, 1]),
+    }

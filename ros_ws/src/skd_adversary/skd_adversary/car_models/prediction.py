@@ -11,14 +11,11 @@ import numpy as np
 from skd_sim.arrays import BoolArray, FloatArray
 from skd_sim.kernels.compilation import kernel
 
-from skd_adversary.car_models.calibration import braking_probability, integral_transform, kolmogorov_smirnov
-from skd_adversary.car_models.car_forest import leaf_of
-from skd_adversary.car_models.families import Law
+from skd_adversary.car_models.car_model_file import FittedCar, Prediction
 from skd_adversary.car_models.fit import fit_with_law
-from skd_adversary.car_models.fitted_car import FittedCar, Prediction
-from skd_adversary.car_models.forest import described, forest_transform, grow
+from skd_adversary.car_models.forest import described, forest_transform, grow, leaf_of
+from skd_adversary.car_models.laws import Law, braking_probability, folds_of, integral_transform, kolmogorov_smirnov
 from skd_adversary.car_models.observations import Observations
-from skd_adversary.car_models.selection import folds_of
 from skd_adversary.car_models.speed_change import SpeedChange, distributions, moving
 
 FOLDS: Final = 5
@@ -34,18 +31,6 @@ def near(data: Observations) -> BoolArray:
     """Return which ticks have the road user near the car: up to 15 m ahead of or beside it, up to 4 m aside."""
     beside = np.abs(data.lateral) <= NEAR[1]
     return np.asarray(beside & (data.gap <= NEAR[0]) & (data.gap >= -data.car_length))
-
-
-def learn_car(
-    data: Observations,
-    *,
-    seed: int = 0,
-    version: str = "unknown",
-    folds: int = FOLDS,
-    progress: Callable[[int, int], None] = lambda *_told: None,
-) -> FittedCar:
-    """Return the car that the logs show; see `learn_and_look`."""
-    return learn_and_look(data, seed=seed, version=version, folds=folds, progress=progress)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +50,13 @@ class SeenAndPredicted:
     predicted: FloatArray
 
 
-def learn_and_look(
+def learn_car(
     data: Observations,
     *,
     seed: int = 0,
     version: str = "unknown",
     folds: int = FOLDS,
-    progress: Callable[[int, int], None] = lambda *_told: None,
+    progress: Callable[[int, int], None] = lambda *_steps: None,
 ) -> tuple[FittedCar, SeenAndPredicted | None]:
     """Return the car that the logs show: as a law, and as a forest where that predicts it better.
 
@@ -132,7 +117,7 @@ class HeldOut:
     """
 
     def __init__(
-        self, data: Observations, folds: int, seed: int, progress: Callable[[int, int], None] = lambda *_told: None
+        self, data: Observations, folds: int, seed: int, progress: Callable[[int, int], None] = lambda *_steps: None
     ) -> None:
         """Grow `folds` forests, each from the logs that one part leaves."""
         fold = folds_of(data.episode, FOLDS)

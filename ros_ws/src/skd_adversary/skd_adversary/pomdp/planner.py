@@ -26,7 +26,7 @@ from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.search import Cells, PlannerOptions, Scratch, draw_roots, search_kernel
+from skd_adversary.pomdp.search import Cells, PlannerOptions, SearchMemory, draw_roots, search_kernel
 from skd_adversary.pomdp.tree import (
     CHILDREN,
     KNOWN,
@@ -69,7 +69,7 @@ class Planner:
         self._search = search_kernel(model, self._by_likelihood)
         self._origin = np.zeros(nodes, np.int32)
         self._tables = tables_of(nodes, options.observation_factor, options.observation_exponent)
-        self._scratch = Scratch(
+        self._scratch = SearchMemory(
             state=np.empty(model.state_dim),
             moved=np.empty(model.state_dim),
             observation=np.empty(model.observation_dim),

@@ -94,25 +94,17 @@ class PlannerOptions:
         return FOUND if self.exploration is None else self.exploration
 
     def __post_init__(self) -> None:
-        if self.simulations < 1 or self.depth < 1:
-            raise ValueError("a planner needs at least one simulation and a depth of one")
+        for name in ("simulations", "depth", "particles", "references"):
+            value = getattr(self, name)
+            if value < 1 or value != int(value):
+                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
         if self.exploration is not None and not self.exploration >= 0.0:
             raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
-        if self.particles < 1:
-            raise ValueError(f"a belief needs at least one particle, got particles {self.particles}")
-        if self.references < 1:
-            raise ValueError(f"cells of observations need at least one reference state, got {self.references}")
-        for name in ("simulations", "depth", "particles", "references"):
-            if getattr(self, name) != int(getattr(self, name)):
-                raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
         if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
             raise ValueError(
                 f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
                 f"observation_exponent {self.observation_exponent!r}"
             )
-        for name, kind in (("backup", Backup), ("cells", Cells)):
-            if getattr(self, name) not in list(kind):
-                raise ValueError(f"{name} must be one of {', '.join(map(str, kind))}, got {getattr(self, name)!r}")
 
 
 _step = _observe = _rollout_action = _roll_out = _leaf_value = unbound
@@ -122,7 +114,7 @@ _HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
 _BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
 
 
-class Scratch(NamedTuple):
+class SearchMemory(NamedTuple):
     """Memory of one simulation, for a model with states of s numbers, observations of d, and look-ahead h."""
 
     state: FloatArray  # s
@@ -165,7 +157,7 @@ def _search_template(
     tree: SearchTree,
     node_count: int,
     tables: Tables,
-    scratch: Scratch,
+    scratch: SearchMemory,
     exploration: float,
     discount: float,
     backup: int,

@@ -25,10 +25,9 @@ from skd_sim.scenario.scenario import Scenario, check_way
 from skd_sim.world.contact import first_contact, to_car_frame
 from skd_sim.world.state import Trajectory
 
-from skd_adversary.crossing.road_user import pedestrian
-from skd_adversary.safe_trajectories.car_frame import seen_from_car
-from skd_adversary.safe_trajectories.table import Table, read_table, resample, too_fast
-from skd_adversary.safe_trajectories.track_checks import LONGEST_HOLE, check_apart, check_motion, check_once
+from skd_adversary.crossing.on_foot import PEDESTRIAN
+from skd_adversary.safe_trajectories.csv_file import Table, read_table, resample, too_fast
+from skd_adversary.safe_trajectories.tracks import LONGEST_HOLE, check_motion, check_once, in_car_frame
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""
@@ -55,7 +54,7 @@ _OFF_STATED: Final = 0.35, 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class PedestrianTrack:
     """One pedestrian as recorded, in the dataset's frame.
 
     Attributes:
@@ -94,7 +93,7 @@ class Clip:
     positions: FloatArray
     headings: FloatArray
     speeds: FloatArray
-    tracks: tuple[Track, ...]
+    tracks: tuple[PedestrianTrack, ...]
 
 
 class Selection(NamedTuple):
@@ -156,10 +155,9 @@ def _read_clip(clip: str, pedestrian_file: Path, vehicle_file: Path) -> Clip:
         raise UsageError(f"{pedestrian_file}: no pedestrian in it")
     people = []
     for id_, (values, lines) in sorted(tracks.items()):
-        one = Track(id_, values[:, 1].astype(np.int64), values[:, 2:4], values[:, 4:6])
+        one = PedestrianTrack(id_, values[:, 1].astype(np.int64), values[:, 2:4], values[:, 4:6])
         check_motion(one.frames / FRAME_RATE, one.positions, one.velocities, lines, pedestrian_file, _OFF_STATED[0])
         people.append(one)
-    check_apart(pedestrian_file, [(one.id, one.frames, one.positions) for one in people], FRAME_RATE)
     frames, name = cart.values[:, 1].astype(np.int64), clip.removeprefix(_CLIP_PREFIX)
     return Clip(name, frames, cart.values[:, 2:4], headings, speeds, tuple(people))
 
@@ -183,8 +181,8 @@ def _tracks(table: Table, path: Path) -> dict[int, Table]:
     return tracks
 
 
-def world_frame(clip: Clip, track: Track) -> FloatArray:
-    """Return a recorded walk in the world frame, as the cart's way has it (`seen_from_car`).
+def world_frame(clip: Clip, track: PedestrianTrack) -> FloatArray:
+    """Return a recorded walk in the world frame, as the cart's way has it (`in_car_frame`).
 
     Args:
         clip: the clip, which has the cart.
@@ -193,10 +191,10 @@ def world_frame(clip: Clip, track: Track) -> FloatArray:
     Returns:
         n × 2 positions (East, North), m, at the track's frames.
     """
-    return seen_from_car(clip.positions, track.positions).positions
+    return in_car_frame(clip.positions, track.positions).positions
 
 
-def touches_cart(clip: Clip, track: Track, radius: float) -> bool:
+def touches_cart(clip: Clip, track: PedestrianTrack, radius: float) -> bool:
     """Return whether the pedestrian's disc (radius, m) touched the recorded cart in the frames they share.
 
     Swept between frames, so nothing is missed; where one of them lacks a frame, its neighbours are joined.
@@ -238,7 +236,7 @@ def select(clips: list[Clip], scenario: Scenario) -> Selection:
     return selection
 
 
-def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) -> str:
+def _unusable(clip: Clip, track: PedestrianTrack, points: FloatArray, scenario: Scenario) -> str:
     """Return why a track is no safe trajectory; empty where it is one."""
     edge = scenario.path_edge
     across = scenario.end.crossing * right_and_along(scenario.road.line, points)[:, 0]
@@ -246,7 +244,7 @@ def _unusable(clip: Clip, track: Track, points: FloatArray, scenario: Scenario) 
         return "starts in the car's path"
     if across[-1] <= edge:
         return "ends before the far side"
-    fastest = pedestrian.ROAD_USER.fastest  # these are
+    fastest = PEDESTRIAN.fastest  # these are
     if too_fast(track.frames / FRAME_RATE, track.positions, fastest):
         return f"faster than {fastest:g} m/s"
     if track.duration > scenario.horizon:

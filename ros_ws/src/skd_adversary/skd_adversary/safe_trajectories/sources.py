@@ -19,7 +19,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_adversary.safe_trajectories.citr import Selection, is_citr, read_clips, select
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_adversary.safe_trajectories.track_checks import check_once
+from skd_adversary.safe_trajectories.tracks import check_once
 
 _log = logging.getLogger(__name__)  # whose warnings Python prints where nobody has said otherwise
 _MOST_NAMED = 5

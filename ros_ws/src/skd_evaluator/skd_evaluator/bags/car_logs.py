@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from skd_adversary.car_models import Recording
+from skd_adversary.car_models import RecordedEpisode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
 from skd_sim.options.adversary import Knowledge, Objective
@@ -45,16 +45,16 @@ _COLUMNS = {
 }
 
 
-def recording_of(log: EpisodeLog) -> Recording:
+def recording_of(log: EpisodeLog) -> RecordedEpisode:
     """Return what an episode's log says about the car."""
     scenario = log.episode.scenario
     # The fit sees every road as a straight one: offsets across it, distances along it.
     walked, driven = (right_and_along(scenario.road.line, places[:, :2]) for places in (log.adversary, log.car))
     car = np.column_stack([driven, log.car[:, 2]])
-    return Recording(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
+    return RecordedEpisode(walked, car, scenario.time_step, scenario.car.front, scenario.car.rear)
 
 
-def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[Recording]:
+def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list[RecordedEpisode]:
     """Return every recorded episode of `paths`: bag folders, .mcap files, episodes.npz, or folders of them.
 
     An episodes.npz with bags below its folder is not read, for they hold every episode. An episode that is found twice
@@ -69,7 +69,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
             damaged and must not be left out.
     """
     damage = damage or Damage()
-    found: dict[tuple[bytes, bytes], Recording] = {}
+    found: dict[tuple[bytes, bytes], RecordedEpisode] = {}
     cars: dict[str, Path] = {}
     for path in paths:
         for car, recording in _recorded(path, damage):
@@ -82,7 +82,7 @@ def read_recordings(paths: Sequence[Path], damage: Damage | None = None) -> list
     return list(found.values())
 
 
-def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+def _recorded(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode]]:
     """Yield (controller, recording) of every episode below a path."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
@@ -153,7 +153,7 @@ def _said_beside(path: Path) -> _Beside:
     raise UsageError(f"{path}: has no {' or '.join(SUMMARIES)} beside it, which says what car it was")
 
 
-def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, Recording]]:
+def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode]]:
     """Yield (controller, recording) of every episode in an episodes.npz that can have happened."""
     try:
         check_unchanged(path.parent, [path.name, *(name for name in SUMMARIES if (path.parent / name).exists())])

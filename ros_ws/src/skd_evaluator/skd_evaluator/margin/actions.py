@@ -13,10 +13,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from skd_adversary.crossing.road_user import pedestrian
-from skd_adversary.crossing.road_user.pedestrian import ACTION_COUNT, AS_PHI, STAY, action_velocity
+from skd_adversary.crossing.on_foot import ACTION_COUNT, AS_PHI, PEDESTRIAN, STAY, action_velocity
+from skd_adversary.crossing.path import path_velocity
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.safe_path import path_velocity
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest
@@ -69,7 +68,7 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     """
     step = scenario.time_step
     user = road_user_named(scenario.adversary.kind)
-    if user is pedestrian.ROAD_USER:
+    if user is PEDESTRIAN:
         speed = scenario.adversary.speed
         found = np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
         found[np.arange(WAY_COUNT) != AS_PHI, 0] *= scenario.end.crossing
@@ -98,7 +97,7 @@ def _why_not(car: CarUnderTest, scenario: Scenario) -> str:
         return f"the search knows the basic car, not car.dynamics {scenario.car.dynamics}"
     if not scenario.road.straight or scenario.adversary.is_box:
         return "the search knows straight roads and adversaries that are discs, no others"
-    if road_user_named(scenario.adversary.kind) is not pedestrian.ROAD_USER:
+    if road_user_named(scenario.adversary.kind) is not PEDESTRIAN:
         return f"the search knows what a pedestrian can do, not adversary.kind {scenario.adversary.kind}"
     if scenario.obstacles or scenario.others:
         return "the search knows nothing of obstacles and others"

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing.road_user.pedestrian import AS_PHI
+from skd_adversary.crossing.on_foot import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import BASIC, WORLD

@@ -87,7 +87,13 @@ class Objective(StrEnum):
 
 
 OBJECTIVES: Final = Registry(
-    "objective", "skd.objectives", {str(one): f"skd_adversary.crossing.objective.{one}:OBJECTIVE" for one in Objective}
+    "objective",
+    "skd.objectives",
+    {
+        "paper": "skd_adversary.crossing.objectives:PAPER",
+        "deviation": "skd_adversary.crossing.deviation:DEVIATION",
+        "frechet": "skd_adversary.crossing.objectives:FRECHET",
+    },
 )
 """Where the model of each is made: above this package, which knows of it by name only."""
 

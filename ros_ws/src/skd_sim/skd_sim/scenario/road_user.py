@@ -214,7 +214,7 @@ class Other(Body):
 
 _OWN = ("pedestrian", "runner", "child", "cyclist", "e_scooter", "motorcycle", "car", "van")
 ROAD_USERS: Final = Registry(
-    "road user", "skd.road_users", {kind: f"skd_adversary.crossing.road_user.{kind}:ROAD_USER" for kind in _OWN}
+    "road user", "skd.road_users", {kind: f"skd_adversary.crossing.road_users:{kind.upper()}" for kind in _OWN}
 )
 """Of the key `adversary.kind` of a scenario. Others of a scenario may be of these kinds, or of any that has a name."""
 

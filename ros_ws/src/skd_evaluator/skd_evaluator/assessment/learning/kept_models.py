@@ -19,8 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from skd_adversary.car_models.car_model_file import car_model_for_scenario, write_car_model
-from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_for_scenario, write_car_model
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import SIMULATORS
 from skd_sim.scenario.scenario import Scenario

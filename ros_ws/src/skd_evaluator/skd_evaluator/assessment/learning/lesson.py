@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from skd_adversary.car_models import Recording, learn_car, observe
-from skd_adversary.car_models.car_model_file import car_model_text
-from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models import RecordedEpisode, learn_car, observe
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_text
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import Scenario
@@ -150,11 +149,11 @@ def lesson_of(
         )
     ]
     recordings = _recordings(runner, probes, "probes", progress)
-    first = learn_car(observe(recordings), version=version(), folds=1)
+    first, _ = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     trials = own_trials(plan, car_model_text(first), safe, TRIALS)
     recordings += _recordings(runner, trials, "trials to learn from", progress)
-    car = learn_car(observe(recordings), version=version(), folds=2)
+    car, _ = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 
 
@@ -168,5 +167,7 @@ def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
         ) from error
 
 
-def _recordings(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[Recording]:
+def _recordings(
+    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress
+) -> list[RecordedEpisode]:
     return [recording_of(log) for log in finished(runner, episodes, label, progress)]

@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from skd_adversary.car_models.car_model_file import car_model_text
-from skd_adversary.car_models.fitted_car import FittedCar
-from skd_adversary.crossing.car import basic, forest
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_text
+from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
@@ -23,7 +22,7 @@ from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.distances.measures import pair_of
 
-CHOICES: Final = (forest.WAITING_REWARD, basic.WAITING_REWARD, -0.4)
+CHOICES: Final = (FOREST_WAITING_REWARD, WAITING_REWARD, -0.4)
 """m of deviation for each step after φ's end."""
 TRIALS: Final = 60
 """Trials with each choice, which have their draws in common."""
@@ -52,7 +51,7 @@ def with_waiting_reward(
     Raises:
         AssessmentError: all trials with one of the choices were aborted.
     """
-    usual = basic.WAITING_REWARD if car.forest is None else forest.WAITING_REWARD
+    usual = WAITING_REWARD if car.forest is None else FOREST_WAITING_REWARD
     best, least = usual, np.inf
     for choice in (usual, *(one for one in CHOICES if one != usual)):
         model = car_model_text(replace(car, waiting_reward=choice))

@@ -13,9 +13,8 @@ from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
-from skd_adversary.crossing.objective.safe import REFERENCE_MULTIPLIER
-from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.road_user.pedestrian import EAST, velocities
+from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER, objective_named
+from skd_adversary.crossing.on_foot import EAST, PEDESTRIAN
 from skd_adversary.crossing.road_users import check_kind
 from skd_adversary.safe_trajectories import load_safe_trajectories
 from skd_sim.controllers import with_control_period
@@ -301,7 +300,8 @@ def _safe_episode(plan: Plan, number: int) -> Episode:
 def _walker(scenario: Scenario, seed: int, number: int) -> Trajectory:
     """Return how somebody walks who means to go straight across, by the behaviour model, until arrival or horizon."""
     adversary, ticks, step = scenario.adversary, scenario.ticks, scenario.time_step
-    along = step * np.arange(ticks + 1)[:, None] * velocities(scenario)[EAST]
+    velocity = PEDESTRIAN.motion.velocity(scenario, (0.0, 0.0), EAST)
+    along = step * np.arange(ticks + 1)[:, None] * np.array(velocity)
     normals = generator(seed, number, Role.WALKER).standard_normal(normals_of(ticks))
     intended = np.array([adversary.start_x, adversary.start_y]) + along
     way = walked(intended, load_behaviour(WALKERS).values, normals, 1.0, step)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from skd_adversary.crossing.safe_path import path_velocities
+from skd_adversary.crossing.path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.controllers import control_period_of, make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.car_frame import seen_from_car
 from skd_adversary.safe_trajectories.csv_file import safe_trajectory
+from skd_adversary.safe_trajectories.tracks import in_car_frame
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import is_there, read_json, read_xml
@@ -360,7 +360,7 @@ def by_car(car: Track, user: Track, crossing: float) -> tuple[FloatArray, str]:
     """
     if np.hypot(*np.ptp(car.places, axis=0)) < _LEAST_DRIVE:
         raise UnusableError("the car does not drive, so nothing says where North is")
-    seen = seen_from_car(car.places, user.places)
+    seen = in_car_frame(car.places, user.places)
     if seen.aside > _FARTHEST_ASIDE:
         raise UnusableError(
             f"the car is up to {seen.aside:.2f} m off a straight line, more than {_FARTHEST_ASIDE:g} m, so its way "

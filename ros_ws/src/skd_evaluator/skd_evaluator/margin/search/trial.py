@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.crossing.road_user import pedestrian
+from skd_adversary.crossing.on_foot import AS_PHI, PEDESTRIAN
+from skd_adversary.crossing.path import path_velocities
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.crossing.safe_path import path_velocities
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_position
 from skd_sim.scenario.scenario import Scenario
@@ -89,11 +89,11 @@ class ActionSpace:
         self.ticks = ticks = scenario.ticks
         self.phi = self.path[np.minimum(np.arange(ticks + 1), len(path) - 1)]
         user = road_user_named(scenario.adversary.kind)
-        self.is_pedestrian, self._motion = user is pedestrian.ROAD_USER, user.motion
+        self.is_pedestrian, self._motion = user is PEDESTRIAN, user.motion
         self._wanted = path_velocities(self.path, ticks, scenario.time_step).tolist()
         first = velocities(scenario, self.path, 0, self.path[:1])
         self.action_count = len(first)
-        self.as_phi = pedestrian.AS_PHI if self.is_pedestrian else len(first) - 1
+        self.as_phi = AS_PHI if self.is_pedestrian else len(first) - 1
         self.table: FloatArray | None = None
         if self.is_pedestrian:
             self.table = np.array([velocities(scenario, self.path, tick) for tick in range(ticks)])
@@ -115,11 +115,6 @@ class ActionSpace:
     def _moved(self, actions: IntArray) -> FloatArray:
         """Return where a road user with a state of its own goes, positions at ticks, m."""
         scenario, step, motion = self.scenario, self.scenario.time_step, self._motion
-        if motion is None:
-            positions = np.repeat(self.path[:1], len(actions) + 1, axis=0)
-            for tick, action in enumerate(actions.tolist()):
-                positions[tick + 1] = positions[tick] + step * self._velocities(tick, positions[: tick + 1])[action]
-            return positions
         own = motion.first(scenario, self.path)
         x, y = self.path[0].tolist()
         found = [(x, y)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.track_checks import once_more, repeated
+from skd_adversary.safe_trajectories.tracks import duplicate_of, repeated
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import ROAD_USERS
@@ -108,7 +108,7 @@ def _taken(
                 left_out.append((path, source.found.name, str(error)))
     again = dict(repeated(read, moved=False))  # drawn ways may be the same; --safe refuses them
     left_out += [
-        (ways[index].source.path, ways[index].source.found.name, once_more(str(ways[first].source.path)))
+        (ways[index].source.path, ways[index].source.found.name, duplicate_of(str(ways[first].source.path)))
         for index, first in again.items()
     ]
     return [way for index, way in enumerate(ways) if index not in again], left_out

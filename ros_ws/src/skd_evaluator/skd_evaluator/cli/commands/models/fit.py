@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_adversary.car_models import SeenAndPredicted, learn_and_look, observe
-from skd_adversary.car_models.car_model_file import FILE_NAME, car_model_data, write_car_model
-from skd_adversary.car_models.fitted_car import FittedCar
+from skd_adversary.car_models import SeenAndPredicted, learn_car, observe
+from skd_adversary.car_models.car_model_file import FILE_NAME, FittedCar, car_model_data, write_car_model
 from skd_adversary.car_models.prediction import NEAR
 from skd_adversary.car_models.speed_change import LARGEST_NOISE
 
@@ -44,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)
-    car, ticks = learn_and_look(observe(recordings), version=version())
+    car, ticks = learn_car(observe(recordings), version=version())
     problem = out.save(partial(_fill, car, ticks))
     if problem:
         print(f"skd fit: {problem}", file=sys.stderr)

@@ -1,10 +1,10 @@
-"""Checks of tracked people and cars: no leaps and holes, velocities that are those of positions, nobody twice."""
+"""Recorded people and cars: no leaps and holes, velocities that are those of positions, nobody twice; world frame."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
@@ -14,15 +14,9 @@ LONGEST_HOLE: Final = 0.6
 """s without a row, up to which a straight line says where somebody was."""
 _LEAP: Final = 0.5
 """m by which a row may be off what the velocities before and at it give; filtered tracks of CITR are 0.17 m off."""
-_WINDOW: Final = 0.5
-"""s over which ways are compared."""
 _LEAST_WAY: Final = 2.0
 """m, from which on a way shows in which units and which direction it is."""
-_ALONGSIDE: Final = 0.3
-"""m, within which two people do not stay for as long as they are seen."""
-_SEEN: Final = 0.5
-"""s that two people are seen together at the least, before that says anything."""
-_TOLD: Final = 3
+_LEAST_POSITIONS: Final = 3
 """Positions at the least by which somebody is told from others."""
 
 
@@ -37,7 +31,7 @@ def check_motion(
         velocities: n × 2, m/s, as the recording states them.
         lines: of the file, of each row.
         where: the file, for messages.
-        share: of the stated way by which that of the positions may differ, in length or direction.
+        share: of the longer way, by positions or velocities, by which the two may differ.
 
     Raises:
         UsageError: it is so.
@@ -59,38 +53,14 @@ def check_motion(
             f"{where}, line {lines[leap + 1]}: moves {float(np.hypot(*moved[leap])):.3g} m in {passed[leap]:.3g} s, "
             f"and {float(np.hypot(*stated[leap])):.3g} m by its velocities: are positions in m, without jumps?"
         )
-    of = np.minimum(np.searchsorted(times, times + _WINDOW), len(times) - 1)
-    went = np.vstack([np.zeros((1, 2)), np.cumsum(stated, axis=0)])
-    seen, said = positions[of] - positions, went[of] - went
-    way = max(float(np.hypot(*one.sum(axis=0))) for one in (moved, stated))
-    if way < _LEAST_WAY:
-        return
-    # Least squares of a turn and a stretch that take stated ways for those of the positions: 1 where they agree.
-    seen, said = seen @ np.array([1.0, 1j]), said @ np.array([1.0, 1j])
-    squares = float(np.sum(np.abs(said) ** 2))
-    turned = complex(np.sum(seen * said.conj())) / squares if squares > 0.0 else np.inf
-    if abs(turned - 1.0) > share:
+    went, said = moved.sum(axis=0), stated.sum(axis=0)
+    longer = max(float(np.hypot(*went)), float(np.hypot(*said)))
+    if longer > _LEAST_WAY and float(np.hypot(*(went - said))) > share * longer:
         raise UsageError(
-            f"{where}, line {lines[0]}: the positions from here on go another way than the velocities beside them, "
-            f"{abs(turned):.2g} times as far and {abs(np.degrees(np.angle(turned))):.0f}° aside: are columns, units "
-            "(m, m/s, rad), frame rate and order those of the dataset?"
+            f"{where}, line {lines[0]}: the positions from here on go ({went[0]:.3g}, {went[1]:.3g}) m, and their "
+            f"velocities ({said[0]:.3g}, {said[1]:.3g}) m: are columns, units (m, m/s, rad), frame rate and order "
+            "those of the dataset?"
         )
-
-
-def check_apart(where: Path, people: Sequence[tuple[int, IntArray, FloatArray]], rate: float) -> None:
-    """Refuse two people of a recording who are one: of ids, frames (n) and positions (n × 2, m).
-
-    Raises:
-        UsageError: two of them stay within a step of each other as long as both are seen.
-    """
-    for place, (first, frames, positions) in enumerate(people):
-        for second, others, beside in people[place + 1 :]:
-            _, mine, theirs = np.intersect1d(frames, others, assume_unique=True, return_indices=True)
-            if len(mine) > _SEEN * rate and np.hypot(*(positions[mine] - beside[theirs]).T).max() < _ALONGSIDE:
-                raise UsageError(
-                    f"{where}: ids {first} and {second} are never {_ALONGSIDE:g} m apart: one person under two ids? "
-                    "Leave one of them out"
-                )
 
 
 def check_once(ways: Iterable[tuple[str, FloatArray]], *, moved: bool = True) -> None:
@@ -106,7 +76,7 @@ def check_once(ways: Iterable[tuple[str, FloatArray]], *, moved: bool = True) ->
     """
     named = list(ways)
     for second, first in repeated([positions for _, positions in named], moved=moved):
-        raise UsageError(f"{named[second][0]}: {once_more(named[first][0])}; leave one of them out")
+        raise UsageError(f"{named[second][0]}: {duplicate_of(named[first][0])}; leave one of them out")
 
 
 def repeated(ways: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int, int]]:
@@ -118,7 +88,7 @@ def repeated(ways: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int, 
     """
     known: dict[bytes, int] = {}
     for index, positions in enumerate(ways):
-        if len(positions) < _TOLD:
+        if len(positions) < _LEAST_POSITIONS:
             continue
         key = (np.round(positions - positions[0] * moved, 5) + 0.0).tobytes()  # + 0: −0 is 0
         first = known.setdefault(key, index)
@@ -126,6 +96,51 @@ def repeated(ways: Sequence[FloatArray], *, moved: bool) -> Iterator[tuple[int, 
             yield index, first
 
 
-def once_more(name: str) -> str:
+def duplicate_of(name: str) -> str:
     """Return what is said of the way that is that of `name` once more."""
     return f"is the way of {name} once more, and would count as another person's"
+
+
+class CarFrameTrack(NamedTuple):
+    """A way as it is seen from the car's.
+
+    Attributes:
+        positions: n × 2 (East, North), m.
+        mirrored: whether East and West were exchanged, so that it goes East.
+        aside: how far the car was off its straight line at most, m.
+    """
+
+    positions: FloatArray
+    mirrored: bool
+    aside: float
+
+
+def in_car_frame(car: FloatArray, way: FloatArray) -> CarFrameTrack:
+    """Return a recorded way in the world frame.
+
+    Rotated so that the car drives North: its direction and x = 0 are those of the straight line fitted to its positions
+    (total least squares). Mirrored, if need be, so that the way goes East. y = 0 is where it crosses x = 0 for the
+    first time (linear interpolation), or its first point where it does not.
+
+    Args:
+        car: k × 2 positions of the car, m, which are not all the same.
+        way: n × 2 positions of the road user, m, in the same frame.
+    """
+    centre = car.mean(axis=0)
+    direction = np.linalg.svd(car - centre, full_matrices=False)[2][0]
+    if direction @ (car[-1] - car[0]) < 0.0:
+        direction = -direction
+    across = np.array([direction[1], -direction[0]])
+    offset = way - centre
+    north = offset @ direction
+    east = offset @ across
+    mirrored = bool(east[-1] < east[0])
+    if mirrored:
+        east = -east
+    after = np.flatnonzero((east[:-1] < 0.0) & (east[1:] >= 0.0))
+    origin = north[0]
+    if len(after):
+        i = int(after[0])
+        origin = north[i] + (north[i + 1] - north[i]) * east[i] / (east[i] - east[i + 1])
+    aside = float(np.abs((car - centre) @ across).max())
+    return CarFrameTrack(np.column_stack([east, north - origin]), mirrored, aside)

@@ -1,7 +1,7 @@
-"""The kamikaze POMDP of the deviation: collide, having strayed as little as possible from where φ is at the time.
+"""The kamikaze POMDP of the deviation: collide, at the least deviation from where φ is at the time.
 
-Until φ's end it moves on, and who waits strays; from then on waiting would be free, so each further step costs what the
-predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
+Until φ's end it moves on, and to wait is to deviate; from then on waiting would be free, so each further step costs
+what the predicted car says (`waiting_reward`): a car that stops by a law will not come any more, one that creeps will.
 
 Only a hit by the moving car is rewarded (`Collision.hit_speed`): a touch slower than that ends the way like a miss.
 
@@ -11,7 +11,7 @@ contact suffice. The state carries the greatest distance so far and the tick, so
 in a collision is the collision's reward less its deviation; and there is one more action, *as φ*, for φ has its own
 pace. A road user that cannot move so from its state comes as near to it as it can (interface `possible`).
 
-A maximum distance is a budget: a collision of somebody who has strayed further is worth no more than a miss. Who steps
+A maximum distance is a budget: a collision at a greater deviation is worth no more than a miss. Who steps
 beyond it does so in a tick in which it may meet the car before; if it does not, it goes on as φ does.
 """
 
@@ -27,17 +27,20 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 
-from skd_adversary.crossing.crossing import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
-from skd_adversary.crossing.interfaces import (
+from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
+from skd_adversary.crossing.on_foot import EAST, SOUTH
+from skd_adversary.crossing.parts import (
     AS_PHI,
     EARLY_ACTIONS,
     LATE_ACTIONS,
     REST,
     ROW,
+    SEARCH,
     USER_DIM,
+    ObjectiveModel,
     chosen,
     contact,
-    foreseen_acceleration,
+    expected_acceleration,
     last_changes,
     left_behind,
     move,
@@ -49,24 +52,22 @@ from skd_adversary.crossing.interfaces import (
     possible,
     sensible,
     steer,
+    template,
     velocity,
 )
-from skd_adversary.crossing.parts import SEARCH, ObjectiveModel, template
-from skd_adversary.crossing.road_user.pedestrian import EAST, SOUTH
-from skd_adversary.crossing.safe_path import pace_at, path_velocities
+from skd_adversary.crossing.path import pace_at, path_velocities
 
-DISCOUNT: Final = 1.0
 _OWN = 3
 """Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
 default policy follows (0: none), which nothing but that policy reads."""
 
-_STRAYING = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
+_EXCESS_COST = -0.1  # m: what it costs to leave the budget in vain, so that nobody does who has nothing to gain
 _ATTENTION = 8.0  # ticks: the car of the paper that brakes earliest (C = 1.5) does so 6 ticks before it would arrive
 _SAME = 1e-9  # m/s
 _ERROR = 0.3  # m: about how well the car's place is known when it matters (1 m of noise, some looks)
-_PREDICTED = 25  # ticks
-_FORESEEN = 11  # numbers of a tick that is foreseen: see `_foresee_from`
-# How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not as far as is foreseen.
+_LOOKAHEAD = 25  # ticks
+_LOOKAHEAD_COLUMNS = 11  # numbers of a tick that is looked ahead: see `_begin_lookahead`
+# How a plan ends: in a contact, with φ beyond the path, with the car beyond φ, or not within the look-ahead.
 _MET, _LATE, _EARLY, _ONGOING = range(4)
 
 
@@ -97,7 +98,7 @@ def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> 
 
 
 @kernel(inline=True)
-def _strayed(path: FloatArray, x: float, y: float, tick: int, share: float) -> float:
+def _squared_deviation(path: FloatArray, x: float, y: float, tick: int, share: float) -> float:
     """Return the squared distance (m²) from (x, y) to where φ is a share of a tick after a tick."""
     last = path.shape[0] - 1
     begin, end = min(tick, last), min(tick + 1, last)
@@ -135,7 +136,7 @@ def step(
         share = fraction
         x = state[ADVERSARY_X] + share * (x - state[ADVERSARY_X])
         y = state[ADVERSARY_Y] + share * (y - state[ADVERSARY_Y])
-    squared = max(state[ROW], _strayed(p.path, x, y, tick, share))
+    squared = max(state[ROW], _squared_deviation(p.path, x, y, tick, share))
     next_state[ROW] = squared
     next_state[ROW + 1] = state[ROW + 1] + 1.0
     next_state[ROW + 2] = state[ROW + 2]
@@ -144,7 +145,7 @@ def step(
     if squared > limit:
         if state[ROW] > limit:  # lost already
             return cost, hit
-        return cost + _STRAYING, True
+        return cost + _EXCESS_COST, True
     if hit:
         # Who walks into a car that stands, or nearly so, has not been hit by it, and goes nowhere from there.
         impact = state[CAR_SPEED] + fraction * (next_state[CAR_SPEED] - state[CAR_SPEED])
@@ -158,7 +159,7 @@ def step(
 
 @kernel(inline=True)
 def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
-    """Return whether there is nothing to do but as φ: it has strayed too far, or the car is too far away yet.
+    """Return whether there is nothing to do but as φ: its deviation is too great, or the car is too far away yet.
 
     That goes by what is known for sure: where the car began at most, and how fast.
     """
@@ -200,8 +201,8 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
 
 
 @template("last_changes", "moving")
-def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
-    """Write the first row of `foreseen`: how a plan begins.
+def _begin_lookahead(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
+    """Write the first row of `lookahead`: how a plan begins.
 
     A row is the road user's place (x, y), m; the car's place, m, and speed, m/s; the greatest squared distance from φ
     so far, m²; how much the car's speed changed in the tick before and in that before it, m/s; how the road user moves,
@@ -213,7 +214,7 @@ def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float
         car_s: path coordinate at which the car's reference point is believed to be, m.
         worst: greatest squared distance from φ so far, m².
     """
-    kept = parameters.foreseen
+    kept = parameters.lookahead
     kept[0, 0], kept[0, 1] = state[ADVERSARY_X], state[ADVERSARY_Y]
     kept[0, 2], kept[0, 3], kept[0, 4] = car_s, state[CAR_SPEED], worst
     kept[0, 5], kept[0, 6] = last_changes(parameters, state)
@@ -221,8 +222,8 @@ def _foresee_from(parameters: Any, state: FloatArray, car_s: float, worst: float
     kept[0, 9], kept[0, 10] = 0.0, 0.0
 
 
-@template("_velocity", "foreseen_acceleration", "contact", "pointing", "on_road", "left_behind", "AS_PHI")
-def _foreseen(
+@template("_velocity", "expected_acceleration", "contact", "pointing", "on_road", "left_behind", "AS_PHI")
+def _look_ahead(
     parameters: Any,
     state: FloatArray,
     now: int,
@@ -232,8 +233,8 @@ def _foreseen(
 ) -> tuple[float, int, int]:
     """Play a plan against a car without noise: as φ until a tick, and one action from then on.
 
-    What as φ alone leads to is kept in `foreseen`, a row a tick (see `_foresee_from`), so that other plans begin where
-    they leave it: that one has to be played first.
+    What as φ alone leads to is kept in `lookahead`, a row a tick (see `_begin_lookahead`), so that other plans begin
+    where they leave it: that one has to be played first.
 
     Args:
         parameters: parameters of the model.
@@ -246,7 +247,7 @@ def _foreseen(
     Returns:
         Squared deviation at the contact (m²), infinity without one; how it ended; the tick in which it did.
     """
-    p, kept, row = parameters, parameters.foreseen, switch - now
+    p, kept, row = parameters, parameters.lookahead, switch - now
     x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
     if worst >= bound:
         return math.inf, _LATE, switch
@@ -254,13 +255,13 @@ def _foreseen(
     own_x, own_y = kept[row, 7], kept[row, 8]
     vx_before, vy_before = kept[row, 9], kept[row, 10]
     edge = p.half_width + p.radius
-    for tick in range(switch, now + _PREDICTED):
+    for tick in range(switch, now + _LOOKAHEAD):
         own_x, own_y = _velocity(p, own_x, own_y, action, tick)
         vx, vy = own_x, own_y
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what it did before, is not known to every model
             vx_before, vy_before = vx, vy
-        acceleration = foreseen_acceleration(
+        acceleration = expected_acceleration(
             p, state, x, y, vx_before, vy_before, vx, vy, car_s, speed, change, change_before
         )
         vx_before, vy_before = vx, vy
@@ -268,14 +269,14 @@ def _foreseen(
         change_before = change
         change = speed_after - speed
         car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
-        squared = _strayed(p.path, x_after, y_after, tick, 1.0)
+        squared = _squared_deviation(p.path, x_after, y_after, tick, 1.0)
         share = contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), car_s, car_s_after)
         if share <= 1.0:
             if speed + share * (speed_after - speed) < p.hit_speed:
                 return math.inf, _LATE, tick
             x += share * (x_after - x)
             y += share * (y_after - y)
-            return max(worst, _strayed(p.path, x, y, tick, share)), _MET, tick
+            return max(worst, _squared_deviation(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
         across, along = on_road(p, x_after, y_after)
         if leads_nowhere(p, across, along, x, y, x_after, y_after):
@@ -310,8 +311,8 @@ def _planned(plan: float, tick: int) -> int:
 
 
 @template(
-    "_foresee_from",
-    "_foreseen",
+    "_begin_lookahead",
+    "_look_ahead",
     "_coded",
     "on_road",
     "steer",
@@ -329,24 +330,24 @@ def _plan(
 ) -> float:
     """Choose when to leave φ's pace, and for what, so that the deviation is least; coded in a number.
 
-    As φ if that meets the car. If not, the later one leaves φ the less one strays: so the ticks before the one in which
-    it failed are tried backwards, until it gets worse. Arguments as in `_foreseen` and `_foresee_from`.
+    As φ if that meets the car. If not, the later φ is left, the less is the deviation: so the ticks before the one in
+    which it failed are tried backwards, until it gets worse. Arguments as in `_look_ahead` and `_begin_lookahead`.
 
-    Who keeps heading or speed is also asked where φ neither meets the car nor gets past it as far as is foreseen, as
+    Who keeps heading or speed is also asked where φ neither meets the car nor gets past it within the look-ahead, as
     ahead of it on its lane, and for no hit beyond η_max, which is worth no more than a miss. The pedestrian, whose
     figures stand, leaves φ at once there, and for any hit.
     """
     p = parameters
     car_s = state[CAR_S] + _ERROR * rng.standard_normal()
-    _foresee_from(p, state, car_s, worst)
-    _, how, end = _foreseen(p, state, now, now, AS_PHI, math.inf)
+    _begin_lookahead(p, state, car_s, worst)
+    _, how, end = _look_ahead(p, state, now, now, AS_PHI, math.inf)
     if how == _MET:
-        return _coded(now + _PREDICTED, AS_PHI)
+        return _coded(now + _LOOKAHEAD, AS_PHI)
     nothing = math.inf
     if USER_DIM > 0:
         nothing = p.collision_reward * p.collision_reward
         if how == _ONGOING:
-            end = now + _PREDICTED // 2  # the other half is left for the hit
+            end = now + _LOOKAHEAD // 2  # the other half is left for the hit
     best = nothing
     across, _ = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
     plan = _coded(now, steer(p, state, SOUTH if p.crossing * across > -0.5 * p.half_width else EAST))
@@ -355,7 +356,7 @@ def _plan(
         found = False
         for choice in range(len(EARLY_ACTIONS) if how == _EARLY else len(LATE_ACTIONS)):
             action = EARLY_ACTIONS[choice] if how == _EARLY else LATE_ACTIONS[choice]
-            squared, _, _ = _foreseen(p, state, now, switch, action, best)
+            squared, _, _ = _look_ahead(p, state, now, switch, action, best)
             if squared < best:
                 best = squared
                 plan = _coded(switch, action)
@@ -394,7 +395,7 @@ def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
         "collision_reward": scenario.eta_max,
         "hit_speed": scenario.collision.hit_speed,
         "pace": pace,
-        "foreseen": np.zeros((_PREDICTED + 1, _FORESEEN)),  # room for `_foresee_from`
+        "lookahead": np.zeros((_LOOKAHEAD + 1, _LOOKAHEAD_COLUMNS)),  # room for `_begin_lookahead`
     }
 
 
@@ -403,9 +404,9 @@ def own_dim(points: int) -> int:
     return _OWN
 
 
-OBJECTIVE: Final = ObjectiveModel(
+DEVIATION: Final = ObjectiveModel(
     "deviation",
-    DISCOUNT,
+    1.0,
     replace(SEARCH, exploration=3.0, particles=1000),
     parameters_of,
     step=step,

@@ -17,10 +17,8 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import first_contact_of_boxes
 
-from skd_adversary.crossing.interfaces import USER_ROW
-from skd_adversary.crossing.parts import Motion, Own, RoadUserKernels, RoadUserModel, template
-from skd_adversary.crossing.road_user import pedestrian
-from skd_adversary.crossing.road_user.motion import road_user
+from skd_adversary.crossing.on_foot import DIRECTION_EAST, DIRECTION_NORTH, STAY
+from skd_adversary.crossing.parts import USER_ROW, Motion, Own, RoadUserKernels, RoadUserModel, template
 
 KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
 ACTION_COUNT = 7
@@ -32,7 +30,7 @@ _SAME = 1e-9  # m/s and rad, by rounding
 _OWN = 2  # of a state: heading (rad), speed (m/s)
 
 
-class Limits(NamedTuple):
+class RidingLimits(NamedTuple):
     """What a kind can do.
 
     Attributes:
@@ -51,7 +49,7 @@ class Limits(NamedTuple):
 
 
 @kernel(inline=True)
-def _sharpest(limits: Limits, speed: float, time_step: float) -> float:
+def _sharpest(limits: RidingLimits, speed: float, time_step: float) -> float:
     """Return by how much it can turn in a step (rad) at the speed that it then has (m/s)."""
     sharpest = limits.turn
     if limits.turn * speed > limits.lateral * time_step:
@@ -63,7 +61,7 @@ def _sharpest(limits: Limits, speed: float, time_step: float) -> float:
 
 @kernel(inline=True)
 def ridden(
-    limits: Limits, heading: float, speed: float, action: int, most: float, time_step: float
+    limits: RidingLimits, heading: float, speed: float, action: int, most: float, time_step: float
 ) -> tuple[float, float]:
     """Return the velocity (East, North), m/s, over a step.
 
@@ -85,7 +83,7 @@ def ridden(
 
 @kernel(inline=True)
 def nearest_ridden(
-    limits: Limits, heading: float, speed: float, vx: float, vy: float, most: float, time_step: float
+    limits: RidingLimits, heading: float, speed: float, vx: float, vy: float, most: float, time_step: float
 ) -> tuple[float, float]:
     """Return the velocity (East, North), m/s, over a step that comes nearest to a wanted one (vx, vy), m/s.
 
@@ -123,15 +121,15 @@ def _start(path: FloatArray, heading: float, speed: float, time_step: float) -> 
 
 
 @kernel(inline=True)
-def steered(limits: Limits, crossing: float, heading: float, way: int) -> int:
+def steered(limits: RidingLimits, crossing: float, heading: float, way: int) -> int:
     """Return the action that leads soonest to one of a pedestrian's ways; see interface `steer`.
 
     It speeds up where it points about there, turns there, braking where that is behind, and brakes to stay.
     """
-    if way == pedestrian.STAY:
+    if way == STAY:
         return BRAKE
     cos, sin = math.cos(heading), math.sin(heading)
-    east, north = crossing * pedestrian.DIRECTION_EAST[way], pedestrian.DIRECTION_NORTH[way]
+    east, north = crossing * DIRECTION_EAST[way], DIRECTION_NORTH[way]
     ahead, left = cos * east + sin * north, cos * north - sin * east
     if ahead < 0.0:
         return BRAKE_LEFT if left > 0.0 else BRAKE_RIGHT
@@ -240,13 +238,16 @@ KERNELS = RoadUserKernels(
 )
 
 
-def wheeled(name: str, limits: Limits, *, fastest: float, height: float) -> RoadUserModel:
+def wheeled(
+    name: str, limits: RidingLimits, *, fastest: float, height: float, called: Mapping[str, str] | None = None
+) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
     motion = Motion(_first, _after, functools.partial(_velocity, limits), functools.partial(_nearest, limits))
-    return road_user(name, KERNELS, functools.partial(_parameters_of, limits), motion, fastest, height)
+    parameters = functools.partial(_parameters_of, limits)
+    return RoadUserModel(name, KERNELS, parameters, motion, fastest, height, called or {})
 
 
-def _parameters_of(limits: Limits, scenario: Scenario) -> Mapping[str, Any]:
+def _parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
     """Return limits, half of the box's length and of its width (m), and how it comes where there is no φ."""
     _, half_length, half_width = scenario.adversary.shape
     heading, speed = _arrival(scenario)
@@ -275,11 +276,11 @@ def _after(own: Own, vx: float, vy: float) -> Own:
     return settled(own[0], vx, vy)
 
 
-def _velocity(limits: Limits, scenario: Scenario, own: Own, action: int) -> tuple[float, float]:
+def _velocity(limits: RidingLimits, scenario: Scenario, own: Own, action: int) -> tuple[float, float]:
     """Return the velocity of an action, from the heading and the speed before, m/s."""
     return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
 
 
-def _nearest(limits: Limits, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:
+def _nearest(limits: RidingLimits, scenario: Scenario, own: Own, vx: float, vy: float) -> tuple[float, float]:
     """Return the velocity that comes nearest to a wanted one, m/s."""
     return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)

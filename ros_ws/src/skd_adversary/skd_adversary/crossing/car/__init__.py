@@ -1,1 +1,0 @@
-"""How the adversary predicts the car."""

@@ -1,0 +1,564 @@
+"""How the adversary predicts the car (paper, "Generating Kamikaze Trajectories"): the basic car, or one from logs.
+
+*Basic.* The car follows the basic policy with an unknown or known multiplier; what is unknown is a prior, carried as a
+state variable by the belief. It has velocity noise and no acceleration noise (paper, "Kamikaze Trajectories": "it only
+models the velocity uncertainty").
+
+*Learned, by a law.* What the fit leaves uncertain is part of the state: each of its parameters is drawn from its prior
+in the initial belief and carried along, so that the belief learns it.
+
+*Learned, by a forest* (`car_models.forest`), where no law fits. In each tick a tree is drawn, then a donor in the leaf
+to which the tick's features lead: the car does what it did then. What the default policy expects is one tree's
+opinion, the same tree as long as a state lives: its leaf's median.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.controllers import basic_acceleration
+from skd_sim.errors import UsageError
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.state import draw_relative, next_speed, travelled
+
+from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
+from skd_adversary.car_models.forest import CarForest, features_of, leaf_of
+from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
+from skd_adversary.crossing.parts import CarKernels, SensorModel, on_road, template, velocity_on_road
+from skd_adversary.crossing.sensors import DISTANCE, RELATIVE_POSITION
+
+
+@kernel
+def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `start_car`."""
+    p = parameters
+    state[CAR_S] = p.car_start_low + (p.car_start_high - p.car_start_low) * rng.random()
+    state[CAR_SPEED] = p.car_start_speed
+    state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
+
+
+@template("on_road")
+def _basic_advance_car(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> None:
+    """Interface `advance_car`."""
+    p = parameters
+    car_s, speed = state[CAR_S], state[CAR_SPEED]
+    _, along = on_road(p, state[ADVERSARY_X], state[ADVERSARY_Y])
+    acceleration = basic_acceleration(along - car_s - p.front, state[TRIGGER], p.deceleration)
+    speed_after = next_speed(speed, acceleration, draw_relative(p.speed_noise, rng), p.time_step)
+    next_state[CAR_S] = car_s + travelled(speed, speed_after, p.time_step)
+    next_state[CAR_SPEED] = speed_after
+    next_state[TRIGGER] = state[TRIGGER]
+
+
+@template("on_road")
+def _basic_expected_acceleration(
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx_before: float,
+    vy_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
+) -> float:
+    """Interface `expected_acceleration`."""
+    _, along = on_road(parameters, x, y)
+    return basic_acceleration(along - car_s - parameters.front, state[TRIGGER], parameters.deceleration)
+
+
+@kernel
+def _basic_resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `resume_car`; the trigger, too."""
+    p = parameters
+    redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else p.car_start_speed * rng.random()
+    redrawn[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
+
+
+@kernel
+def _basic_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `redraw_policy`: the trigger has been drawn already."""
+
+
+@kernel(inline=True)
+def _basic_last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Interface `last_changes`: of no matter to a car that has a law."""
+    return 0.0, 0.0
+
+
+BASIC_KERNELS = CarKernels(
+    "basic",
+    0,
+    _basic_start_car,
+    _basic_advance_car,
+    _basic_expected_acceleration,
+    _basic_resume_car,
+    _basic_redraw_policy,
+    _basic_last_changes,
+)
+
+WAITING_REWARD: Final = -0.08
+"""m of deviation, for each step after φ's end: what it costs to wait for a car that stops by a law, which does not
+come any more, though to look at it once more always seems to pay a little."""
+
+
+@dataclass(frozen=True)
+class CarModel:
+    """Predicted policy of the car: brake within C·κ, with C ~ U[multiplier_low, multiplier_high].
+
+    Attributes:
+        multiplier_low: least C that the adversary thinks possible.
+        multiplier_high: greatest C that it thinks possible; equal to the least where C is known.
+        observes_position: whether the adversary senses the relative position (basic car) or the distance only.
+        kernels: kernels of how the predicted car moves.
+    """
+
+    multiplier_low: float
+    multiplier_high: float
+    observes_position: bool
+    kernels: CarKernels = field(default=BASIC_KERNELS, init=False)
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.multiplier_low <= self.multiplier_high < math.inf):
+            raise UsageError(f"car model needs 0 ≤ low ≤ high, got {self.multiplier_low:g}, {self.multiplier_high:g}")
+
+    @property
+    def sensor(self) -> SensorModel:
+        """Sensor by which the adversary sees the car."""
+        return RELATIVE_POSITION if self.observes_position else DISTANCE
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return noise (relative) and range of the trigger, m: one point where C is known."""
+        car = scenario.car
+        return {
+            "speed_noise": car.speed_noise,
+            "trigger_low": self.multiplier_low * car.safe_distance,
+            "trigger_high": self.multiplier_high * car.safe_distance,
+            "waiting_reward": WAITING_REWARD,
+        }
+
+
+def known_basic_car(multiplier: float) -> CarModel:
+    """Return the model of a basic car whose C the adversary knows (paper, "Kamikaze Trajectories")."""
+    return CarModel(multiplier, multiplier, observes_position=True)
+
+
+def unknown_car() -> CarModel:
+    """Return the model of a car of which nothing is known: C anywhere over and around the paper's range."""
+    return CarModel(0.25, 1.5, observes_position=False)
+
+
+# State vector, beyond the crossing's own
+PATH, DECELERATION, DELAY, CRUISE, GAIN, LIMIT, SPEED_NOISE, ADVERSARY_VX, ADVERSARY_VY, MEMORY = range(
+    STATE_DIM, STATE_DIM + 10
+)
+FITTED_STATE_DIM = MEMORY + LONGEST_DELAY
+
+_PRIORS = (
+    "trigger",
+    "path_half_width",
+    "deceleration",
+    "reaction_delay",
+    "cruise_speed",
+    "cruise_gain",
+    "cruise_acceleration",
+    "speed_noise",
+)
+_TRIGGER, _PATH, _DECELERATION, _DELAY, _CRUISE, _GAIN, _LIMIT, _SPEED_NOISE = range(len(_PRIORS))
+_NO_LIMIT = 1e9  # m/s²
+_KINDS = {"point": 0.0, "uniform": 1.0, "normal": 2.0}
+
+
+@kernel
+def _drawn(priors: FloatArray, row: int, rng: np.random.Generator) -> float:
+    """Draw a parameter, which is never negative: a point, uniform(low, high), or normal(mean, deviation)."""
+    if priors[row, 0] == 1.0:
+        return float(priors[row, 1] + (priors[row, 2] - priors[row, 1]) * rng.random())
+    if priors[row, 0] == 2.0:
+        return float(max(0.0, priors[row, 1] + priors[row, 2] * rng.standard_normal()))
+    return float(priors[row, 1])
+
+
+@kernel
+def _fitted_redraw_policy(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `redraw_policy`: draw what is not known; it has decided nothing yet."""
+    p = parameters
+    trigger = _drawn(p.priors, _TRIGGER, rng)
+    if p.spread_kind == 1.0:
+        trigger = max(0.0, trigger + p.spread * rng.standard_normal())
+    state[TRIGGER] = trigger
+    state[PATH] = _drawn(p.priors, _PATH, rng)
+    state[DECELERATION] = _drawn(p.priors, _DECELERATION, rng)
+    state[DELAY] = min(float(LONGEST_DELAY), float(round(_drawn(p.priors, _DELAY, rng) / p.time_step)))
+    state[CRUISE] = _drawn(p.priors, _CRUISE, rng)
+    state[GAIN] = _drawn(p.priors, _GAIN, rng)
+    state[LIMIT] = _drawn(p.priors, _LIMIT, rng)
+    state[SPEED_NOISE] = _drawn(p.priors, _SPEED_NOISE, rng)
+    for tick in range(LONGEST_DELAY):
+        state[MEMORY + tick] = 0.0
+
+
+@kernel
+def _fitted_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `start_car`: where the basic car starts."""
+    _basic_start_car(parameters, state, rng)
+    state[ADVERSARY_VX] = 0.0
+    state[ADVERSARY_VY] = 0.0
+    _fitted_redraw_policy(parameters, state, rng)
+
+
+@template("on_road", "velocity_on_road", inline=False)
+def _in_reach(
+    parameters: Any,
+    trigger: float,
+    path: float,
+    x: float,
+    y: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+) -> bool:
+    """Return whether an adversary at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
+    p = parameters
+    across, along = on_road(p, x, y)
+    v_across, v_along = velocity_on_road(p, x, y, vx, vy)
+    gap = along - car_s - p.front
+    closing = speed - v_along
+    length = p.front + p.rear
+    if p.by_time == 1.0:
+        if closing <= 0.0 or gap < -length or max(gap, 0.0) > trigger * closing:
+            return False
+    elif gap < 0.0 or gap > trigger:
+        return False
+    if p.gate == 0.0:
+        return True
+    if p.gate == 1.0:
+        return bool(abs(across) <= path)
+    if closing <= 1e-9:
+        return False
+    begin = across + v_across * max(gap, 0.0) / closing
+    end = across + v_across * max(gap + length, 0.0) / closing
+    return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= path)
+
+
+@template("_in_reach", inline=False)
+def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool:
+    """Return whether the car decides to brake; the measures and paths of `car_fit.families`."""
+    p = parameters
+    trigger = state[TRIGGER]
+    if p.spread_kind == 2.0:
+        u = rng.random()
+        trigger += p.spread * math.log((u + 1e-12) / (1.0 - u + 1e-12))
+    return bool(
+        _in_reach(
+            p,
+            trigger,
+            state[PATH],
+            state[ADVERSARY_X],
+            state[ADVERSARY_Y],
+            state[ADVERSARY_VX],
+            state[ADVERSARY_VY],
+            state[CAR_S],
+            state[CAR_SPEED],
+        )
+    )
+
+
+@template("_in_reach", inline=False)
+def _fitted_expected_acceleration(
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx_before: float,
+    vy_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
+) -> float:
+    """Interface `expected_acceleration`; it reacts at once."""
+    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx_before, vy_before, car_s, speed):
+        return float(-state[DECELERATION])
+    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
+
+
+@template("_brakes", inline=False)
+def _fitted_advance_car(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> None:
+    """Interface `advance_car`."""
+    p = parameters
+    car_s, speed = state[CAR_S], state[CAR_SPEED]
+    decided = 1.0 if _brakes(p, state, rng) else 0.0
+    delay = int(state[DELAY])
+    done = decided if delay == 0 else state[MEMORY + delay - 1]
+    acceleration = min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed))
+    if done > 0.0:
+        acceleration = -state[DECELERATION]
+    speed_after = next_speed(speed, acceleration, draw_relative(state[SPEED_NOISE], rng), p.time_step)
+    car_s_after = car_s + travelled(speed, speed_after, p.time_step)
+    for k in range(TRIGGER, MEMORY):
+        next_state[k] = state[k]
+    for tick in range(LONGEST_DELAY - 1, 0, -1):
+        next_state[MEMORY + tick] = state[MEMORY + tick - 1]
+    next_state[MEMORY] = decided
+    next_state[ADVERSARY_VX] = vx
+    next_state[ADVERSARY_VY] = vy
+    next_state[CAR_S] = car_s_after
+    next_state[CAR_SPEED] = speed_after
+
+
+_FITTED_KERNELS = CarKernels(
+    "fitted",
+    FITTED_STATE_DIM - STATE_DIM,
+    _fitted_start_car,
+    _fitted_advance_car,
+    _fitted_expected_acceleration,
+    _basic_resume_car,
+    _fitted_redraw_policy,
+    _basic_last_changes,
+)
+
+
+@dataclass(frozen=True)
+class LearnedCar:
+    """A car that behaves by the law that was fitted to its logs.
+
+    Attributes:
+        car: fitted law of the car, with its parameters.
+        known: what is known of the car without its logs; it gives the sensor.
+        kernels: kernels of how the predicted car moves.
+    """
+
+    car: FittedCar
+    known: CarModel
+    kernels: CarKernels = field(default=_FITTED_KERNELS, init=False)
+
+    @property
+    def sensor(self) -> SensorModel:
+        """Sensor by which the adversary sees the car."""
+        return self.known.sensor
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return the law of the car as numbers, and its priors: one row each, kind and two numbers (SI)."""
+        car = self.car
+        priors = np.zeros((len(_PRIORS), 3))
+        priors[_LIMIT, 1] = _NO_LIMIT
+        for row, name in enumerate(_PRIORS):
+            if name in car.parameters:
+                prior = car.parameters[name].prior
+                priors[row] = _KINDS[prior.distribution], prior.first, prior.second
+        spread = car.parameters["trigger_spread"]
+        kind = {"sharp": 0.0, "encounter": 1.0, "tick": 2.0}[car.spread]
+        return {
+            **self.known.parameters(scenario),
+            "by_time": float(car.measure == "time"),
+            "gate": {"none": 0.0, "position": 1.0, "predicted": 2.0}[car.gate],
+            "spread_kind": kind,
+            "spread": float(spread.estimate if spread.estimate is not None else spread.prior.first) if kind else 0.0,
+            "priors": priors,
+            **({} if car.waiting_reward is None else {"waiting_reward": car.waiting_reward}),
+        }
+
+
+# State vector, beyond the crossing's own: velocity of the road user in the last tick, (right, along) of the road, m/s,
+# the last two changes of the car's speed, m/s, and the tree that expects. The crossing's TRIGGER, by which a default
+# policy tells whether the car brakes, says what it did last: there is no distance at which it begins to.
+SIDEWAYS, RECEDING, CHANGE, CHANGE_BEFORE, TREE = range(STATE_DIM, STATE_DIM + 5)
+FOREST_STATE_DIM = STATE_DIM + 5
+_ALWAYS: Final = 1e9  # m
+_NOISE: Final = 0.1  # relative to the speed: a car that slows by more brakes
+
+FOREST_WAITING_REWARD: Final = -0.02
+"""As `WAITING_REWARD`: a car that creeps is worth waiting for, and this model says when it does not come."""
+
+
+@kernel
+def _draw_tree(parameters: Any, rng: np.random.Generator) -> int:
+    count = parameters.forest_roots.shape[0]
+    return int(min(count - 1, int(count * rng.random())))
+
+
+@kernel
+def _forest_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `redraw_policy`: another tree expects; what the car did last is not known."""
+    redrawn[TRIGGER] = 0.0
+    redrawn[TREE] = float(_draw_tree(parameters, rng))
+    redrawn[CHANGE] = 0.0
+    redrawn[CHANGE_BEFORE] = 0.0
+
+
+@kernel
+def _forest_start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `start_car`: where the basic car starts."""
+    _basic_start_car(parameters, state, rng)
+    state[SIDEWAYS] = 0.0
+    state[RECEDING] = 0.0
+    _forest_redraw_policy(parameters, state, rng)
+
+
+@template("on_road", "velocity_on_road", inline=False)
+def _leaf(
+    parameters: Any,
+    tree: int,
+    x: float,
+    y: float,
+    sideways_before: float,
+    receding_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
+) -> int:
+    """Return the leaf of a tree to which a tick belongs; its arguments are those of `features_of`."""
+    p = parameters
+    across, along = on_road(p, x, y)
+    sideways, receding = velocity_on_road(p, x, y, vx, vy)
+    features = features_of(
+        along - car_s - p.front,
+        across,
+        sideways_before,
+        receding_before,
+        sideways,
+        receding,
+        speed,
+        change,
+        change_before,
+    )
+    return leaf_of(p.forest_nodes, p.forest_roots[tree], features)
+
+
+@template("_leaf", "velocity_on_road")
+def _forest_advance_car(
+    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
+) -> None:
+    """Interface `advance_car`: as in a recorded tick that was like this one."""
+    p = parameters
+    x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
+    leaf = _leaf(
+        p,
+        _draw_tree(p, rng),
+        x,
+        y,
+        state[SIDEWAYS],
+        state[RECEDING],
+        vx,
+        vy,
+        car_s,
+        speed,
+        state[CHANGE],
+        state[CHANGE_BEFORE],
+    )
+    count = int(p.forest_nodes[leaf, 2])
+    donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
+    speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
+    way = 0.0
+    if speed > 0.0 or speed_after > 0.0:
+        way = max(0.0, travelled(speed, speed_after, p.time_step) + float(p.forest_donors[donor, 1]))
+    next_state[CAR_S] = car_s + way
+    next_state[CAR_SPEED] = speed_after
+    next_state[TRIGGER] = _ALWAYS if speed - speed_after > _NOISE * speed else 0.0
+    next_state[TREE] = state[TREE]
+    next_state[CHANGE] = speed_after - speed
+    next_state[CHANGE_BEFORE] = state[CHANGE]
+    sideways, receding = velocity_on_road(p, x, y, vx, vy)
+    next_state[SIDEWAYS] = sideways
+    next_state[RECEDING] = receding
+
+
+@template("_leaf", "velocity_on_road", inline=False)
+def _forest_expected_acceleration(
+    parameters: Any,
+    state: FloatArray,
+    x: float,
+    y: float,
+    vx_before: float,
+    vy_before: float,
+    vx: float,
+    vy: float,
+    car_s: float,
+    speed: float,
+    change: float,
+    change_before: float,
+) -> float:
+    """Interface `expected_acceleration`."""
+    p = parameters
+    sideways_before, receding_before = velocity_on_road(p, x, y, vx_before, vy_before)
+    leaf = _leaf(
+        p, int(state[TREE]), x, y, sideways_before, receding_before, vx, vy, car_s, speed, change, change_before
+    )
+    return float(p.forest_nodes[leaf, 3]) / float(p.time_step)
+
+
+@kernel
+def _forest_last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+    """Interface `last_changes`."""
+    return state[CHANGE], state[CHANGE_BEFORE]
+
+
+@kernel
+def _forest_resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
+    """Interface `resume_car`."""
+    redrawn[CAR_SPEED] = state[CAR_SPEED] if rng.random() < 0.8 else parameters.car_start_speed * rng.random()
+
+
+_FOREST_KERNELS = CarKernels(
+    "forest",
+    FOREST_STATE_DIM - STATE_DIM,
+    _forest_start_car,
+    _forest_advance_car,
+    _forest_expected_acceleration,
+    _forest_resume_car,
+    _forest_redraw_policy,
+    _forest_last_changes,
+)
+
+
+@dataclass(frozen=True)
+class ForestCar:
+    """A car that does in each situation what it was seen doing in similar ones.
+
+    Attributes:
+        forest: forest that was learned from what the car was seen doing.
+        known: what is known of the car without the forest; it gives the sensor.
+        waiting_reward: reward of a tick of waiting after φ's end, as `WAITING_REWARD`.
+        kernels: kernels of how the predicted car moves.
+    """
+
+    forest: CarForest
+    known: CarModel
+    waiting_reward: float = FOREST_WAITING_REWARD
+    kernels: CarKernels = field(default=_FOREST_KERNELS, init=False)
+
+    @property
+    def sensor(self) -> SensorModel:
+        """Sensor by which the adversary sees the car."""
+        return self.known.sensor
+
+    def parameters(self, scenario: Scenario) -> Mapping[str, Any]:
+        """Return the forest."""
+        trees = self.forest.trees
+        return {
+            **self.known.parameters(scenario),
+            "waiting_reward": self.waiting_reward,
+            "forest_roots": trees.roots,
+            "forest_nodes": trees.nodes,
+            "forest_donors": trees.donors,
+        }

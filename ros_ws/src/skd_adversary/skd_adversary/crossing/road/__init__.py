@@ -1,1 +1,0 @@
-"""The road that the predicted car follows: path coordinates, contact."""

@@ -1,1 +1,0 @@
-"""How the adversary can move."""

@@ -1,0 +1,194 @@
+"""The road that the predicted car follows: the straight lane x = 0, driven to the North, or one with curves.
+
+On the straight lane path coordinates are the world's own. On a curved road the car's place is a path coordinate, and
+what is near it is seen from the car's own frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import HEADING_NORTH, road_pose, road_position, straight_from
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import to_car_frame
+
+from skd_adversary.crossing.parts import RoadKernels, template, touch
+
+_GRAZE: Final = 1e-9  # m
+
+
+def _straight_parameters_of(scenario: Scenario) -> Mapping[str, Any]:
+    """Return nothing: there is nothing to know."""
+    return {}
+
+
+@kernel(inline=True)
+def _straight_on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
+    """Interface `on_road`."""
+    return x, y
+
+
+@kernel(inline=True)
+def _straight_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
+    """Interface `velocity_on_road`."""
+    return vx, vy
+
+
+@kernel(inline=True)
+def _straight_from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
+    """Interface `from_car`."""
+    return y - car_s, -x
+
+
+@kernel(inline=True)
+def _straight_left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Interface `left_behind`."""
+    return bool(car_s - parameters.rear > y + parameters.radius)
+
+
+@kernel(inline=True)
+def _straight_at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
+    """Interface `at_distance`."""
+    along = math.sqrt(max(0.0, distance * distance - x * x))
+    return y - along if behind else y + along
+
+
+@template("touch")
+def _straight_contact(
+    parameters: Any,
+    x: float,
+    y: float,
+    x_after: float,
+    y_after: float,
+    heading: float,
+    car_s: float,
+    car_s_after: float,
+) -> float:
+    """Interface `contact`: both in the world's own frame."""
+    p = parameters
+    # Far away, which is most of the time, the swept test need not be made. Who would only graze the car's side is away,
+    # too: there the world's rounding decides, of a car that does not drive along x = 0 to the last bit.
+    margin = p.radius + p.half_width - _GRAZE
+    if (x < -margin and x_after < -margin) or (x > margin and x_after > margin):
+        return math.inf
+    if y - car_s > p.front + p.radius and y_after - car_s_after > p.front + p.radius:
+        return math.inf
+    return touch(p, y - car_s, -x, y_after - car_s_after, -x_after, heading - HEADING_NORTH)
+
+
+STRAIGHT = RoadKernels(
+    "straight",
+    _straight_parameters_of,
+    _straight_on_road,
+    _straight_velocity_on_road,
+    _straight_from_car,
+    _straight_left_behind,
+    _straight_at_distance,
+    _straight_contact,
+)
+
+
+_SAGITTA: Final = 1e-3  # m, between a chord and its arc: a thousandth of what the sensors see
+_HALVINGS = 30
+
+
+def _curved_parameters_of(scenario: Scenario) -> Mapping[str, Any]:
+    """Return the centre line, where its straight rest begins, m, and a length of chords (m) for the sharpest curve."""
+    line = scenario.road.line
+    sharpest = float(abs(line[:, 4]).max())
+    return {"line": line.copy(), "straight_from": straight_from(line), "chord": math.sqrt(8.0 * _SAGITTA / sharpest)}
+
+
+@kernel(inline=True)
+def _curved_on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
+    """Interface `on_road`."""
+    along, left = road_position(parameters.line, x, y)
+    return -left, along
+
+
+@kernel(inline=True)
+def _curved_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
+    """Interface `velocity_on_road`."""
+    along, _ = road_position(parameters.line, x, y)
+    _, _, heading = road_pose(parameters.line, along)
+    cos, sin = math.cos(heading), math.sin(heading)
+    return sin * vx - cos * vy, cos * vx + sin * vy
+
+
+@kernel(inline=True)
+def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
+    """Interface `from_car`."""
+    car_x, car_y, heading = road_pose(parameters.line, car_s)
+    return to_car_frame(x, y, car_x, car_y, heading)
+
+
+@kernel(inline=True)
+def _curved_left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
+    """Interface `left_behind`: beyond the last curve, and seen from the car."""
+    p = parameters
+    if car_s < p.straight_from:
+        return False
+    ahead, _ = _curved_from_car(p, x, y, car_s)
+    return bool(ahead < -(p.rear + p.radius))
+
+
+@kernel(inline=True)
+def _curved_at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
+    """Interface `at_distance`: by bisection; an arc is at most π/2 times as long as its chord, up to half a turn."""
+    near, _ = road_position(parameters.line, x, y)
+    far = near - 2.0 * distance if behind else near + 2.0 * distance
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (near + far)
+        ahead, left = _curved_from_car(parameters, x, y, middle)
+        if ahead * ahead + left * left < distance * distance:
+            near = middle
+        else:
+            far = middle
+    return near
+
+
+@template("touch")
+def _curved_contact(
+    parameters: Any,
+    x: float,
+    y: float,
+    x_after: float,
+    y_after: float,
+    heading: float,
+    car_s: float,
+    car_s_after: float,
+) -> float:
+    """Interface `contact`: piece by piece, each a chord of the car's way."""
+    p = parameters
+    ahead, left = _curved_from_car(p, x, y, car_s)
+    travelled = car_s_after - car_s
+    reach = math.hypot(max(p.front, p.rear), p.half_width) + p.radius
+    if math.hypot(ahead, left) > reach + travelled + math.hypot(x_after - x, y_after - y):
+        return math.inf
+    pieces = max(1, math.ceil(travelled / p.chord))
+    for piece in range(pieces):
+        share = (piece + 1) / pieces
+        place = car_s + share * travelled
+        x_here, y_here = x + share * (x_after - x), y + share * (y_after - y)
+        ahead_here, left_here = _curved_from_car(p, x_here, y_here, place)
+        _, _, car_heading = road_pose(p.line, place)
+        fraction = touch(p, ahead, left, ahead_here, left_here, heading - car_heading)
+        if fraction <= 1.0:
+            return float((piece + fraction) / pieces)
+        ahead, left = ahead_here, left_here
+    return math.inf
+
+
+CURVED = RoadKernels(
+    "curved",
+    _curved_parameters_of,
+    _curved_on_road,
+    _curved_velocity_on_road,
+    _curved_from_car,
+    _curved_left_behind,
+    _curved_at_distance,
+    _curved_contact,
+)

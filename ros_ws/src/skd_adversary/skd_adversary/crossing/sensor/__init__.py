@@ -1,1 +1,0 @@
-"""What the adversary sees of the car."""

@@ -1,0 +1,137 @@
+"""What the adversary sees of the car, with Gaussian noise: its distance, or its relative position.
+
+The distance is what is seen of a car of which nothing is known, the relative position what is seen of a basic car
+(paper, "Kamikaze Trajectories"). The component across the road says nothing that is not known, the road user's own
+place: its likelihood is the same for every state, so the model goes without it. On a curved road the place that was
+seen is put on the centre line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.scenario.road import road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import rectangle_distance
+
+from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S
+from skd_adversary.crossing.parts import SensorModel, at_distance, from_car, on_road, template
+
+
+def _distance_parameters_of(scenario: Scenario) -> Mapping[str, float]:
+    """Return the standard deviation of the noise, m."""
+    return {"distance_noise": scenario.adversary.distance_noise}
+
+
+def _distance_sense(
+    scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
+) -> FloatArray:
+    """Return the distance at which the car is seen, m; places are (x, y), m."""
+    dx, dy = car[0] - own[0], car[1] - own[1]
+    distance = math.sqrt(dx * dx + dy * dy)
+    return np.array([distance + scenario.adversary.distance_noise * rng.standard_normal()])
+
+
+@template("from_car")
+def _distance(parameters: Any, state: FloatArray) -> float:
+    ahead, left = from_car(parameters, state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S])
+    return math.sqrt(left * left + ahead * ahead)
+
+
+@template("_distance")
+def _distance_observe(
+    parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
+) -> None:
+    """Draw the observed distance between road user and car, m."""
+    observation[0] = _distance(parameters, state) + parameters.distance_noise * rng.standard_normal()
+
+
+@template("_distance", inline=False)
+def _distance_likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
+    """Return the density, up to a factor, of an observed distance (m)."""
+    error = (observation[0] - _distance(parameters, state)) / parameters.distance_noise
+    return math.exp(-0.5 * error * error)
+
+
+@template("on_road", "at_distance", inline=False)
+def _distance_place_car(
+    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
+) -> None:
+    """Interface `place_car`: at the observed distance, on the side where the car was believed."""
+    distance = observation[0] + parameters.distance_noise * rng.standard_normal()
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
+    _, along = on_road(parameters, x, y)
+    redrawn[CAR_S] = at_distance(parameters, x, y, distance, state[CAR_S] <= along)
+
+
+DISTANCE = SensorModel(
+    "distance",
+    _distance_parameters_of,
+    _distance_sense,
+    _distance_observe,
+    _distance_likelihood,
+    _distance_place_car,
+)
+
+
+def _position_parameters_of(scenario: Scenario) -> Mapping[str, float]:
+    """Return the standard deviation of the noise, m."""
+    return {"position_noise": scenario.adversary.position_noise}
+
+
+def _position_sense(
+    scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
+) -> FloatArray:
+    """Return how far beyond the road user, along the road, the car is seen, m; places are (x, y), m."""
+    noise = scenario.adversary.position_noise * rng.standard_normal(2)  # of both components
+    if scenario.road.straight:
+        return np.array([car[1] - own[1] + noise[1]])
+    line = scenario.road.line
+    return np.array([road_position(line, car[0] + noise[0], car[1] + noise[1])[0] - road_position(line, *own)[0]])
+
+
+@template("on_road")
+def _position_observe(
+    parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
+) -> None:
+    """Draw how far beyond the road user the car's reference point is seen, m."""
+    _, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
+    observation[0] = state[CAR_S] - along + parameters.position_noise * rng.standard_normal()
+
+
+@template("on_road", inline=False)
+def _position_likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
+    """Return the density, up to a factor, of an observed relative position along the road (m)."""
+    _, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
+    error = (observation[0] - state[CAR_S] + along) / parameters.position_noise
+    return math.exp(-0.5 * error * error)
+
+
+@template("on_road", "from_car", inline=False)
+def _position_place_car(
+    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
+) -> None:
+    """Interface `place_car`: where the observed relative position says; not upon the road user."""
+    p = parameters
+    x, y = state[ADVERSARY_X], state[ADVERSARY_Y]
+    _, along = on_road(p, x, y)
+    for _ in range(20):
+        noise = parameters.position_noise * rng.standard_normal()
+        redrawn[CAR_S] = along + observation[0] + noise
+        ahead, left = from_car(p, x, y, redrawn[CAR_S])
+        if rectangle_distance(ahead, left, p.front, p.rear, p.half_width) > p.radius:
+            break
+
+
+RELATIVE_POSITION = SensorModel(
+    "position",
+    _position_parameters_of,
+    _position_sense,
+    _position_observe,
+    _position_likelihood,
+    _position_place_car,
+)
