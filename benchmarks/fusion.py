@@ -24,9 +24,8 @@ from typing import Any
 
 import numpy as np
 from fusion_trials import FIGURES as PLAYED
-from skd_evaluator.extensions.fusion.figures import FIGURES, Figure
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fused_figure
-from skd_evaluator.extensions.fusion.pairs import Pairs
+from skd_evaluator.extensions.fusion.trial import FIGURES, Figure, Pairs
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError

@@ -18,9 +18,16 @@ import numpy as np
 from fusion_trials import walks
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.extensions.fusion.calibration.estimate import POOR, Calibration, estimated
-from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, off_by
+from skd_evaluator.extensions.fusion.calibration import (
+    PARAMETERS,
+    POOR,
+    Calibration,
+    Drive,
+    Recorded,
+    calibrated,
+    estimated,
+    off_by,
+)
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario

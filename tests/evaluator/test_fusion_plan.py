@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from common import run_skd
 from scipy import stats
-from skd_evaluator.extensions.fusion.estimate.control_variate import fitted_line
-from skd_evaluator.extensions.fusion.estimate.planning import trials_for_width, width_alone, width_fused
+from skd_evaluator.extensions.fusion.estimate import fitted_line, trials_for_width, width_alone, width_fused
 
 
 @pytest.mark.parametrize(("rho", "trials"), [(0.5, 10), (0.8, 10), (0.9, 20)])

@@ -7,22 +7,22 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.extensions.fusion.estimate.control_variate import (
+from skd_evaluator.extensions.fusion.estimate import (
     LEAST_PAIRS,
+    Reach,
     alone,
+    alone_rate,
     checked_pairs,
     fitted_line,
     fused,
+    fused_rate,
+    kurtosis,
+    rehearsed,
     skewness,
     trials_saved,
 )
-from skd_evaluator.extensions.fusion.estimate.gap import gap_of, trend
-from skd_evaluator.extensions.fusion.estimate.rate import alone_rate, fused_rate
-from skd_evaluator.extensions.fusion.estimate.rehearsal import Reach, kurtosis, rehearsed
-from skd_evaluator.extensions.fusion.figures import FIGURES
-from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure
-from skd_evaluator.extensions.fusion.pairs import Pairs, paired
-from skd_evaluator.extensions.fusion.trial import PhysicalTrial
+from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure, gap_of, trend
+from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, PhysicalTrial, paired
 from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError

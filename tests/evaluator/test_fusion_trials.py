@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.extensions.fusion.measured import Recorder, overruled
 from skd_evaluator.extensions.fusion.recording import read_tracks
-from skd_evaluator.extensions.fusion.simulated import read_simulated
-from skd_evaluator.extensions.fusion.table import read_trials, table_in
 from skd_evaluator.extensions.fusion.track import Frame, Track
 from skd_evaluator.extensions.fusion.trial import PhysicalTrial
+from skd_evaluator.extensions.fusion.trial_sources import Recorder, overruled, read_simulated, read_trials, table_in
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 

@@ -15,9 +15,16 @@ from report_support import edited
 from scipy import special, stats
 from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
 from skd_evaluator.cli.commands.models.simulator import warnings_of
-from skd_evaluator.extensions.fusion.calibration.estimate import estimated
-from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, ShownRecording, off_by, recorded
+from skd_evaluator.extensions.fusion.calibration import (
+    PARAMETERS,
+    Drive,
+    Recorded,
+    ShownRecording,
+    calibrated,
+    estimated,
+    off_by,
+    recorded,
+)
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.metrics.surrogate.scene import Scene
 from skd_sim.errors import UsageError

@@ -18,10 +18,9 @@ from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.fusion.estimate.control_variate import LEAST_PAIRS
-from skd_evaluator.extensions.fusion.estimate.planning import trials_for_width
-from skd_evaluator.extensions.fusion.figures import FIGURES, Figure
-from skd_evaluator.extensions.fusion.simulated import read_simulated
+from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS, trials_for_width
+from skd_evaluator.extensions.fusion.trial import FIGURES, Figure
+from skd_evaluator.extensions.fusion.trial_sources import read_simulated
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
 FUSION = "fusion.json"

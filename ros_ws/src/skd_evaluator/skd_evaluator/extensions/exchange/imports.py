@@ -35,8 +35,7 @@ from skd_evaluator.extensions.exchange.tracks import (
     read_openscenario,
     track_of,
 )
-from skd_evaluator.extensions.fusion.bag_tracks import BagTrack, bag_tracks
-from skd_evaluator.extensions.fusion.recording import TABLE_CAR, TABLE_OTHER
+from skd_evaluator.extensions.fusion.recording import TABLE_CAR, TABLE_OTHER, BagTrack, bag_tracks
 from skd_evaluator.extensions.fusion.track import FASTEST, Frame, Track
 
 _SUFFIXES = (".xosc", ".xml", ".csv", ".mcap")

@@ -1,21 +1,235 @@
-"""The two tracked objects of a recording: an MCAP file or a bag's folder, or a csv table; by topic, or by id."""
+"""The tracked objects of a recording: an MCAP file or a bag's folder, or a csv table; by topic, by id, or as a frame.
+
+A name is a topic of Odometry, of a pose or of a point, as `/ego/odometry`; `/tf:base_link` is a frame of /tf, and
+`/detections:42` the object of a Detection3DArray with this id.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import finite_number, read_text
 from skd_sim.inputs.yaml_file import short
+from skd_sim.ros.from_messages import from_stamp
 
+from skd_evaluator.bags.checks import find_recordings
+from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened
 from skd_evaluator.bags.read import ADVERSARY, CAR
-from skd_evaluator.extensions.fusion.bag_tracks import Row, bag_tracks
-from skd_evaluator.extensions.fusion.track import Track
+from skd_evaluator.extensions.fusion.track import Track, Transforms
+
+_NANOSECONDS = 1e-9
+_TF, _TF_STATIC = "/tf", "/tf_static"
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_MOST = 2_000_000  # positions
+_LATE = 1.0  # s by which a message may be recorded behind a later one
+
+
+class Row(NamedTuple):
+    """A position: s, m, m, and where they are said heading (rad) and speed (m/s); else nan."""
+
+    time: float
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+
+class Sighting(NamedTuple):
+    """Somebody at a moment: name (empty where the topic has one object), frame, time (s), place (m), heading, speed."""
+
+    name: str
+    frame: str
+    time: float
+    place: tuple[float, float, float]
+    heading: float
+    speed: float
+
+
+@dataclass
+class BagTrack:
+    """One object of a bag: positions, and the frame that they are in."""
+
+    rows: list[Row] = field(default_factory=list)
+    frame: str = ""
+
+
+def _pose(pose: Any) -> tuple[tuple[float, float, float], float]:
+    q, p = pose.orientation, pose.position
+    heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+    said = abs(q.w**2 + q.x**2 + q.y**2 + q.z**2 - 1.0) < 1e-3  # else nobody filled it in
+    return (float(p.x), float(p.y), float(p.z)), float(heading) if said else np.nan
+
+
+def _of(message: Any, pose: Any, speed: float = np.nan) -> Iterator[Sighting]:
+    header = message.header
+    yield Sighting("", str(header.frame_id), _NANOSECONDS * from_stamp(header.stamp), *_pose(pose), speed)
+
+
+def _odometry(message: Any) -> Iterator[Sighting]:
+    linear = message.twist.twist.linear
+    return _of(message, message.pose.pose, float(np.hypot(linear.x, linear.y)))
+
+
+def _point(message: Any) -> Iterator[Sighting]:
+    header, p = message.header, message.point
+    place = float(p.x), float(p.y), float(p.z)
+    yield Sighting("", str(header.frame_id), _NANOSECONDS * from_stamp(header.stamp), place, np.nan, np.nan)
+
+
+def _detections(message: Any) -> Iterator[Sighting]:
+    for one in message.detections:
+        header = one.header if one.header.frame_id else message.header
+        time = _NANOSECONDS * from_stamp(header.stamp)
+        name = one.id if hasattr(one, "id") else one.tracking_id  # before ROS 2 Humble
+        yield Sighting(str(name), str(header.frame_id), time, *_pose(one.bbox.center), np.nan)
+
+
+_READERS: dict[str, Callable[[Any], Iterator[Sighting]]] = {
+    "nav_msgs/msg/Odometry": _odometry,
+    "geometry_msgs/msg/PoseStamped": lambda message: _of(message, message.pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: _of(message, message.pose.pose),
+    "geometry_msgs/msg/PointStamped": _point,
+    "vision_msgs/msg/Detection3DArray": _detections,
+}
+_SEVERAL = {"vision_msgs/msg/Detection3DArray"}
+
+
+def bag_tracks(path: Path, names: Sequence[str], map_frame: str | None = None) -> dict[str, BagTrack]:
+    """Return objects of a bag by the names that they are asked for by.
+
+    Args:
+        path: an .mcap file or a bag's folder.
+        names: a topic, a topic and an id with a colon in between, or `/tf:FRAME`.
+        map_frame: frame in which positions are wanted; None: that in which they are, of /tf the highest.
+
+    Raises:
+        UsageError: it cannot be read, is damaged, lacks one of them, does not say how frames lie, or its clock goes
+            back.
+    """
+    wanted = {name: (topic, id_) for name in names for topic, _, id_ in [name.partition(":")]}
+    topics = {topic for topic, _ in wanted.values()}
+    with_frames = map_frame is not None or _TF in topics
+    seen: dict[str, list[Sighting]] = {name: [] for name in names}
+    known: dict[str, dict[str, None]] = {topic: {} for topic in topics}
+    transforms = Transforms(str(path))
+    count = 0
+    for file in (file for files in find_recordings([path]) for file in files):
+        condition = Condition()
+        read = topics | ({_TF, _TF_STATIC} if with_frames else set())
+        for received in read_messages(file, read.__contains__, condition):
+            topic = received.channel.topic
+            if received.schema.name == _TRANSFORMS and topic in (_TF, _TF_STATIC):
+                _take_transforms(transforms, _read(received, file), static=topic == _TF_STATIC)
+                continue
+            for sighting in _sightings(received, file):
+                known[topic].setdefault(sighting.name)
+                for name, asked in wanted.items():
+                    if asked == (topic, sighting.name):
+                        seen[name].append(sighting)
+                        count += 1
+            if count > _MOST:
+                raise UsageError(f"{path}: has more than {_MOST} positions; cut it to what is wanted")
+        if condition.damage:
+            raise UsageError(f"{file}: is damaged ({condition.damage[0]})")
+    found = {}
+    for name, (topic, id_) in wanted.items():
+        if topic == _TF and not seen[name]:
+            found[name] = _frame_track(path, transforms, id_, map_frame)
+        else:
+            found[name] = _placed(path, name, seen[name], transforms, map_frame, [*known[topic]])
+    return found
+
+
+def _read(received: Received, file: Path) -> Any:
+    try:
+        return received.decoded()
+    except UsageError as error:
+        raise UsageError(f"{file}: {error}") from error
+
+
+def _sightings(received: Received, file: Path) -> Iterator[Sighting]:
+    topic, kind = received.channel.topic, received.schema.name
+    if kind not in _READERS:
+        raise UsageError(
+            f"{file}: {topic} has type {shortened(kind)}; it must be one of {', '.join(_READERS)}, or /tf:FRAME"
+        )
+    message = _read(received, file)
+    yield from _READERS[kind](message)
+
+
+def _take_transforms(transforms: Transforms, message: Any, *, static: bool) -> None:
+    for one in message.transforms:
+        p, q = one.transform.translation, one.transform.rotation
+        time = _NANOSECONDS * from_stamp(one.header.stamp)
+        row = (time, *(float(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+        transforms.add(str(one.header.frame_id), str(one.child_frame_id), row, static=static)
+
+
+def _frame_track(path: Path, transforms: Transforms, frame: str, map_frame: str | None) -> BagTrack:
+    if frame not in transforms.frames:
+        known = ", ".join(map(shortened, transforms.frames[:8])) or "none"
+        raise UsageError(f"{path}: /tf has no frame {frame!r} but {known}; name it as /tf:FRAME")
+    within = transforms.root(frame) if map_frame is None else _known_frame(path, transforms, map_frame)
+    times = transforms.stamps(frame)
+    poses = transforms.poses(frame, within, times)
+    rows = zip(times.tolist(), poses.places[:, :2].tolist(), poses.headings.tolist(), strict=True)
+    return BagTrack([Row(time, x, y, heading, np.nan) for time, (x, y), heading in rows], within)
+
+
+def _known_frame(path: Path, transforms: Transforms, frame: str) -> str:
+    if not transforms.knows(frame):
+        known = ", ".join(map(shortened, transforms.frames[:8])) or "no frame"
+        raise UsageError(f"{path}: --map-frame {frame}: /tf and /tf_static do not know it; they have {known}")
+    return frame
+
+
+def _placed(
+    path: Path,
+    name: str,
+    seen: Sequence[Sighting],
+    transforms: Transforms,
+    map_frame: str | None,
+    known: Sequence[str],
+) -> BagTrack:
+    topic = name.partition(":")[0]
+    if not seen:
+        if any(known):
+            ids = ", ".join(map(shortened, known[:8]))
+            raise UsageError(f"{path}: {topic} has several objects; it has {ids}: name one as {topic}:ID")
+        raise UsageError(f"{path}: has no message on {topic}; name the topics by --car and --road-user")
+    frames = list(dict.fromkeys(one.frame for one in seen))
+    if len(frames) > 1:
+        raise UsageError(f"{path}: {topic} is in two frames, {frames[0]!r} and {frames[1]!r}")
+    times = np.array([one.time for one in seen])
+    back = np.flatnonzero(np.diff(times) < -_LATE)
+    if back.size:
+        before, after = times[back[0]], times[back[0] + 1]
+        raise UsageError(
+            f"{path}: the clock of {topic} goes back from {before:.2f} to {after:.2f} s: is it of several drives? Cut "
+            "it to one"
+        )
+    places, headings = np.array([one.place for one in seen]), np.array([one.heading for one in seen])
+    if map_frame is not None and frames[0] != map_frame:
+        _known_frame(path, transforms, map_frame)
+        order = np.argsort(times, kind="stable")
+        times, places, headings = times[order], places[order], headings[order]
+        seen = [seen[row] for row in order.tolist()]
+        poses = transforms.poses(frames[0], map_frame, times)
+        upright = np.column_stack([np.zeros((len(times), 2)), np.sin(0.5 * headings), np.cos(0.5 * headings)])
+        placed = poses.on(type(poses)(places, np.where(np.isfinite(upright), upright, [0.0, 0.0, 0.0, 1.0])))
+        places, headings = placed.places, np.where(np.isfinite(headings), placed.headings, np.nan)
+    rows = zip(times.tolist(), places[:, :2].tolist(), headings.tolist(), seen, strict=True)
+    within = frames[0] if map_frame is None else map_frame
+    return BagTrack([Row(time, x, y, heading, one.speed) for time, (x, y), heading, one in rows], within)
+
 
 TABLE_CAR, TABLE_OTHER = "car", "other"
 """Ids of the two in a table, where nothing else is said."""

@@ -14,13 +14,19 @@ from skd_sim.inputs.files import one_line
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.fusion.estimate.control_variate import Mean
+from skd_evaluator.extensions.fusion.estimate import Mean
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
-from skd_evaluator.extensions.fusion.measured import Recorder, overruled
-from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE
-from skd_evaluator.extensions.fusion.simulated import Simulated, by_phi, read_simulated
-from skd_evaluator.extensions.fusion.table import read_trials, table_in
 from skd_evaluator.extensions.fusion.track import Frame
+from skd_evaluator.extensions.fusion.trial import GAP_TOLERANCE
+from skd_evaluator.extensions.fusion.trial_sources import (
+    Recorder,
+    Simulated,
+    by_phi,
+    overruled,
+    read_simulated,
+    read_trials,
+    table_in,
+)
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
 RESULT, PICTURE = "fusion.json", "fusion.png"

@@ -24,13 +24,26 @@ from skd_evaluator.assessment.stages.propagated import Propagated, assessed_draw
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.fusion.calibration.estimate import POOR, Calibration, estimated
-from skd_evaluator.extensions.fusion.calibration.parameters import PARAMETERS, calibrated
-from skd_evaluator.extensions.fusion.calibration.replayed import Drive, Recorded, off_by, recorded
-from skd_evaluator.extensions.fusion.measured import PATH_TOLERANCE, track_of
-from skd_evaluator.extensions.fusion.simulated import Simulated, read_simulated
-from skd_evaluator.extensions.fusion.table import read_trials, table_in
+from skd_evaluator.extensions.fusion.calibration import (
+    PARAMETERS,
+    POOR,
+    Calibration,
+    Drive,
+    Recorded,
+    calibrated,
+    estimated,
+    off_by,
+    recorded,
+)
 from skd_evaluator.extensions.fusion.trial import PhysicalTrial
+from skd_evaluator.extensions.fusion.trial_sources import (
+    PATH_TOLERANCE,
+    Simulated,
+    read_simulated,
+    read_trials,
+    table_in,
+    track_of,
+)
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table

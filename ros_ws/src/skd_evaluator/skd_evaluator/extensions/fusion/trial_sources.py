@@ -1,29 +1,238 @@
-"""A physical trial's figures from its recording: laid over its φ in space and time, and looked at like an episode.
+"""Where trials come from: tables, an assessment's runs along φ and margins, and recordings that are measured.
 
-The recording's clock says nothing of when φ began, so that is the moment from which the tracked road user is nearest to
-φ, in the mean of squares. From there to the end of φ, or to the contact, is the trial.
+A recording is laid over its φ in space and time, and looked at like an episode. Its clock says nothing of when φ began,
+so that is the moment from which the tracked road user is nearest to φ, in the mean of squares. From there to the end of
+φ, or to the contact, is the trial.
 """
 
 from __future__ import annotations
 
+import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.files import did_you_mean, finite_number, read_text, real_path
+from skd_sim.inputs.yaml_file import short
 from skd_sim.scenario.road import right_and_along, road_pose
-from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario import Scenario, scenario_from_dict
+from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.extensions.fusion.pairs import GAP_TOLERANCE
+from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
+from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
+from skd_evaluator.assessment.files.results import read_both
 from skd_evaluator.extensions.fusion.recording import read_tracks
 from skd_evaluator.extensions.fusion.track import Frame, Track
-from skd_evaluator.extensions.fusion.trial import PhysicalTrial, figures_of, gap_to_crossing
+from skd_evaluator.extensions.fusion.trial import (
+    FIGURES,
+    GAP_TOLERANCE,
+    PhysicalTrial,
+    checked_value,
+    figures_of,
+    gap_to_crossing,
+)
+from skd_evaluator.metrics.margins import open_search
 from skd_evaluator.metrics.surrogate.clearance import clearances
 from skd_evaluator.metrics.surrogate.scene import Scene
+from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
+
+NAME = "trials.csv"
+"""The table in a folder of trials."""
+_PHI, _FILE, _GAP = "phi", "file", "gap"
+_COLUMNS = (_PHI, _FILE, _GAP, *FIGURES)
+_FARTHEST = 1000.0  # m that a car may start off
+_SAME = 1e-3  # m that no two drives agree by at every moment: any sensor's noise is more
+
+
+def table_in(path: Path) -> Path:
+    """Return the table that a path names: itself, or the one in a folder.
+
+    Raises:
+        UsageError: there is none.
+    """
+    table = path / NAME if path.is_dir() else path
+    if not table.exists():
+        raise UsageError(
+            f"{table}: no such file; give a table of trials with the columns phi and file, or phi and figures"
+        )
+    return table
+
+
+def read_trials(
+    path: Path, measured: Callable[[Path, PhysicalTrial], PhysicalTrial] | None = None
+) -> list[PhysicalTrial]:
+    """Read a table of trials, in the order of its rows.
+
+    Args:
+        path: csv file with a header: `phi`, and `file` (a recording, from the table's folder) or figures, by their
+            keys; `gap` says the timing of a trial.
+        measured: returns a trial with the figures that its recording shows; None: recordings cannot be measured.
+
+    Raises:
+        UsageError: the table cannot be read, a column is missing or unknown, a value is none that can be, or one
+            recording is there twice.
+    """
+    rows = csv.DictReader(StringIO(read_text(path), newline=""), strict=True)
+    try:
+        header = [name.strip() for name in rows.fieldnames or []]
+        _check_header(path, header, recordings=measured is not None)
+        rows.fieldnames = header
+        found: list[PhysicalTrial] = []
+        known: dict[Path, PhysicalTrial] = {}
+        for row in rows:
+            where = f"{path}, line {rows.line_num}"
+            if None in row or None in row.values():
+                raise UsageError(f"{where}: has another number of values than the header")
+            row = {name: value.strip() for name, value in row.items()}
+            found.append(_trial(path, where, row, measured))
+            if row.get(_FILE):
+                _check_once(known, path.parent / row[_FILE], found[-1])
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
+    if not found:
+        raise UsageError(f"{path}: has no trial")
+    return found
+
+
+def _check_header(path: Path, header: list[str], *, recordings: bool) -> None:
+    for name in header:
+        if name not in _COLUMNS:
+            raise UsageError(
+                f"{path}, line 1: unknown column {name!r}{did_you_mean(name, _COLUMNS)}; there are "
+                f"{', '.join(_COLUMNS)}"
+            )
+    if len(set(header)) < len(header):
+        raise UsageError(f"{path}, line 1: a column stands twice")
+    if _PHI not in header:
+        raise UsageError(f"{path}, line 1: no column 'phi', which says on which φ each trial was")
+    if not set(header) & {_FILE, *FIGURES}:
+        raise UsageError(f"{path}, line 1: neither a column 'file' nor one of {', '.join(FIGURES)}")
+    if _FILE in header and not recordings:
+        raise UsageError(
+            f"{path}, line 1: recordings cannot be measured without road and shapes: SIMULATED must be the folder of "
+            "an assessment, or the table must hold figures"
+        )
+
+
+def _check_once(known: dict[Path, PhysicalTrial], file: Path, trial: PhysicalTrial) -> None:
+    """Refuse a recording that was there before, by its file or, of a copy, by its tracks: it would count twice."""
+    path = real_path(file)
+    before = known.get(path) or next((one for one in known.values() if _same_track(one, trial)), None)
+    if before is not None:
+        raise UsageError(f"{trial.where}: is the recording of {before.where} once more; give each trial its own")
+    known[path] = trial
+
+
+def _same_track(one: PhysicalTrial, other: PhysicalTrial) -> bool:
+    """Return whether two trials are of one drive; one of the recordings may end earlier."""
+    if one.track is None or other.track is None:
+        return False
+    count = min(len(one.track), len(other.track))
+    return bool(np.abs(one.track[:count] - other.track[:count]).max() < _SAME)
+
+
+def _trial(
+    path: Path, where: str, row: dict[str, str], measured: Callable[[Path, PhysicalTrial], PhysicalTrial] | None
+) -> PhysicalTrial:
+    if not row[_PHI]:
+        raise UsageError(f"{where}: phi is empty")
+    values = {
+        key: checked_value(figure, finite_number(row[key], f"{where}: {key}"), where)
+        for key, figure in FIGURES.items()
+        if row.get(key)
+    }
+    if values.get("hit") == 1.0 and values.get("clearance", 0.0) > 0.0:
+        raise UsageError(f"{where}: the car hit, and its clearance is {values['clearance']:g} m; it must be 0")
+    gap = finite_number(row[_GAP], f"{where}: gap") if row.get(_GAP) else None
+    if gap is not None and not 0.0 <= gap <= _FARTHEST:
+        raise UsageError(f"{where}: gap must be from 0 to {_FARTHEST:g} m, got {gap:g}")
+    trial = PhysicalTrial(row[_PHI], values, gap, where)
+    if row.get(_FILE):
+        if "\0" in row[_FILE]:
+            raise UsageError(f"{where}: file must be the path of a recording, got {short(row[_FILE])}")
+        assert measured is not None
+        return measured(path.parent / row[_FILE], trial)
+    if not values:
+        raise UsageError(f"{where}: has neither a file nor a figure")
+    return trial
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """Simulated trials.
+
+    Attributes:
+        source: where they are from.
+        trials: by φ, in the order of these.
+        scenario: road, shapes and speeds; None of a table, which does not say.
+        safe: positions of each φ at ticks, m; empty of a table.
+        remarks: what is to be said of them, a line each.
+        figures: of the assessment, as they were read with the trials; empty of a table.
+    """
+
+    source: str
+    trials: Mapping[str, Sequence[PhysicalTrial]]
+    scenario: Scenario | None = None
+    safe: Mapping[str, FloatArray] | None = None
+    remarks: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+def by_phi(trials: Sequence[PhysicalTrial]) -> dict[str, list[PhysicalTrial]]:
+    """Return trials by the name of their φ, both in their order."""
+    found: dict[str, list[PhysicalTrial]] = {}
+    for one in trials:
+        found.setdefault(one.phi, []).append(one)
+    return found
+
+
+def read_simulated(folder: Path) -> Simulated:
+    """Read the runs along φ of an assessment, and the margins of its trials.
+
+    Raises:
+        UsageError: it is none, is damaged, has no run along φ, or two φ of one name.
+    """
+    result, stored = read_both(folder)
+    scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {folder / ASSESSMENT}")
+    if "safe_name" not in stored.further:
+        raise UsageError(f"{folder}: its φ have no names, so physical trials cannot be paired with them; assess anew")
+    names = [str(name) for name in stored.further["safe_name"]]
+    if len(set(names)) < len(names):
+        raise UsageError(f"{folder}: two of its φ have one name, so physical trials cannot be paired with them")
+    trials = [trial for index, name in enumerate(names) for trial in _runs(stored, scenario, index, name)]
+    if not trials:
+        raise UsageError(f"{folder}: has no run along φ; assess with --collision-runs")
+    for name, margins in zip(names, result.groups.get("margin", ()), strict=False):
+        trials += [PhysicalTrial(name, {"margin": float(margin)}, None, str(folder)) for margin in margins]
+    found = by_phi(trials)
+    ordered = {name: found[name] for name in names if name in found}
+    safe = dict(zip(names, stored.safe, strict=True))
+    remarks = (*result.remarks, *(f"{folder}: {line}" for line in open_search(result.figures)))
+    return Simulated(str(folder), ordered, scenario, safe, remarks, result.figures)
+
+
+def _runs(stored: StoredEpisodes, scenario: Scenario, index: int, name: str) -> list[PhysicalTrial]:
+    ran = (stored.mode == Mode.REPLAY) & (stored.outcome != Outcome.ABORTED) & (stored.safe_index == index)
+    found = []
+    for number in np.flatnonzero(ran).tolist():
+        course = course_of(scenario, stored.adversary[number], stored.car[number], stored.contact(number))
+        values = figures_of(scene_of(scenario, *course), hit=bool(stored.hit[number]))
+        if stored.collided[number]:
+            values["clearance"] = 0.0
+        found.append(PhysicalTrial(name, values, gap_to_crossing(scenario, course.car[0]), stored_name(number, stored)))
+    return found
+
+
+def stored_name(number: int, stored: StoredEpisodes) -> str:
+    """Return which episode it is, for messages."""
+    return f"episode {int(stored.episode_id[number])}"
+
 
 PATH_TOLERANCE = 0.5
 """m that the tracked road user may be off φ at any moment: beyond, it was not a trial on that φ."""
