@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-FACES = ("skd_sim", "skd_adversary", "skd_evaluator", "skd_sim.world", "skd_evaluator.assessment.plan")
+FACES = ("skd_sim", "skd_adversary", "skd_evaluator", "skd_evaluator.assessment.plan")
 
 
 @pytest.mark.parametrize("package", FACES)

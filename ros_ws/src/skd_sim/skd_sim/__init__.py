@@ -32,30 +32,6 @@ if TYPE_CHECKING:
     from skd_sim.world.state import Scene as Scene
     from skd_sim.world.state import Trajectory as Trajectory
 
-__all__ = [
-    "AdversaryState",
-    "CarState",
-    "Controller",
-    "Episode",
-    "EpisodeLog",
-    "Frame",
-    "FrameSource",
-    "FramedSimulator",
-    "Mode",
-    "Outcome",
-    "RoadUserState",
-    "Scan",
-    "Scenario",
-    "Scene",
-    "SensingController",
-    "Simulator",
-    "Trajectory",
-    "UsageError",
-    "WorldSimulator",
-    "kernel",
-    "load_scenario",
-]
-
 _WHERE = {
     "AdversaryState": "skd_sim.world.state",
     "CarState": "skd_sim.world.state",
@@ -79,4 +55,5 @@ _WHERE = {
     "kernel": "skd_sim.kernels.compilation",
     "load_scenario": "skd_sim.scenario.scenario",
 }
+__all__ = sorted(_WHERE)
 __getattr__, __dir__ = exported(__name__, _WHERE)
