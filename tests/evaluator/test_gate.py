@@ -266,7 +266,7 @@ def test_the_command_line_decides(skd_here, here, cars):
     ("arguments", "parts"),
     [
         (["--fail-below", "deviatoin=1"], ["--fail-below deviatoin=1", "did you mean 'deviation'?"]),
-        (["--fail-above", "colision_rate=0.1"], ["did you mean 'contact_rate'?"]),
+        (["--fail-above", "contct_rate=0.1"], ["did you mean 'contact_rate'?"]),
         (["--fail-below", "objectives.paper.sdk=1"], ["did you mean 'objectives.paper.skd'?"]),
         (["--fail-below", "margn=1"], ["did you mean 'margin'?"]),
         (["--fail-below", "margin_ci95=1"], ["no figure 'margin_ci95'"]),
