@@ -1,7 +1,7 @@
 """Which figures rank cars: of the pairs of cars that all truths order alike, the share that each figure orders so.
 
 The cars are those of cars/catalogue.py. The truths, fixed beforehand, are contact rates under a perturbation much
-larger than kamikazes are planned with (wide_encounters.py): everybody walks at a pace of his own; changes his pace on
+larger than kamikazes are planned with (wide_scenarios.py): everybody walks at a pace of his own; changes his pace on
 the way; hesitates once; and, of all these runs, those alone that the front of the car hits. A hit is a contact at the
 scenario's `collision.hit_speed` or more. Which pairs count, and what the intervals are, is said in pair_orders.py.
 
@@ -47,7 +47,7 @@ from skd_evaluator.metrics.statistics.statistics import wilson_interval
 from skd_sim.options.adversary import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from skd_sim.scenario.scenario import load_scenario
-from wide_encounters import HITS, TRUTHS, Manner, outcomes
+from wide_scenarios import HITS, TRUTHS, Manner, outcomes
 
 
 class Store:

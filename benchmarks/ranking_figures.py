@@ -20,11 +20,11 @@ from skd_evaluator.metrics.distances.frechet import discrete_frechet
 from skd_evaluator.metrics.risks import SCALES, Touch
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
-from skd_evaluator.risk.crossings import Encounter
+from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import Trajectory
-from wide_encounters import HITS
+from wide_scenarios import HITS
 
 ALONG_TRIALS = 25
 """Runs along each φ, for the contact rate."""
@@ -136,9 +136,9 @@ def risk(scale: float) -> Callable[[Work], Found]:
 
     def found(work: Work) -> Found:
         plan = replace(work.plan(), safe_count=len(work.safe))
-        encounter = Encounter(plan, tuple(work.safe), load_behaviour(WALKERS).values)
-        crossings = crude_crossings(encounter, work.crossings * len(work.safe))
-        hit = AnyCar(encounter, work.runner).run(crossings, scale).touch == Touch.FRONT
+        crossing_plan = CrossingPlan(plan, tuple(work.safe), load_behaviour(WALKERS).values)
+        crossings = crude_crossings(crossing_plan, work.crossings * len(work.safe))
+        hit = AnyCar(crossing_plan, work.runner).run(crossings, scale).touch == Touch.FRONT
         return {
             "values": [hit[crossings.phi == phi].astype(float).tolist() for phi in range(len(work.safe))],
             "note": "",

@@ -28,7 +28,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.behaviour.walking import walk
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.crossings import Crossings, Ends, Scenario
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
 from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
@@ -113,13 +113,13 @@ def _cross_by_time(
 class CarByTime:
     """Runs crossings in front of a car that goes by time."""
 
-    def __init__(self, encounter: Encounter, law: float) -> None:
-        """Take the encounter apart into numbers."""
-        self.car_normals = 1 + 2 * encounter.ticks
-        self._law, self._values = law, encounter.values
-        self._lengths = np.array([len(phi) for phi in encounter.safe], np.int64)
-        self._paths = np.zeros((len(encounter.safe), int(self._lengths.max()), 2))
-        for index, phi in enumerate(encounter.safe):
+    def __init__(self, scenario: Scenario, law: float) -> None:
+        """Take the scenario apart into numbers."""
+        self.car_normals = 1 + 2 * scenario.ticks
+        self._law, self._values = law, scenario.values
+        self._lengths = np.array([len(phi) for phi in scenario.safe], np.int64)
+        self._paths = np.zeros((len(scenario.safe), int(self._lengths.max()), 2))
+        for index, phi in enumerate(scenario.safe):
             self._paths[index, : len(phi)] = phi.positions
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
@@ -142,34 +142,34 @@ class Job:
     levels: Levels | None = None
 
 
-def made(job: Job) -> tuple[Encounter, Any]:
+def made(job: Job) -> tuple[Scenario, Any]:
     case = job.case
     multiplier = case.law if case.family == "distance" else 1.0
     plan = Plan(load_scenario("crossing"), safe_count=len(job.safe), multiplier=multiplier, seed=7)
-    encounter = Encounter(plan, job.safe, load_behaviour("walkers").values)
-    return encounter, KnownCar(encounter) if case.family == "distance" else CarByTime(encounter, case.law)
+    scenario = Scenario(plan, job.safe, load_behaviour("walkers").values)
+    return scenario, KnownCar(scenario) if case.family == "distance" else CarByTime(scenario, case.law)
 
 
 def one_replicate(job: Job) -> Replicate:
-    encounter, car = made(job)
+    scenario, car = made(job)
     assert job.levels is not None
-    return replicate(encounter, car, job.case.scale, job.number, Effort(), job.levels)
+    return replicate(scenario, car, job.case.scale, job.number, Effort(), job.levels)
 
 
 def levels_for(job: Job) -> Levels:
-    encounter, car = made(job)
-    again = replace(encounter, plan=replace(encounter.plan, seed=job.number))
+    scenario, car = made(job)
+    again = replace(scenario, plan=replace(scenario.plan, seed=job.number))
     return levels_of(again, car, job.case.scale, Effort())
 
 
 def crude_part(job: Job) -> int:
-    encounter, car = made(job)
+    scenario, car = made(job)
     rng = np.random.default_rng(np.random.SeedSequence(11, spawn_key=(job.number,)))
     hits = 0
     for first in range(0, PART, 1000):
         crossings = Crossings(
             (np.arange(1000) + first) % len(job.safe),
-            rng.standard_normal((1000, encounter.walker_normals)),
+            rng.standard_normal((1000, scenario.walker_normals)),
             rng.standard_normal((1000, car.car_normals)),
             np.zeros(1000, np.int64),
         )

@@ -126,9 +126,9 @@ def test_reaction_delay():
     assert estimate(car, "trigger") == pytest.approx(KAPPA, rel=0.03)
 
 
-def test_trigger_that_differs_per_encounter():
+def test_trigger_that_differs_per_episode():
     car = fit_car(logs_of(MoodyCar(1.0), 250, seed=7))
-    assert car.spread == "encounter"
+    assert car.spread == "episode"
     trigger, spread = car.parameters["trigger"], car.parameters["trigger_spread"]
     assert trigger.interval is not None
     assert spread.interval is not None

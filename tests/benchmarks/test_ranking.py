@@ -17,15 +17,15 @@ from skd_evaluator.metrics.distances.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory
-from wide_encounters import (
+from wide_scenarios import (
     ALONG_THE_ROAD,
     EARLIER_OR_LATER,
     LONGEST_PAUSE,
     PACES,
     TRUTHS,
     Manner,
-    encounters,
     outcomes,
+    scenarios,
     walked,
 )
 
@@ -43,8 +43,8 @@ def test_a_walk_is_delayed_quickened_and_moved():
 
 
 def test_every_car_meets_the_same_adversaries_within_the_stated_ranges():
-    one = encounters(CARS[0], [ACROSS], range(200), seed=3)
-    other = encounters(OFTEN, [ACROSS], range(200), seed=3)
+    one = scenarios(CARS[0], [ACROSS], range(200), seed=3)
+    other = scenarios(OFTEN, [ACROSS], range(200), seed=3)
     starts = []
     for first, second in zip(one, other, strict=True):
         assert first.safe_trajectory is not None
@@ -76,7 +76,7 @@ def test_who_hesitates_stands_for_as_long_and_goes_on():
 
 def test_the_ways_to_walk_share_their_other_draws():
     plain, hesitating = (
-        encounters(CARS[0], [ACROSS], range(50), seed=3, manner=manner) for manner in (Manner.WIDE, Manner.HESITATING)
+        scenarios(CARS[0], [ACROSS], range(50), seed=3, manner=manner) for manner in (Manner.WIDE, Manner.HESITATING)
     )
     for first, second in zip(plain, hesitating, strict=True):
         assert first.safe_trajectory is not None
@@ -91,7 +91,7 @@ def test_the_ways_to_walk_share_their_other_draws():
 def test_a_car_with_a_clock_of_its_own_gets_a_letter_a_run_that_no_number_of_workers_changes():
     with InProcessRunner(2, isolated=True) as runner:
         letters = outcomes(OFTEN, [ACROSS], 120, 3, Manner.HESITATING, runner)
-    episodes = encounters(OFTEN, [ACROSS], range(120), 3, Manner.HESITATING)
+    episodes = scenarios(OFTEN, [ACROSS], range(120), 3, Manner.HESITATING)
     assert letters == "".join(run_of(run_episode(episode)) for episode in episodes)
     assert len(set(letters)) > 1
 

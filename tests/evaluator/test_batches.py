@@ -17,7 +17,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.batched_car import batched_car
-from skd_evaluator.risk.crossings import Crossings, Encounter
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
@@ -99,13 +99,13 @@ def safe():
     return tuple(safe_trajectories(Plan(SCENARIO, safe_count=2, seed=5, simulations=20), InProcessRunner(1)))
 
 
-def encounter(policy, safe, scenario=SCENARIO):
+def crossing_plan(policy, safe, scenario=SCENARIO):
     plan = Plan(scenario, safe_count=2, seed=5, controller=policy, knowledge=Knowledge.NOTHING)
-    return Encounter(plan, safe, load_behaviour("walkers").values)
+    return CrossingPlan(plan, safe, load_behaviour("walkers").values)
 
 
 def crossed(policy, safe, count, workers=1, scenario=SCENARIO):
-    here = encounter(policy, safe, scenario)
+    here = crossing_plan(policy, safe, scenario)
     crossings = crude_crossings(here, count)
     with InProcessRunner(workers, isolated=True) as runner:
         together = batched_car(here, runner)
@@ -123,7 +123,7 @@ def test_crossings_side_by_side_are_episodes_to_the_bit(policy, period, safe):
 
 
 def test_neither_workers_nor_the_number_of_crossings_change_one(safe):
-    here = encounter("batch_policies:Anticipating", safe)
+    here = crossing_plan("batch_policies:Anticipating", safe)
     crossings = crude_crossings(here, 300)
     found = []
     for workers in (1, 2):
@@ -160,7 +160,7 @@ def test_a_policy_whose_process_dies_of_commands_has_no_figure(safe):
 
 
 def margins(policy, safe, *, together):
-    plan = encounter(policy, safe).plan
+    plan = crossing_plan(policy, safe).plan
     episodes = [plan.episode(Mode.KAMIKAZE, k % 2, k // 2, safe[k % 2]) for k in range(5)]
     with InProcessRunner(1, isolated=True) as runner, pytest.MonkeyPatch.context() as patch:
         if not together:

@@ -32,7 +32,7 @@ def test_everything_is_crossed_in_the_order_of_the_file(tmp_path):
         cars:
           - {controller: basic, sweep: {multiplier: [1, 0.75]}}
           - {name: the other, controller: cal, safe_count: 3}
-        encounters:
+        scenarios:
           - scenario: crossing
           - {scenario: crossing, name: slow, scenario.car.start_speed: 5.0}
         sweep:
@@ -40,9 +40,9 @@ def test_everything_is_crossed_in_the_order_of_the_file(tmp_path):
         """,
     )
     assert [cell.name for cell in cells] == [
-        f"{car}_{encounter}_seed={seed}"
+        f"{car}_{scenario}_seed={seed}"
         for car in ("basic-C1", "basic-C0.75", "the-other")
-        for encounter in ("crossing", "slow")
+        for scenario in ("crossing", "slow")
         for seed in (4, 2)
     ]
     values = [
@@ -126,7 +126,7 @@ def test_how_many_episodes_there_are(tmp_path):
         ("cars: [{sweep: {seed: [1, x]}}]", ["cars[0].sweep.seed[1] must be a whole number"]),
         ("cars: [{seed: 3}]\nsweep: {seed: [1]}", ["seed is set in cars and in sweep"]),
         ("cars: [{seed: 3, sweep: {seed: [1]}}]", ["seed is set in cars[0] and in cars[0].sweep"]),
-        ("cars: [{seed: 3}]\nencounters: [{seed: 1}]", ["seed is set in cars and in encounters"]),
+        ("cars: [{seed: 3}]\nscenarios: [{seed: 1}]", ["seed is set in cars and in scenarios"]),
         ("cars: [{name: 3}]", ["cars[0].name must be text, got 3"]),
         ("cars: [{}, {seed: 1}]", ["two cells are called basic-C1", "name:"]),
         (

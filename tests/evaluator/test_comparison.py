@@ -118,7 +118,7 @@ def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with
     )
     found = compare(ice, dry)
     assert (found.verdict, found.differences) == (NOT_COMPARED, {})
-    assert found.lines() == ["ice and dry are of different encounters: road.friction is 0.2 and 1.0"]
+    assert found.lines() == ["ice and dry are of different scenarios: road.friction is 0.2 and 1.0"]
     beside = compare(ice, basic)
     assert beside.verdict == SAFER
     assert beside.lines() == [
@@ -133,7 +133,7 @@ def test_tyres_on_two_roads_have_no_verdict_and_a_car_without_tyres_has_one_with
         ({"seed": 1}, "of different seeds: "),
         ({"scenario": scenario_of(car={"width": 2.0})}, "made where car.width is 1.8 and 2.0: "),
         ({"version": "2"}, "made by different versions of SKD: "),
-        ({}, "though of one seed and one encounter: "),
+        ({}, "though of one seed and one scenario: "),
     ],
 )
 def test_why_synthetic_phi_are_others(changes: dict[str, Any], why: str) -> None:

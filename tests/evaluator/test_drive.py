@@ -170,7 +170,7 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
 
 
 @pytest.mark.parametrize("safe", [("synthetic",), ("regulatory", "--scenario", "cpna"), ("own",)])
-def test_a_drive_that_is_cut_short_has_the_encounters_own_ways(skd_here, safe):
+def test_a_drive_that_is_cut_short_has_the_scenarios_own_ways(skd_here, safe):
     """φ takes some ten seconds; it had been looked for within the ticks that are shown."""
     done = skd_here("drive", "--safe", *safe, "--ticks", "3", "--rate-factor", "100")
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "timeout; 3 ticks"), done.stderr

@@ -81,7 +81,7 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert f"* {tmp_path / 'forged'}: changed since it was written" in captured.out
     assert "foreign" not in captured.out
     assert all(f"skd list: warning: {tmp_path / name}: " in captured.err for name in ("foreign", "broken"))
-    assert main(["list", str(tmp_path), "--encounter", "nowhere"]) == 2
+    assert main(["list", str(tmp_path), "--scenario", "nowhere"]) == 2
     assert main(["list", str(tmp_path / "nothing")]) == 2
     assert main(["trend", str(tmp_path), "--out", str(tmp_path / "out")]) == 2  # not past what is broken
     assert not (tmp_path / "out").exists()

@@ -31,7 +31,7 @@ READ = {  # by the name of an option, whatever command has it: the words that ha
     "safe": ["--safe", "{}/ways"],
     "car_model": ["--car-model", "{}/file"],
     "behaviour": ["--behaviour", "{}/file"],
-    "encounters": ["--encounters", "cpna,{}/mine.yaml"],
+    "scenarios": ["--scenarios", "cpna,{}/mine.yaml"],
     "message_folder": ["--message-folder", "{}/messages"],
     "controller": ["--controller", "cars_in_it:Fine"],
 }
@@ -56,7 +56,7 @@ def test_every_input_of_every_command_is_kept(command: str, tmp_path: Path, monk
     (tmp_path / "base" / "outward").symlink_to(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path / "base"))
-    needed = {"behaviour": ["fit"], "encounters": ["check"], "export": ["--format", "csv"]}.get(command, [])
+    needed = {"behaviour": ["fit"], "scenarios": ["check"], "export": ["--format", "csv"]}.get(command, [])
     positional = [one.dest for one in COMMANDS[command]._actions if not one.option_strings and one.choices is None]
     tried = 0
     for name in texts_of(COMMANDS[command]) & set(READ):
@@ -103,7 +103,7 @@ def test_a_campaign_keeps_what_it_reads_and_can_be_resumed(skd_here: Run, here: 
     words = ("campaign", "campaign.yaml", "--out", "out", "--workers", "1")
     assert skd_here(*words).returncode == 0
     (here / "out" / "mine" / "ways.csv").write_text(CROSSING)
-    (here / "campaign.yaml").write_text(f"{text}encounters: [{{safe: out/mine/ways.csv, name: there}}]\n")
+    (here / "campaign.yaml").write_text(f"{text}scenarios: [{{safe: out/mine/ways.csv, name: there}}]\n")
     one_line(skd_here(*words, "--overwrite"), 2, "the folder of cell mine holds out/mine/ways.csv")
     (here / "campaign.yaml").write_text(text)
     assert (here / "out" / "mine" / "ways.csv").read_text() == CROSSING

@@ -86,7 +86,7 @@ def test_a_late_braker_is_red_where_an_early_one_is_green_at_the_speed_of_the_te
     """v² − 2·a·d: the front is 0.25 m before the target's way 4.65 s after the start, less what that takes."""
     for name in ("Early", "Late"):
         done = skd(
-            "ncap", "--controller", f"ncap_cars:{name}", "--encounters", "cpna-50", *NONE, "--out", name, cwd=cars
+            "ncap", "--controller", f"ncap_cars:{name}", "--scenarios", "cpna-50", *NONE, "--out", name, cwd=cars
         )
         assert done.returncode == 0, done.stderr
         assert "no margin: --margin-limit 0" in done.stdout
@@ -108,7 +108,7 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
 
     Somebody on foot has few actions in each tick, so that a little more is needed.
     """
-    done = skd("ncap", "--controller", "ncap_cars:JustPasses", "--encounters", "still.yaml", "--speeds", "30:30:1",
+    done = skd("ncap", "--controller", "ncap_cars:JustPasses", "--scenarios", "still.yaml", "--speeds", "30:30:1",
                *FEW, "--out", "out", cwd=cars)  # fmt: skip
     assert done.returncode == 0, done.stderr
     (cell,) = cells_of(cars / "out")
@@ -123,14 +123,14 @@ def test_a_car_that_just_passes_stands_out_by_its_margin(cars):
     assert "!" in done.stdout
     assert "1 of 1 test is green, 1 with less than 0.5 m of room: the least is 0.18 m, at 30 km/h, 90 %." in done.stdout
     assert 'class="green narrow"' in (cars / "out" / "ncap.html").read_text("utf-8")
-    quiet = skd("ncap", "--controller", "ncap_cars:JustPasses", "--encounters", "still.yaml", "--speeds", "30:30:1",
+    quiet = skd("ncap", "--controller", "ncap_cars:JustPasses", "--scenarios", "still.yaml", "--speeds", "30:30:1",
                 *FEW, "--room", "0.01", "--out", "wide", cwd=cars)  # fmt: skip
     assert "1 of 1 test is green, none with less than 0.01 m of room." in quiet.stdout
 
 
 def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
     """Margins and planned deviation to the last bit, for both trial the same under the same draws."""
-    done = skd_here("ncap", "--multiplier", "0.9", "--encounters", "cpfa-50", "--speeds", "30:30:1", "--planned",
+    done = skd_here("ncap", "--multiplier", "0.9", "--scenarios", "cpfa-50", "--speeds", "30:30:1", "--planned",
                     "--kamikaze-count", "2", "--simulations", "50", "--margin-limit", "256", "--workers", "1",
                     "--out", "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -149,7 +149,7 @@ def test_a_cell_is_what_an_assessment_of_its_test_says(skd_here, here):
 
 def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):
     """It is one of those that it is compared with, in the same trials: their difference is 0 there."""
-    words = ("--encounters", "cpna-50", "--speeds", "30:30:1", "--equivalent", *FEW, "--kamikaze-count", "4")
+    words = ("--scenarios", "cpna-50", "--speeds", "30:30:1", "--equivalent", *FEW, "--kamikaze-count", "4")
     done = skd_here("ncap", *words, "--multiplier", "1.25", "--out", here / "same")
     assert done.returncode == 0, done.stderr
     (cell,) = cells_of(here / "same")
@@ -172,7 +172,7 @@ def test_the_equivalent_multiplier_of_a_basic_car_is_its_own(skd_here, here):
 @pytest.mark.usefixtures("pictures_drawn")
 def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
     for workers in ("1", "2"):
-        done = skd_here("ncap", "--encounters", "cpna-75,cptans-50", "--kamikaze-count", "2", "--margin-limit", "128",
+        done = skd_here("ncap", "--scenarios", "cpna-75,cptans-50", "--kamikaze-count", "2", "--margin-limit", "128",
                         "--workers", workers, "--out", workers)  # fmt: skip
         assert done.returncode == 0, done.stderr
     assert names(here / "1") == ["manifest.sha256", "ncap.csv", "ncap.html", "ncap.json", "ncap.png"]
@@ -184,7 +184,7 @@ def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
     assert one == two
     with (here / "1" / "ncap.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [(row["encounter"], float(row["speed"])) for row in rows] == [
+    assert [(row["scenario"], float(row["speed"])) for row in rows] == [
         *(("cpna-75", 10.0 * step) for step in range(1, 7)),
         ("cptans-50", 10.0),
     ]
@@ -192,7 +192,7 @@ def test_numbers_do_not_depend_on_the_number_of_workers(skd_here, here):
 
 
 def test_cells_that_cannot_be_judged_say_why(cars):
-    done = skd("ncap", "--controller", "ncap_cars:SpeedsUp", "--encounters", "cpna-50,cpna-0,cpla-50",
+    done = skd("ncap", "--controller", "ncap_cars:SpeedsUp", "--scenarios", "cpna-50,cpna-0,cpla-50",
                "--speeds", "20:35:15", *NONE, "--out", "out", cwd=cars)  # fmt: skip
     assert done.returncode == 0, done.stderr
     found = cells_of(cars / "out")
@@ -201,18 +201,18 @@ def test_cells_that_cannot_be_judged_say_why(cars):
     assert "CPNA day has no test at 35 km/h" in done.stdout
     assert "CPNA day has no impact place of 0 %" in done.stdout
     assert all(cell.touched is not None and cell.why for cell in found)
-    done = skd("ncap", "--controller", "ncap_cars:Stands", "--encounters", "cpnco-50", "--speeds", "20:20:10", *NONE,
+    done = skd("ncap", "--controller", "ncap_cars:Stands", "--scenarios", "cpnco-50", "--speeds", "20:20:10", *NONE,
                "--out", "stands", cwd=cars)  # fmt: skip
     assert [cell.colour for cell in cells_of(cars / "stands")] == [""]
     assert "the car slows down to 0 km/h with nobody near, which is no test at 20 km/h" in done.stdout
-    done = skd("ncap", "--controller", "ncap_cars:FailsAlone", "--encounters", "cpna-50", "--speeds", "20:20:10", *NONE,
+    done = skd("ncap", "--controller", "ncap_cars:FailsAlone", "--scenarios", "cpna-50", "--speeds", "20:20:10", *NONE,
                "--out", "alone", cwd=cars)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "whether the car keeps its speed with nobody near cannot be told: controller ncap_cars:Fails" in done.stdout
     (cars / "fast.yaml").write_text("name: fast\ndescription: fast\nextends: cpna-50\nprotocol:\n  speed: 2.0\n")
-    done = skd("ncap", "--encounters", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
+    done = skd("ncap", "--scenarios", "fast.yaml", *NONE, "--out", "fast", cwd=cars)
     assert "the test's target has 5 km/h, this one 7.2 km/h" in done.stdout
-    done = skd("ncap", "--controller", "cal", "--encounters", "cptans-50", *NONE, "--out", "cal", cwd=cars)
+    done = skd("ncap", "--controller", "cal", "--scenarios", "cptans-50", *NONE, "--out", "cal", cwd=cars)
     assert done.returncode == 1
     assert "controller cal has learned hazards on straight roads" in done.stdout
     assert "no test could be judged" in done.stderr
@@ -221,11 +221,11 @@ def test_cells_that_cannot_be_judged_say_why(cars):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--encounters", "crossing"), "scenario crossing has no section protocol"),
-        (("--encounters", "cpnaa"), "cpna"),
-        (("--encounters", "cpna,cpna"), "different names"),
-        (("--encounters", ""), "different names"),
-        (("--encounters", "cpna-33"), "impact places are 0, 10, 25"),
+        (("--scenarios", "crossing"), "scenario crossing has no section protocol"),
+        (("--scenarios", "cpnaa"), "cpna"),
+        (("--scenarios", "cpna,cpna"), "different names"),
+        (("--scenarios", ""), "different names"),
+        (("--scenarios", "cpna-33"), "impact places are 0, 10, 25"),
         (("--controller", "external"), "--controller external needs the node graph"),
         (("--controller", "carla", "--multiplier", "2"), "leave it out"),
         (("--controller", "missing:Car"), "missing"),
@@ -237,13 +237,13 @@ def test_what_cannot_be_asked_is_said_in_one_line(skd_here, here, words, said):
 
 
 def test_a_car_that_fails_ends_the_command(cars):
-    done = skd("ncap", "--controller", "ncap_cars:Raises", "--encounters", "cpna-50", *NONE, "--out", "o", cwd=cars)
+    done = skd("ncap", "--controller", "ncap_cars:Raises", "--scenarios", "cpna-50", *NONE, "--out", "o", cwd=cars)
     one_line(done, 1, "ncap_cars:Raises", "ZeroDivisionError")
     assert not (cars / "o").exists()
 
 
 def test_a_car_that_does_not_repeat_itself_is_not_credible(cars):
-    words = ("--encounters", "cpna-50,cpfa-50", "--speeds", "30:60:10", *NONE, "--out")
+    words = ("--scenarios", "cpna-50,cpfa-50", "--speeds", "30:60:10", *NONE, "--out")
     done = skd("ncap", "--controller", "ncap_cars:Keeps", *words, "keeps", cwd=cars)
     assert done.returncode == 1, done.stderr
     (warning,) = read_ncap(cars / "keeps").warnings
@@ -265,11 +265,11 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
         return judged(source, *others)
 
     monkeypatch.setattr(ncap, "judged_grid", interrupted)
-    done = skd_here("ncap", "--encounters", "cpna-50,cpfa-50,cpnco-50", *NONE, "--out", "out")
+    done = skd_here("ncap", "--scenarios", "cpna-50,cpfa-50,cpnco-50", *NONE, "--out", "out")
     assert (done.returncode, begun) == (130, ["cpna-50", "cpfa-50"])
     assert "cpna-50 (CPNA day)" in done.stdout
-    assert "interrupted; nothing was written. What is above is of 1 of 3 encounters" in done.stderr
-    done = skd_here("ncap", "--encounters", "cpfa-50", *NONE, "--out", "out")
+    assert "interrupted; nothing was written. What is above is of 1 of 3 scenarios" in done.stderr
+    done = skd_here("ncap", "--scenarios", "cpfa-50", *NONE, "--out", "out")
     one_line(done, 130, "interrupted; nothing was written")
     assert not (here / "out").exists()
 
@@ -277,7 +277,7 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
 def test_without_the_calculator_it_says_how_to_get_points(skd_here, here, monkeypatch):
     monkeypatch.setattr(points, "find_spec", lambda _name: None)
     monkeypatch.setitem(sys.modules, f"{points.PACKAGE}.common", None)  # which whoever imports it would notice
-    done = skd_here("ncap", "--encounters", "cpna-50", *NONE, "--out", "out")
+    done = skd_here("ncap", "--scenarios", "cpna-50", *NONE, "--out", "out")
     assert done.returncode == 0, done.stderr
     assert "pip install 'euroncap-rating-2026>=5.4.9,<6'" in done.stdout
     assert (read_ncap(here / "out").points, "in standard range" in done.stdout) == ((), False)

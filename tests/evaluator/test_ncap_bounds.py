@@ -43,7 +43,7 @@ def test_a_bound_that_does_not_follow_from_the_search_is_refused() -> None:
 
 
 def test_a_bound_that_was_removed_wherever_it_stands_is_found(tmp_path: Path) -> None:
-    """By η_max of the encounter, which is one of SKD's own."""
+    """By η_max of the scenario, which is one of SKD's own."""
     found = result(MEASURED, replace(LOWER, beyond=0, margin_is=""))
     (tmp_path / RESULT).write_text(json.dumps(as_data(found)), encoding="utf-8")
     write_table(tmp_path / TABLE, found)

@@ -8,7 +8,7 @@ import random
 
 import pytest
 from skd_evaluator.extensions.ncap.colours import colour_of
-from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, encounters_of, known_encounters, matrix_of
+from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, known_scenarios, matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.points import points_of
 from skd_evaluator.extensions.ncap.result import Cell, Grid
 
@@ -16,7 +16,7 @@ integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity"
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402
 from euroncap_rating_2026.crash_avoidance import data_model, matrix_processing, test_info  # noqa: E402
 
-TESTS = sorted({matrix.test for name in known_encounters() if (matrix := matrix_of(name)) is not None})
+TESTS = sorted({matrix.test for name in known_scenarios() if (matrix := matrix_of(name)) is not None})
 FRONTAL = data_model.StageSubelementKey.FC
 GRIDS = 200
 
@@ -60,7 +60,7 @@ def key_of(one) -> tuple[str, float, float, float | None]:
 
 def ours(test: str) -> dict[tuple[str, float, float, float | None], MatrixPoint]:
     found = {}
-    for name in encounters_of(test):
+    for name in scenarios_of(test):
         matrix = matrix_of(name)
         assert matrix is not None
         turn = {"f": "Farside", "n": "Nearside"}[name[4]] if name[1:4] in ("pta", "bta") else ""
@@ -109,7 +109,7 @@ def test_colours_and_points_of_random_grids_are_the_calculators(template):
 def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], str]) -> list[Grid]:
     turns = {"f": "Farside", "n": "Nearside"}
     grids = []
-    for name in encounters_of(test):
+    for name in scenarios_of(test):
         turn = turns[name[4]] if name[1:4] in ("pta", "bta") else ""
         cells = tuple(
             Cell(

@@ -8,7 +8,7 @@ import pytest
 from skd_evaluator.assessment.run.static_test import static_tests
 from skd_evaluator.extensions.ncap.colours import colour_of
 from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
-from skd_evaluator.extensions.ncap.matrices import Criterion, encounters_of, known_encounters, matrix_of
+from skd_evaluator.extensions.ncap.matrices import Criterion, known_scenarios, matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.page import details
 from skd_evaluator.extensions.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
 from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
@@ -139,14 +139,14 @@ def test_columns_are_places_or_the_speeds_of_targets():
 
 
 def test_every_test_of_the_matrices_can_be_had():
-    """Each place and target speed that the calculator asks for stands in the encounter's own file, or is put there.
+    """Each place and target speed that the calculator asks for stands in the scenario's own file, or is put there.
 
     An unbraked car runs into the target, or to be green would say nothing; of all 778 tests the command itself says so,
     with --multiplier 0.
     """
-    assert set(known_encounters()) == {name for name in SCENARIOS.own if load_scenario(name).protocol is not None}
-    assert encounters_of("CPTAfs & CPTAns") == ["cptafs", "cptans"]
-    for name in known_encounters():
+    assert set(known_scenarios()) == {name for name in SCENARIOS.own if load_scenario(name).protocol is not None}
+    assert scenarios_of("CPTAfs & CPTAns") == ["cptafs", "cptans"]
+    for name in known_scenarios():
         matrix, cells = wanted_cells(name, None)
         assert matrix is not None
         assert [cell.point for cell in cells] == list(matrix.points)

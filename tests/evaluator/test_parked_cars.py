@@ -12,7 +12,7 @@ import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.compare.encounter_difference import encounter_difference
+from skd_evaluator.assessment.compare.scenario_difference import scenario_difference
 from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -115,11 +115,11 @@ def test_cyclists_brake_or_have_missed() -> None:
         assert_free(scenario, walked, scenario.adversary.core)
 
 
-def test_two_encounters_with_other_obstacles_are_not_the_same() -> None:
-    found = encounter_difference(parked().as_dict(), CROSSING.as_dict())
+def test_two_scenarios_with_other_obstacles_are_not_the_same() -> None:
+    found = scenario_difference(parked().as_dict(), CROSSING.as_dict())
     assert found is not None
     assert found[0] == "obstacles"
-    assert encounter_difference(parked().as_dict(), parked().as_dict()) is None
+    assert scenario_difference(parked().as_dict(), parked().as_dict()) is None
 
 
 def test_a_safe_trajectory_through_an_obstacle_is_refused(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_an_earlier_result_that_does_not_compare_lets_no_car_pass(tmp_path: Path
     path.write_text(json.dumps({**figures, "scenario": {**figures["scenario"], "horizon": 99.0}}))
     mine = Assessed(SimpleNamespace(as_dict=dict), better)
     assert not mine.is_worse_than(worse)
-    with pytest.raises(AssessmentError, match=r"longer: not compared; .* encounters: horizon is 99.0 and 12.0"):
+    with pytest.raises(AssessmentError, match=r"longer: not compared; .* scenarios: horizon is 99.0 and 12.0"):
         mine.is_worse_than(tmp_path / "longer")
 
 
@@ -200,7 +200,7 @@ def test_no_gate_passes_by_an_upper_bound(
         assert re.search(why or "", check.text)
 
 
-@pytest.mark.parametrize(("other", "why"), [("at a crossing", "different encounters"), ("of one phi", "too few φ")])
+@pytest.mark.parametrize(("other", "why"), [("at a crossing", "different scenarios"), ("of one phi", "too few φ")])
 def test_nothing_is_said_of_cars_that_do_not_compare(mine: Assessed, other: str, why: str) -> None:
     """It had been *not worse*, so that a test passed beside whatever result."""
     with pytest.raises(AssessmentError, match=f"^not worse than {other}: not compared.*{why}.*"):

@@ -1,4 +1,4 @@
-"""`skd encounters reference`: basic cars as a yardstick, in encounters in which their margins are searched for."""
+"""`skd scenarios reference`: basic cars as a yardstick, in scenarios in which their margins are searched for."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def silent(*_told: object) -> None:
 
 
 def test_margins_rise_with_c_where_they_are_searched_for(skd_here, here):
-    done = skd_here("encounters", "reference", "cpna-50", "cbna-50", "--multipliers", "0.5", "1", "1.5",
+    done = skd_here("scenarios", "reference", "cpna-50", "cbna-50", "--multipliers", "0.5", "1", "1.5",
                     "--trials", "3", "--margin-limit", "256", "--workers", "1", "--out", "out")  # fmt: skip
     assert done.returncode == 0, done.stderr
     entries = json.loads((here / "out" / "reference.json").read_text("utf-8"))["references"]
@@ -37,7 +37,7 @@ def test_a_basic_car_has_the_margin_of_itself(skd_here, here):
     rating = assess(scenario="cpna", multiplier=1.1, safe="regulatory", safe_count=3, kamikaze_count=3,
                     margin_limit=256, out=here / "assessed", **SIZES)  # fmt: skip
     assert rating.equivalent is None
-    done = skd_here("encounters", "reference", "assessed", "--multipliers", "0.9", "1", "1.2", "1.3",
+    done = skd_here("scenarios", "reference", "assessed", "--multipliers", "0.9", "1", "1.2", "1.3",
                     "--margin-limit", "256", "--workers", "1", "--out", "out", "--json")  # fmt: skip
     assert done.returncode == 0, done.stderr
     (entry,) = json.loads(done.stdout)["references"]
@@ -65,9 +65,9 @@ def test_where_margins_are_exact_they_are_those_of_an_assessment(here):
         (("reference",), "needs a name"),
         (("reference", "cpnaa"), "cpna"),
         (("reference", "cpna", "--margin-limit", "0"), "without margins there is no reference"),
-        (("list", "--multipliers", "1"), "goes with skd encounters reference"),
+        (("list", "--multipliers", "1"), "goes with skd scenarios reference"),
     ],
 )
 def test_what_cannot_be_asked_is_said_in_one_line(skd_here, here, words, said):
-    one_line(skd_here("encounters", *words, "--out", "out"), 2, said)
+    one_line(skd_here("scenarios", *words, "--out", "out"), 2, said)
     assert not (here / "out").exists()

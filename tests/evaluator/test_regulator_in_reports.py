@@ -115,10 +115,10 @@ def test_colours_are_those_of_the_matrix_at_each_speed():
     assert passed.layout.columns == ("25 %", "75 %")
 
 
-def test_each_car_and_encounter_has_a_grid_and_seeds_share_their_cells():
+def test_each_car_and_scenario_has_a_grid_and_seeds_share_their_cells():
     results = [found("cpna", 30.0, 50.0, margin=margin, car=car) for margin in (1.0, 3.0) for car in ("x:Y", "x:Z")]
     views = views_of([*results, found("cpfa", 30.0, 50.0)], 0.5)
-    assert [(view.car, view.grid.encounter) for view in views] == [("x:Y", "cpna"), ("x:Z", "cpna"), ("x:Y", "cpfa")]
+    assert [(view.car, view.grid.scenario) for view in views] == [("x:Y", "cpna"), ("x:Z", "cpna"), ("x:Y", "cpfa")]
     assert [len(view.grid.cells) for view in views] == [1, 1, 1]
     assert views[0].grid.cells[0].margins == (1.0, 1.0, 3.0, 3.0)
     assert views[0].grid.cells[0].margin == 2.0

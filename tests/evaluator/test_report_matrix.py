@@ -1,4 +1,4 @@
-"""A report of several cars in several encounters begins with a matrix of them."""
+"""A report of several cars in several scenarios begins with a matrix of them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 from skd_evaluator.report.html.charts import comparison_charts
-from skd_evaluator.report.html.matrix import by_encounter, matrix_of
+from skd_evaluator.report.html.matrix import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.terminal import car_name
@@ -14,7 +14,7 @@ from skd_evaluator.report.terminal import car_name
 
 @pytest.fixture(scope="module")
 def subjects(sweep) -> list[Subject]:
-    """Two cars in two encounters: the second encounter is the first by another name."""
+    """Two cars in two scenarios: the second scenario is the first by another name."""
     here = read_subjects([sweep])
     there = [
         dataclasses.replace(one, label=f"{one.label} there", scenario=dataclasses.replace(one.scenario, name="there"))
@@ -23,23 +23,23 @@ def subjects(sweep) -> list[Subject]:
     return [one for pair in zip(here, there, strict=True) for one in pair]
 
 
-def test_each_assessment_is_in_the_cell_of_its_car_and_encounter(subjects):
+def test_each_assessment_is_in_the_cell_of_its_car_and_scenario(subjects):
     found = matrix_of(subjects)
-    assert found.encounters == ("crossing", "there")
+    assert found.scenarios == ("crossing", "there")
     for car, cells in found.rows:
-        for name, several in zip(found.encounters, cells, strict=True):
+        for name, several in zip(found.scenarios, cells, strict=True):
             (mine,) = [one for one in subjects if car_name(one.figures) == car and one.scenario.name == name]
             (cell,) = several
             assert cell.margin == f"{mine.figures['margin']:.3f}"
-    assert [subjects[place].scenario.name for place in by_encounter(subjects)] == ["crossing"] * 2 + ["there"] * 2
+    assert [subjects[place].scenario.name for place in by_scenario(subjects)] == ["crossing"] * 2 + ["there"] * 2
 
 
-def test_there_is_none_of_one_encounter_or_of_one_car(subjects):
+def test_there_is_none_of_one_scenario_or_of_one_car(subjects):
     assert matrix_of(subjects[::2]) is None
     assert matrix_of(subjects[:2]) is None
 
 
-def test_lines_of_charts_join_cars_of_one_encounter(subjects):
+def test_lines_of_charts_join_cars_of_one_scenario(subjects):
     for chart in comparison_charts(subjects):
         kinds = {row["car"]: row["kind"] for row in chart["data"]["values"]}
         assert len(set(kinds.values())) == 2

@@ -46,7 +46,7 @@ def content(folder: Path) -> dict[str, str]:
 RESULTS_OF = {
     "assess": "assessment.json",
     "compare": "comparison.json",
-    "encounters": "encounters.json",
+    "scenarios": "scenarios.json",
     "episode": "episode.json",
     "exchange.export": "export.json",
     "exchange.importing": "import.json",

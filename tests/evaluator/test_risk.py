@@ -20,7 +20,7 @@ from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import RiskAsked, risk_asked
 from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
@@ -42,8 +42,8 @@ def safe() -> tuple[Trajectory, ...]:
     return tuple(safe_trajectories(PLAN, InProcessRunner(1)))
 
 
-def encounter(safe: tuple[Trajectory, ...], plan: Plan = PLAN) -> Encounter:
-    return Encounter(plan, safe, WALKERS.values)
+def crossing_plan(safe: tuple[Trajectory, ...], plan: Plan = PLAN) -> CrossingPlan:
+    return CrossingPlan(plan, safe, WALKERS.values)
 
 
 def recorded() -> Trajectory:
@@ -57,7 +57,7 @@ def recorded() -> Trajectory:
 @pytest.mark.parametrize("scenario", ["crossing", "citr_crossing"])
 def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario, safe):
     plan = replace(PLAN, scenario=load_scenario(scenario), multiplier=multiplier)
-    here = encounter(safe if scenario == "crossing" else (recorded(), *safe[:1]), plan)
+    here = crossing_plan(safe if scenario == "crossing" else (recorded(), *safe[:1]), plan)
     crossings = crude_crossings(here, 60)
     compiled = KnownCar(here).run_drawn(crossings, draws_of(here, crossings), scale)
     episodes = AnyCar(here, InProcessRunner(1))
@@ -71,7 +71,7 @@ def test_compiled_crossings_are_episodes_to_the_bit(scale, multiplier, scenario,
 def test_a_crossing_starts_as_a_run_along_phi_does(safe):
     """Its car is where the plan's car is, whatever way is walked; and so without deviations it is a run along φ."""
     plan = replace(PLAN, scenario=load_scenario("citr_crossing"), multiplier=0.5)
-    here = encounter((recorded(),), plan)
+    here = crossing_plan((recorded(),), plan)
     crossings = crude_crossings(here, 12)
     for walked in AnyCar(here, InProcessRunner(1)).episodes(crossings, 0.0):
         stage, index, trial = split_episode_id(walked.episode_id)
@@ -85,7 +85,7 @@ def test_a_crossing_starts_as_a_run_along_phi_does(safe):
 
 def test_sides_of_a_contact_are_told_apart(safe):
     """Held against a look at the rectangle by hand, at the contact."""
-    here = encounter(safe, replace(PLAN, multiplier=1.0))
+    here = crossing_plan(safe, replace(PLAN, multiplier=1.0))
     crossings = crude_crossings(here, 400)
     seen = set()
     for episode in AnyCar(here, InProcessRunner(1)).episodes(crossings, 2.0):
@@ -108,7 +108,7 @@ def test_sides_of_a_contact_are_told_apart(safe):
     assert seen == {Touch.NONE, Touch.FRONT, Touch.FLANK, Touch.STANDING}
 
 
-def simulated(here: Encounter, car: KnownCar | Gauss, scale: float, effort: Effort) -> Subsets:
+def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: Effort) -> Subsets:
     """What subset simulation finds."""
     levels = levels_of(here, car, scale, effort)
     numbers = range(effort.replicates)
@@ -134,7 +134,7 @@ class Gauss:
 )
 def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, normal, safe):
     """Of a car that hangs on one normal, be it the person's or of a tick, which moves of some of them seldom change."""
-    car, here = Gauss(bound, normal), encounter(safe)
+    car, here = Gauss(bound, normal), crossing_plan(safe)
     found = simulated(here, car, scale, Effort())
     truth = float(special.ndtr(-bound / scale))
     risk = ScaleRisk(scale, np.zeros(3, np.int64), 3, found)
@@ -150,7 +150,7 @@ def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, norm
 @pytest.mark.parametrize("kind", [0, 1])
 def test_moves_leave_normals_standard_normals(kind, safe):
     """Of each group apart; those that are moved keep √(1 − step²) of what they were, the others all of it."""
-    here, rng, step, count = encounter(safe), np.random.default_rng(3), 0.6, 2000
+    here, rng, step, count = crossing_plan(safe), np.random.default_rng(3), 0.6, 2000
     walker, car = rng.standard_normal((count, here.walker_normals)), rng.standard_normal((count, 81))
     before = Crossings(np.zeros(count, np.int64), walker, car, np.zeros(count, np.int64))
     after = _moved(before, _MOVED[kind], step, 3, rng)
@@ -172,7 +172,7 @@ def test_moves_leave_normals_standard_normals(kind, safe):
 
 def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
     effort = Effort(replicates=2, per_level=400, levels=3)
-    found = simulated(encounter(safe), Gauss(30.0), 1.0, effort)
+    found = simulated(crossing_plan(safe), Gauss(30.0), 1.0, effort)
     assert found.open_levels == 2
     risk = ScaleRisk(1.0, np.zeros(9, np.int64), 3, found)
     assert risk.value == 0.0
@@ -181,7 +181,7 @@ def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
 
 
 def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
-    here = encounter(safe, replace(PLAN, multiplier=1.35))
+    here = crossing_plan(safe, replace(PLAN, multiplier=1.35))
     car, rng = KnownCar(here), np.random.default_rng(2)
     count = 40_000
     crude = car.run(
@@ -204,7 +204,7 @@ def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
 
 
 def test_uniform_draws_of_the_car_come_from_its_normals(safe):
-    here = encounter(safe)
+    here = crossing_plan(safe)
     car, crossings = KnownCar(here), crude_crossings(here, 50)
     normals = np.random.default_rng(1).standard_normal((50, car.car_normals))
     by_normals = car.run(replace(crossings, car=normals), 1.0)

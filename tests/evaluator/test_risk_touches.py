@@ -20,7 +20,7 @@ from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate.impact import fatality_risk, greater_delta_v
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.assessment_risk import crude_crossings
-from skd_evaluator.risk.crossings import Encounter
+from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.controllers import Controller
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.road_user import Other, Waypoint
@@ -68,7 +68,7 @@ def crossings(
         simulations=20, multiplier=multiplier,
     )  # fmt: skip
     runner = InProcessRunner(1)
-    here = Encounter(plan, tuple(safe_trajectories(plan, runner)), WALKERS.values)
+    here = CrossingPlan(plan, tuple(safe_trajectories(plan, runner)), WALKERS.values)
     episodes = AnyCar(here, runner).episodes(crude_crossings(here, runs), scale)
     return [watched(one, make and make()) for one in episodes]
 

@@ -78,7 +78,7 @@ def test_what_makes_cars_to_compare_with_is_a_command_that_is_understood(subject
     assert program == "skd"
     assert (asked.command, asked.seed, asked.safe_count) == ("sweep", 7, len(subject.episodes.safe))
     other = {**subject.figures, "scenario": json.loads(json.dumps(load_scenario("cpna-50").as_dict()))}
-    assert "encounters: [{scenario: cpna-50}]" in reference_hint(other)
+    assert "scenarios: [{scenario: cpna-50}]" in reference_hint(other)
 
 
 def test_films(skd_here, here, result, monkeypatch):

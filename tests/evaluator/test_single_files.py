@@ -48,7 +48,7 @@ def no_files(here: Path) -> Iterator[Path]:
         *(["assess", *SMALL, "--out", "out", option] for option in ("--csv", "--junit", "--markdown")),
         ["replay", "recorded", "--out", "out", "--junit"],
         ["report", "recorded", "--overwrite", "--out"],
-        ["encounters", "campaign", "cpna", "--speeds", "20:20:10", "--overwrite", "--out"],
+        ["scenarios", "campaign", "cpna", "--speeds", "20:20:10", "--overwrite", "--out"],
     ],
     ids=lambda words: f"{words[0]} {words[-1]}",
 )
@@ -85,7 +85,7 @@ def test_a_gate_writes_over_nothing_that_the_command_reads(skd_here: Run, here: 
     for name in ("mine.yaml", "link"):
         done = skd_here("assess", *SMALL, "--scenario", "mine.yaml", "--csv", name, "--out", "out")
         one_line(done, 2, f"--csv {name}: is read by this command; give another file")
-        campaign = ("encounters", "campaign", "mine.yaml", "--speeds", "20:20:10", "--overwrite", "--out", name)
+        campaign = ("scenarios", "campaign", "mine.yaml", "--speeds", "20:20:10", "--overwrite", "--out", name)
         one_line(skd_here(*campaign), 2, f"--out {name}: is read by this command; give another file")
     assert (here / "mine.yaml").read_text() == SCENARIO
     assert not (here / "out").exists()
@@ -101,7 +101,7 @@ def test_a_full_disk_leaves_what_was_there(there: str | None, skd_here: Run, her
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
     try:
         words = ("campaign", "cpna", "--speeds", "20:20:10", "--out", "place/c.yaml", "--overwrite")
-        done = skd_here("encounters", *words)
+        done = skd_here("scenarios", *words)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     one_line(done, 1, "--out place/c.yaml: nothing was written: File too large")
@@ -140,12 +140,12 @@ ODD = [
 
 @pytest.mark.parametrize("name", ODD)
 def test_a_campaign_is_of_the_file_that_was_named(name: str, skd_here: Run, here: Path) -> None:
-    """Of `cpna #2.yaml` YAML read `cpna`: SKD's own encounter was rated, and nobody was told."""
+    """Of `cpna #2.yaml` YAML read `cpna`: SKD's own scenario was rated, and nobody was told."""
     (here / name).write_text(SCENARIO)
-    done = skd_here("encounters", "campaign", name, "cpna", "--speeds", "20:30:10", "--out", "c.yaml")
+    done = skd_here("scenarios", "campaign", name, "cpna", "--speeds", "20:30:10", "--out", "c.yaml")
     assert done.returncode == 0, done.stderr
     text = (here / "c.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(text)["encounters"] == [{"scenario": name}, {"scenario": "cpna"}]
+    assert yaml.safe_load(text)["scenarios"] == [{"scenario": name}, {"scenario": "cpna"}]
     assert [line for line in text.splitlines() if line.startswith("#")] == text.splitlines()[:1]
     assert "  - scenario: cpna\n" in text  # which needs no marks
     cells = make_cells(read_campaign(here / "c.yaml"))

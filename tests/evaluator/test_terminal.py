@@ -101,7 +101,7 @@ def test_bash_completes_commands_options_and_names(skd_here, tmp_path):
         '$complete skd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"; echo "${COMPREPLY[@]}"; }\n'
         'try skd swe; try skd assess --object; try skd assess --objective ""; try skd assess --scenario crossing_m\n'
         "try skd drive --controller ca; try skd assess --behaviour wal; try skd sweep --safe syn\n"
-        f"try skd ncap --encounters cpnc; try skd encounters show {tmp_path}/s\n"
+        f"try skd ncap --scenarios cpnc; try skd scenarios show {tmp_path}/s\n"
     )
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
     found = ["sweep", "--objective", "both paper deviation frechet", "crossing_multi_body", "cal carla", "walkers"]

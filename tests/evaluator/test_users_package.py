@@ -27,13 +27,13 @@ BREAKS = Measure("broken", "", _breaks)
 """
 (ENTRIES,) = re.findall(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
 ENTRIES = re.sub(r'\[project\.entry-points\."(.*?)"\]', r"[\1]", ENTRIES).replace('"', "")  # as pip writes them
-ENTRIES += """never = my_encounters:NEVER
-breaks = my_encounters:BREAKS
+ENTRIES += """never = my_scenarios:NEVER
+breaks = my_scenarios:BREAKS
 """
 COUNTS = ("--safe-count", "1", "--kamikaze-count", "4", "--collision-runs", "2", "--simulations", "60", "--seed", "5")
 
 
-def installed(folder: Path, name: str = "my_encounters", entries: str = ENTRIES, source: str = SOURCE) -> Path:
+def installed(folder: Path, name: str = "my_scenarios", entries: str = ENTRIES, source: str = SOURCE) -> Path:
     """Install a package into a folder, as pip does."""
     (folder / name).mkdir(parents=True)
     (folder / name / "__init__.py").write_text(source, encoding="utf-8")
@@ -130,13 +130,13 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, na
 @pytest.mark.parametrize(
     ("entries", "words", "said"),
     [
-        ("[skd.controllers]\nlost = my_encounters:Nobody\n", ("--controller", "lost"), "AttributeError"),
-        ("[skd.simulators]\nlost = my_encounters:Careful\n", ("--simulator", "lost"), "needs the methods reset"),
+        ("[skd.controllers]\nlost = my_scenarios:Nobody\n", ("--controller", "lost"), "AttributeError"),
+        ("[skd.simulators]\nlost = my_scenarios:Careful\n", ("--simulator", "lost"), "needs the methods reset"),
         ("[skd.scenarios]\nlost = nowhere:DATA\n", ("--scenario", "lost"), "ModuleNotFoundError"),
         ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),
-        ("[skd.measures]\nlost = my_encounters:QUIET\n", (), "must be a Measure"),
-        ("[skd.measures]\na_name_that_is_too_long = my_encounters:ENDS\n", (), "at most 16"),
-        ("[skd.objectives]\nlost = my_encounters:QUIET\n", ("--objective", "lost"), "must be an ObjectiveModel"),
+        ("[skd.measures]\nlost = my_scenarios:QUIET\n", (), "must be a Measure"),
+        ("[skd.measures]\na_name_that_is_too_long = my_scenarios:ENDS\n", (), "at most 16"),
+        ("[skd.objectives]\nlost = my_scenarios:QUIET\n", ("--objective", "lost"), "must be an ObjectiveModel"),
     ],
 )
 def test_what_cannot_be_loaded_is_one_line(tmp_path: Path, entries: str, words: tuple[str, ...], said: str):
@@ -162,7 +162,7 @@ def test_a_name_of_two_packages_is_refused(tmp_path: Path):
 
 def test_names_of_skd_cannot_be_taken(tmp_path: Path):
     """Whatever is installed, basic is the paper's car."""
-    path = installed(tmp_path / "site", entries="[skd.controllers]\nbasic = my_encounters:Careful\n")
+    path = installed(tmp_path / "site", entries="[skd.controllers]\nbasic = my_scenarios:Careful\n")
     program = "from skd_sim.controllers import make_controller as make; print(type(make('basic', 0.5)).__name__)"
     done = subprocess.run(
         [sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": str(path)}, capture_output=True, text=True

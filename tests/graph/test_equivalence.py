@@ -49,7 +49,7 @@ def episodes(name: str, objective: Objective) -> list[Episode]:
 
 @pytest.fixture(scope="module")
 def evaluator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Evaluator]:
-    """Of a graph that runs episodes of any car and encounter, one after another; nothing is left of it."""
+    """Of a graph that runs episodes of any car and scenario, one after another; nothing is left of it."""
     with whole_graph(tmp_path_factory.mktemp("graph")) as (evaluator, _):
         yield evaluator
 

@@ -40,7 +40,7 @@ READERS = {
     "result": ("result/assessment.json", ("verify", "{}/result")),
     "episodes": ("result/episodes.npz", ("verify", "{}/result")),
     "manifest": ("result/manifest.sha256", ("verify", "{}/result")),
-    "scenario": ("x.yaml", ("encounters", "check", "{}/x.yaml")),
+    "scenario": ("x.yaml", ("scenarios", "check", "{}/x.yaml")),
     "campaign": ("c.yaml", ("campaign", "{}/c.yaml", "--dry-run")),
     "safe trajectories": ("phi.csv", ("assess", "--safe", "{}/phi.csv", *SMALL)),
     "car model": ("car_model.yaml", ("assess", "--car-model", "{}/car_model.yaml", "--controller", "carla", *SMALL)),

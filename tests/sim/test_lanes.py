@@ -88,7 +88,7 @@ def test_an_adversary_starts_on_a_lane() -> None:
 
 
 def test_a_scenario_holds_coordinates_alone() -> None:
-    """So whoever writes by lanes, and whoever writes by coordinates, have the same encounter."""
+    """So whoever writes by lanes, and whoever writes by coordinates, have the same scenario."""
     one = scenario_with(adversary=adversary(lane=1, along=2.0, destination_x=-3.0))
     assert scenario_from_dict(one.as_dict()) == one
     same = adversary(start_x=3.25, start_y=2.0, start_heading=math.pi / 2, destination_x=-3.0)

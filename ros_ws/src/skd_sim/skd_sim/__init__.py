@@ -1,4 +1,4 @@
-"""The world of the Safe-Kamikaze Distance: encounters, cars, simulators, episodes.
+"""The world of the Safe-Kamikaze Distance: scenarios, cars, simulators, episodes.
 
 What stands in `__all__` is for users and stays where it is; modules below may move.
 """

@@ -154,7 +154,7 @@ class FittedCar:
     Attributes:
         measure: what the trigger is compared with: `distance` (m) or `time` (s to contact).
         gate: whether the adversary has to be in the path: `none`, `position` or `predicted`.
-        spread: how the trigger varies: `sharp` (not at all), `encounter` (from one encounter to the next) or `tick`
+        spread: how the trigger varies: `sharp` (not at all), `episode` (from one episode to the next) or `tick`
             (from tick to tick).
         lapse: share of ticks that go against the law.
         parameters: all of `PARAMETERS`, by name, except for `OPTIONAL` ones that the car does not have.
@@ -346,7 +346,7 @@ class _Parameter(Frozen):
 class _Family(Frozen):
     measure: Annotated[str, OneOf(("distance", "time"))]
     gate: Annotated[str, OneOf(("none", "position", "predicted"))]
-    spread: Annotated[str, OneOf(("sharp", "encounter", "tick"))]
+    spread: Annotated[str, OneOf(("sharp", "episode", "tick"))]
     lapse: Annotated[float, limits(0.0, 1.0, "share of ticks")]
     name: str = ""
 

@@ -27,7 +27,7 @@ from skd_adversary.car_models.speed_change import SpeedChange, densities, distri
 
 MEASURES = ("distance", "time")
 GATES = ("none", "position", "predicted")
-SPREADS = ("sharp", "encounter", "tick")
+SPREADS = ("sharp", "episode", "tick")
 LARGEST_TRIGGER = {"distance": 60.0, "time": 8.0}
 """Triggers thought possible go from 0 to this, in m and s."""
 LARGEST_GATE = 20.0  # m
@@ -42,7 +42,7 @@ class Family:
         measure: `distance` (front to the adversary's centre along the lane) or `time` (that over the closing speed).
         gate: `none`, `position` (the adversary's distance from the car's centre line now) or `predicted` (its
             least distance from it while the car passes, at the velocities of now).
-        spread: `sharp`, `encounter` or `tick`.
+        spread: `sharp`, `episode` or `tick`.
         delay: ticks between what the car sees and what it does.
     """
 
@@ -55,7 +55,7 @@ class Family:
     def name(self) -> str:
         """A name for tables."""
         path = {"none": "", "position": " in the lane", "predicted": " on a collision course"}[self.gate]
-        spread = {"sharp": "", "encounter": ", differs per encounter", "tick": ", blurred per tick"}[self.spread]
+        spread = {"sharp": "", "episode": ", differs per episode", "tick": ", blurred per tick"}[self.spread]
         late = f", {self.delay} tick{'s' * (self.delay > 1)} late" if self.delay else ""
         return f"{self.measure}{path}{spread}{late}"
 
@@ -73,7 +73,7 @@ class Law:
         family: the family of the law.
         trigger: m or s.
         gate: half-width of the path, m; infinite without one.
-        spread: standard deviation (encounter) or scale (tick) of the trigger, m or s; 0 where sharp.
+        spread: standard deviation (episode) or scale (tick) of the trigger, m or s; 0 where sharp.
         lapse: share of ticks that go against the law.
         log_likelihood: log-likelihood of all ticks to which it was fitted.
     """
@@ -246,7 +246,7 @@ def _segments(e: Evidence, law: Law) -> _Segments:
     return _Segments(np.asarray(position), np.asarray(upper), np.asarray(values), np.asarray(starts))
 
 
-def _encounter_values(segments: _Segments, trigger: float, spread: float) -> FloatArray:
+def _spread_likelihoods(segments: _Segments, trigger: float, spread: float) -> FloatArray:
     """Return the log-likelihood of each episode when its trigger is N(trigger, spread²)."""
     lower, upper, values, starts = segments
     a, b = (lower - trigger) / spread, (upper - trigger) / spread
@@ -273,8 +273,8 @@ def _tick_values(e: Evidence, law: Law) -> FloatArray:
 
 def episode_values(e: Evidence, law: Law) -> FloatArray:
     """Return the log-likelihood of each episode under a law."""
-    if law.family.spread == "encounter":
-        return _encounter_values(_segments(e, law), law.trigger, law.spread)
+    if law.family.spread == "episode":
+        return _spread_likelihoods(_segments(e, law), law.trigger, law.spread)
     if law.family.spread == "tick":
         ticks = _tick_values(e, law)
     else:
@@ -284,16 +284,16 @@ def episode_values(e: Evidence, law: Law) -> FloatArray:
     return np.asarray(np.add.reduceat(ticks, first))
 
 
-def encounter_values(e: Evidence, law: Law, spreads: FloatArray) -> FloatArray:
-    """Return, per spread, the log-likelihood of all ticks when each encounter draws N(law's trigger, spread²)."""
+def spread_likelihoods(e: Evidence, law: Law, spreads: FloatArray) -> FloatArray:
+    """Return, per spread, the log-likelihood of all ticks when each episode draws N(law's trigger, spread²)."""
     segments = _segments(e, law)
-    return np.array([_encounter_values(segments, law.trigger, float(spread)).sum() for spread in spreads])
+    return np.array([_spread_likelihoods(segments, law.trigger, float(spread)).sum() for spread in spreads])
 
 
 def spread_values(e: Evidence, law: Law, triggers: FloatArray, spreads: FloatArray) -> FloatArray:
     """Return the log-likelihood of all ticks over a grid, triggers × spreads, under a law that is not sharp."""
-    if law.family.spread == "encounter":
-        return np.stack([encounter_values(e, replace(law, trigger=float(trigger)), spreads) for trigger in triggers])
+    if law.family.spread == "episode":
+        return np.stack([spread_likelihoods(e, replace(law, trigger=float(trigger)), spreads) for trigger in triggers])
     return np.array([[_tick_values(e, replace(law, trigger=t, spread=s)).sum() for s in spreads] for t in triggers])
 
 
@@ -313,8 +313,8 @@ def fit_family(family: Family, e: Evidence, sharp: Law | None = None, near: Law 
     segments = _segments(e, law)
 
     def value(trigger: float, spread: float) -> float:
-        if family.spread == "encounter":
-            return float(_encounter_values(segments, trigger, spread).sum())
+        if family.spread == "episode":
+            return float(_spread_likelihoods(segments, trigger, spread).sum())
         return float(_tick_values(e, replace(law, trigger=trigger, spread=spread)).sum())
 
     def cost(point: FloatArray) -> float:
@@ -465,7 +465,7 @@ def sharp_spread(e: Evidence, law: Law) -> IntervalEstimate:
     The upper end is the 95 % point of its posterior under a flat prior, the trigger at its estimate.
     """
     spreads = max(law.trigger, 1e-3) * np.geomspace(1e-4, 1.0, 40)
-    values = encounter_values(e, law, spreads)
+    values = spread_likelihoods(e, law, spreads)
     density = np.exp(values - values.max())
     weights = np.append(density[0] * spreads[0], 0.5 * (density[1:] + density[:-1]) * np.diff(spreads))
     cumulative = np.cumsum(weights) / weights.sum()
@@ -515,7 +515,7 @@ def braking_probability(law: Law, data: Observations) -> FloatArray:
     distance = law.trigger - np.where(inside, near, 0.0)
     if law.family.spread == "sharp" or law.spread <= 0.0:
         brakes = (distance >= 0.0).astype(np.float64)
-    elif law.family.spread == "encounter":
+    elif law.family.spread == "episode":
         brakes = scipy.special.ndtr(distance / law.spread)
     else:
         brakes = scipy.special.expit(distance / law.spread)

@@ -364,7 +364,7 @@ class LearnedCar:
                 prior = car.parameters[name].prior
                 priors[row] = _KINDS[prior.distribution], prior.first, prior.second
         spread = car.parameters["trigger_spread"]
-        kind = {"sharp": 0.0, "encounter": 1.0, "tick": 2.0}[car.spread]
+        kind = {"sharp": 0.0, "episode": 1.0, "tick": 2.0}[car.spread]
         return {
             **self.known.parameters(scenario),
             "by_time": float(car.measure == "time"),

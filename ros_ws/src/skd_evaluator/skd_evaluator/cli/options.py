@@ -89,8 +89,8 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
 
     campaign = commands.add_parser(
         "campaign",
-        help="rate many cars in many encounters from one file; can be resumed",
-        description="Rate many cars, in many encounters, with many seeds and values of any key, all described in one "
+        help="rate many cars in many scenarios from one file; can be resumed",
+        description="Rate many cars, in many scenarios, with many seeds and values of any key, all described in one "
         "YAML file. Every episode is stored as soon as it has run: whatever ends a campaign, --resume goes on with it.",
     )
     campaign.add_argument(
@@ -208,7 +208,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         type=Path,
         metavar="DIR",
         help="folder of skd sweep, or of a campaign, whose basic cars are drawn as a curve behind margin and risk. "
-        "They have to be over the same safe trajectories, in the same encounter and with the same behaviour model",
+        "They have to be over the same safe trajectories, in the same scenario and with the same behaviour model",
     )
     add_pictures_argument(compare, "draw no pictures beside comparison.json, which saves about half a second")
     add_output_arguments(compare)
@@ -328,33 +328,33 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_output_arguments(show)
 
-    encounters = commands.add_parser(
-        "encounters",
-        help="list encounters, show one, check a file of your own",
-        description="list: the encounters that have a name, which --scenario takes. show: what happens in some of "
+    scenarios = commands.add_parser(
+        "scenarios",
+        help="list scenarios, show one, check a file of your own",
+        description="list: the scenarios that have a name, which --scenario takes. show: what happens in some of "
         "them, with a picture each. check: the same of files of your own, after all checks that an assessment makes "
-        "before any work. campaign: the file of a campaign in which encounters are run at several test speeds. "
-        "reference: the margins of basic cars in encounters, or in those of assessments, whose cars' equivalent "
+        "before any work. campaign: the file of a campaign in which scenarios are run at several test speeds. "
+        "reference: the margins of basic cars in scenarios, or in those of assessments, whose cars' equivalent "
         "multiplier then follows.",
     )
-    encounters.add_argument("action", choices=("list", "show", "check", "campaign", "reference"), help="what to do")
-    encounters.add_argument(
+    scenarios.add_argument("action", choices=("list", "show", "check", "campaign", "reference"), help="what to do")
+    scenarios.add_argument(
         "names",
         nargs="*",
         metavar="NAME",
-        help="names or files of encounters; with reference also folders of assessments",
+        help="names or files of scenarios; with reference also folders of assessments",
     )
-    encounters.add_argument(
+    scenarios.add_argument(
         "--speeds",
         type=steps_of("km/h", 0.0, 200.0),
         metavar="FROM:TO:STEP",
         help="test speeds of the car, km/h, as 10:60:10; with campaign",
     )
-    add_reference_arguments(encounters)
+    add_reference_arguments(scenarios)
     add_output_arguments(
-        encounters,
+        scenarios,
         "PATH",
-        "folder for the pictures (default: skd_results/encounters-<time>; with list none are made), or with campaign "
+        "folder for the pictures (default: skd_results/scenarios-<time>; with list none are made), or with campaign "
         "the file to write (default: standard output)",
     )
 

@@ -28,7 +28,7 @@ def add_overview_commands(commands: Any) -> None:
     )
     _add_folders(listed)
     _add_car(listed)
-    listed.add_argument("--encounter", metavar="TEXT", help="only those whose encounter's name holds this text")
+    listed.add_argument("--scenario", metavar="TEXT", help="only those whose scenario's name holds this text")
     listed.add_argument(
         "--sort",
         choices=("date", "folder", "car", "margin", "nominal_collision_rate"),

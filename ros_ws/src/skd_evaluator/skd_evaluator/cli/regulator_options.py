@@ -1,4 +1,4 @@
-"""The options of `skd ncap` and of `skd encounters reference`; light, for every command begins with them."""
+"""The options of `skd ncap` and of `skd scenarios reference`; light, for every command begins with them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skd_evaluator.cli.arguments import (
 from skd_evaluator.extensions.ncap.colours import ROOM
 
 REFERENCE_TRIALS = 10
-ENCOUNTERS = "cpna,cpfa,cpnco"
+SCENARIOS = "cpna,cpfa,cpnco"
 TRIALS = 5
 
 
@@ -35,16 +35,16 @@ def add_regulator_command(commands: Any) -> None:
     tests = ncap.add_argument_group(CAR_GROUP)
     add_options(tests, "ncap", CAR_GROUP)
     tests.add_argument(
-        "--encounters",
-        default=ENCOUNTERS,
+        "--scenarios",
+        default=SCENARIOS,
         metavar="LIST",
-        help="encounters with impact places, names or files, with commas in between (default: %(default)s)",
+        help="scenarios with impact places, names or files, with commas in between (default: %(default)s)",
     )
     tests.add_argument(
         "--speeds",
         type=steps_of("km/h", 0.0, 200.0),
         metavar="FROM:TO:STEP",
-        help="test speeds of the car, km/h, as 10:60:10 (default: those of each encounter's matrix)",
+        help="test speeds of the car, km/h, as 10:60:10 (default: those of each scenario's matrix)",
     )
     margins = ncap.add_argument_group("margins")
     add_options(margins, "ncap", table=AssessmentOptions)
@@ -73,9 +73,9 @@ def add_regulator_command(commands: Any) -> None:
     add_output_arguments(ncap)
 
 
-def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
-    """Add the options of `skd encounters reference`."""
-    group = encounters.add_argument_group("reference")
+def add_reference_arguments(scenarios: argparse.ArgumentParser) -> None:
+    """Add the options of `skd scenarios reference`."""
+    group = scenarios.add_argument_group("reference")
     group.add_argument(
         "--multipliers",
         type=real_number(0.0, 100.0),
@@ -83,7 +83,7 @@ def add_reference_arguments(encounters: argparse.ArgumentParser) -> None:
         metavar="C",
         help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
     )
-    add_count(group, "--trials", 1, 10_000, "trials on each φ of an encounter", default=REFERENCE_TRIALS)
+    add_count(group, "--trials", 1, 10_000, "trials on each φ of a scenario", default=REFERENCE_TRIALS)
     add_options(group, "reference", table=AssessmentOptions)
     add_options(group, "reference")
     add_runner_arguments(group)

@@ -1,1 +1,1 @@
-"""Driving an encounter while one watches: nothing is rated here."""
+"""Driving a scenario while one watches: nothing is rated here."""

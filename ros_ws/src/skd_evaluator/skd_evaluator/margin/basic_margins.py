@@ -1,6 +1,6 @@
 """Margins of basic cars in the trials of the car that is rated: the equivalent multiplier follows from them.
 
-A basic car is put in the place of the car under test: the same encounter, φ, seed and numbers of trials, and so the
+A basic car is put in the place of the car under test: the same scenario, φ, seed and numbers of trials, and so the
 same draws. It is the basic car of the paper, which decides once a tick and moves as the paper says, whatever the clock
 and the dynamics of the car that is rated: all cars have the same yardstick, and its margins are exact.
 
@@ -63,7 +63,7 @@ def yardstick(plan: Plan, multiplier: float) -> Plan:
 
 
 def unknown_for(plan: Plan) -> str | None:
-    """Return, in a few words, why no basic car's margin is exact in this encounter; None if it is."""
+    """Return, in a few words, why no basic car's margin is exact in this scenario; None if it is."""
     basic = yardstick(plan, 1.0)
     if has_exact_margin(basic.car, basic.scenario):
         return None

@@ -1,4 +1,4 @@
-"""The reference sweep of an encounter: the margins of basic cars of several C, in the same trials.
+"""The reference sweep of a scenario: the margins of basic cars of several C, in the same trials.
 
 Where these are exact the equivalent multiplier needs none of it (`basic_margins.py`). Elsewhere they are searched for,
 as that of the car under test is: both are upper bounds, found by the same search. The basic cars are the paper's, which
@@ -33,7 +33,7 @@ class Asked:
     """Where basic cars are compared.
 
     Attributes:
-        name: of the encounter, or the folder of the assessment.
+        name: of the scenario, or the folder of the assessment.
         plan: of the trials; its `kamikaze_count` is how many there are on each φ.
         safe: Φ.
         result: the assessment whose car is compared with them; None: no car is.

@@ -1,4 +1,4 @@
-"""What pictures of encounters have in common: the lanes, and the car on its own."""
+"""What pictures of scenarios have in common: the lanes, and the car on its own."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id
 from skd_evaluator.metrics.behaviour.walking import walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight
 from skd_evaluator.metrics.risks import Touch
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.touching import IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
 
 NOWHERE: Final = (0.0, 0.0, 0.0)
@@ -35,15 +35,15 @@ class AnyCar:
 
     car_normals = 0
 
-    def __init__(self, encounter: Encounter, runner: EpisodeRunner | None) -> None:
+    def __init__(self, crossing_plan: CrossingPlan, runner: EpisodeRunner | None) -> None:
         """Run episodes by `runner`; without one they can only be asked for."""
-        self._encounter, self._runner = encounter, runner
+        self._crossing_plan, self._runner = crossing_plan, runner
         self.hits: list[EpisodeLog] = []
         self._specs: list[Episode] = []
         scenarios: dict[float, Scenario] = {}
-        for index, phi in enumerate(encounter.safe):
+        for index, phi in enumerate(crossing_plan.safe):
             # A kamikaze's: its car starts as in an assessment, and is not met by a way that is no φ.
-            spec = encounter.plan.episode(Mode.KAMIKAZE, index, 0, phi)
+            spec = crossing_plan.plan.episode(Mode.KAMIKAZE, index, 0, phi)
             car = replace(spec.scenario.car, meet_safe_trajectory=False, start_gap=spec.start_gap)
             scenario = scenarios.setdefault(spec.start_gap, replace(spec.scenario, car=car))
             self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, public=spec.public_scenario))
@@ -52,8 +52,8 @@ class AnyCar:
         """Return the episodes of crossings."""
         found = []
         for phi, normals, draw in zip(crossings.phi.tolist(), crossings.walker, crossings.draw.tolist(), strict=True):
-            spec, intended = self._specs[phi], self._encounter.safe[phi]
-            way = walked(intended.positions, self._encounter.values, normals, scale, intended.time_step)
+            spec, intended = self._specs[phi], self._crossing_plan.safe[phi]
+            way = walked(intended.positions, self._crossing_plan.values, normals, scale, intended.time_step)
             way = until_obstacle(spec.scenario, way)
             number = episode_id(Stage.RISK, phi, draw)
             trajectory = Trajectory(way, intended.time_step, intended.name)

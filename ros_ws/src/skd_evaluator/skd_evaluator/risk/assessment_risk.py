@@ -28,7 +28,7 @@ from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subs
 from skd_evaluator.risk.any_car import AnyCar, end_of
 from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
 from skd_evaluator.risk.batched_car import batched_car
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, Levels, Replicate, gathered, levels_of, replicate
 
@@ -70,18 +70,18 @@ def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
 
-def walkers_of(encounter: Encounter) -> Walkers:
+def walkers_of(crossing_plan: CrossingPlan) -> Walkers:
     """Return who walks the crude crossings."""
-    plan = encounter.plan
-    return Walkers(plan.scenario, [phi.positions for phi in encounter.safe], plan.seed, encounter.values)
+    plan = crossing_plan.plan
+    return Walkers(plan.scenario, [phi.positions for phi in crossing_plan.safe], plan.seed, crossing_plan.values)
 
 
-def crude_crossings(encounter: Encounter, runs: int) -> Crossings:
+def crude_crossings(crossing_plan: CrossingPlan, runs: int) -> Crossings:
     """Return the crude crossings, the same for every car and at every scale; φ take turns."""
-    phis = len(encounter.safe)
+    phis = len(crossing_plan.safe)
     phi, draw = np.arange(runs) % phis, np.arange(runs) // phis
-    walkers = walkers_of(encounter)
-    walker = np.empty((runs, encounter.walker_normals))
+    walkers = walkers_of(crossing_plan)
+    walker = np.empty((runs, crossing_plan.walker_normals))
     for row in range(runs):
         walker[row] = walkers.normals(row)
     return Crossings(phi, walker, np.empty((runs, 0)), draw)
@@ -92,9 +92,9 @@ def numbers_of(phi: IntArray, draw: IntArray) -> list[int]:
     return [episode_id(Stage.RISK, one, other) for one, other in zip(phi.tolist(), draw.tolist(), strict=True)]
 
 
-def draws_of(encounter: Encounter, crossings: Crossings) -> FloatArray:
+def draws_of(crossing_plan: CrossingPlan, crossings: Crossings) -> FloatArray:
     """Return what the basic car draws in the episodes that crossings are, uniform in [0, 1)."""
-    seed, count = encounter.plan.seed, 2 * encounter.ticks
+    seed, count = crossing_plan.plan.seed, 2 * crossing_plan.ticks
     found = np.empty((len(crossings), 1 + count))
     for row, number in enumerate(numbers_of(crossings.phi, crossings.draw)):
         found[row, 0] = generator(seed, number, Role.START).random()
@@ -106,7 +106,7 @@ def draws_of(encounter: Encounter, crossings: Crossings) -> FloatArray:
 class _Job:
     """A replicate of subset simulation of a car that is known, in whatever process."""
 
-    encounter: Encounter
+    crossing_plan: CrossingPlan
     scale: float
     number: int
     effort: Effort
@@ -114,7 +114,7 @@ class _Job:
 
 
 def _do(job: _Job) -> Replicate:
-    return replicate(job.encounter, KnownCar(job.encounter), job.scale, job.number, job.effort, job.levels)
+    return replicate(job.crossing_plan, KnownCar(job.crossing_plan), job.scale, job.number, job.effort, job.levels)
 
 
 def warm_up_risk(plan: Plan) -> None:
@@ -127,9 +127,9 @@ def warm_up_risk(plan: Plan) -> None:
     episode = next(one for one in warm_up_episodes() if one.mode == Mode.KAMIKAZE)
     assert episode.safe_trajectory is not None
     here = replace(plan, scenario=episode.scenario)
-    encounter = Encounter(here, (episode.safe_trajectory,), np.ones(12) * 0.1)
-    car, crossings = KnownCar(encounter), crude_crossings(encounter, 2)
-    car.run_drawn(crossings, draws_of(encounter, crossings), 1.0)
+    crossing_plan = CrossingPlan(here, (episode.safe_trajectory,), np.ones(12) * 0.1)
+    car, crossings = KnownCar(crossing_plan), crude_crossings(crossing_plan, 2)
+    car.run_drawn(crossings, draws_of(crossing_plan, crossings), 1.0)
 
 
 def with_risks(
@@ -158,14 +158,14 @@ def with_risks(
         why = "most episodes were aborted, and so would be those of the risk"
     if why or asked.behaviour is None:
         return replace(rating, risk_note=why)
-    encounter = Encounter(plan, rating.safe, asked.behaviour.values)
+    crossing_plan = CrossingPlan(plan, rating.safe, asked.behaviour.values)
     runs = runs_of(plan, asked, graph=external)
     by_whom: EpisodeRunner = graph if external and graph is not None else runner
     try:
         hits: dict[float, dict[int, EpisodeLog]] = {}
         confidence = rating.assessments[0].confidence
-        scales = list(_scales(encounter, asked, runs, runner, by_whom, confidence, progress, hits))
-        failures, failing = _failures(encounter, scales, hits, runner)
+        scales = list(_scales(crossing_plan, asked, runs, runner, by_whom, confidence, progress, hits))
+        failures, failing = _failures(crossing_plan, scales, hits, runner)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
@@ -176,7 +176,7 @@ def with_risks(
 
 
 def _scales(
-    encounter: Encounter,
+    crossing_plan: CrossingPlan,
     asked: RiskAsked,
     runs: int,
     runner: ExecutorRunner,
@@ -186,12 +186,12 @@ def _scales(
     hits: dict[float, dict[int, EpisodeLog]],
 ) -> Iterator[ScaleRisk]:
     """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
-    plan = encounter.plan
-    known = KnownCar(encounter) if _has_exact_margin(plan) else None
-    crossings, total = crude_crossings(encounter, runs), runs * len(SCALES)
-    draws = None if known is None else draws_of(encounter, crossings)
-    together = None if known is not None else batched_car(encounter, runner)
-    other = AnyCar(encounter, by_whom)
+    plan = crossing_plan.plan
+    known = KnownCar(crossing_plan) if _has_exact_margin(plan) else None
+    crossings, total = crude_crossings(crossing_plan, runs), runs * len(SCALES)
+    draws = None if known is None else draws_of(crossing_plan, crossings)
+    together = None if known is not None else batched_car(crossing_plan, runner)
+    other = AnyCar(crossing_plan, by_whom)
     effort = Effort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
@@ -212,28 +212,28 @@ def _scales(
         if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
             unknown = None if known is not None else together or other
             try:
-                subsets = _subsets(encounter, scale, effort, runner, unknown, progress)
+                subsets = _subsets(crossing_plan, scale, effort, runner, unknown, progress)
             except AbortedCrossingsError as error:
                 lost = error.count
-        yield ScaleRisk(scale, ends.touch, len(encounter.safe), subsets, confidence, ends.ticks, lost)
+        yield ScaleRisk(scale, ends.touch, len(crossing_plan.safe), subsets, confidence, ends.ticks, lost)
 
 
 def _failures(
-    encounter: Encounter,
+    crossing_plan: CrossingPlan,
     scales: Sequence[ScaleRisk],
     hits: Mapping[float, Mapping[int, EpisodeLog]],
     runner: EpisodeRunner,
 ) -> tuple[dict[str, Any] | None, dict[int, EpisodeLog]]:
     """Return the most likely failures and the logs of those that are kept; compiled crossings are run for these."""
-    found = failures_of(scales, walkers_of(encounter))
+    found = failures_of(scales, walkers_of(crossing_plan))
     if found is None:
         return None, {}
     rows = sorted(one.row for one in found.nearest)
     if hits:
         logs = {row: hits[found.scale][row] for row in rows}
     else:
-        chosen = crude_crossings(encounter, rows[-1] + 1).of(np.array(rows))
-        logs = dict(zip(rows, runner.run(AnyCar(encounter, runner).episodes(chosen, found.scale)), strict=True))
+        chosen = crude_crossings(crossing_plan, rows[-1] + 1).of(np.array(rows))
+        logs = dict(zip(rows, runner.run(AnyCar(crossing_plan, runner).episodes(chosen, found.scale)), strict=True))
         missed = [row for row, log in logs.items() if end_of(log)[0] != Touch.FRONT]
         if missed:
             raise AssessmentError(
@@ -244,7 +244,12 @@ def _failures(
 
 
 def _subsets(
-    encounter: Encounter, scale: float, effort: Effort, runner: ExecutorRunner, other: Runner | None, progress: Progress
+    crossing_plan: CrossingPlan,
+    scale: float,
+    effort: Effort,
+    runner: ExecutorRunner,
+    other: Runner | None,
+    progress: Progress,
 ) -> Subsets:
     """Return what subset simulation finds; `other` runs crossings of a car that is not known.
 
@@ -253,12 +258,12 @@ def _subsets(
     """
     found: list[Replicate] = []
     numbers = range(effort.replicates)
-    levels = levels_of(encounter, KnownCar(encounter) if other is None else other, scale, effort)
+    levels = levels_of(crossing_plan, KnownCar(crossing_plan) if other is None else other, scale, effort)
     if other is None:
-        jobs = [_Job(encounter, scale, one, effort, levels) for one in numbers]
+        jobs = [_Job(crossing_plan, scale, one, effort, levels) for one in numbers]
         results: Iterator[Replicate] = runner.map(_do, jobs)
     else:
-        results = (replicate(encounter, other, scale, one, effort, levels) for one in numbers)
+        results = (replicate(crossing_plan, other, scale, one, effort, levels) for one in numbers)
     for count, one in enumerate(results, start=1):
         found.append(one)
         progress(f"{LABEL}, R({scale:g})", count, effort.replicates)

@@ -13,7 +13,7 @@ from skd_evaluator.assessment.run.side_by_side import answers_batches, replayed,
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.metrics.contact_place import goes_straight, pose_at_contact
 from skd_evaluator.risk.any_car import NOWHERE, AnyCar, ended, footprint_of
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.touching import SAME
 
 BLOCK: Final = 250
@@ -24,21 +24,21 @@ BLOCK: Final = 250
 class _Job:
     """Some crossings, in whatever process."""
 
-    encounter: Encounter
+    crossing_plan: CrossingPlan
     crossings: Crossings
     scale: float
 
 
-def batched_car(encounter: Encounter, runner: ExecutorRunner) -> BatchedCar | None:
-    """Return who runs crossings side by side; None where the car's policy, or the encounter, has them one by one."""
-    car = encounter.plan.car
+def batched_car(crossing_plan: CrossingPlan, runner: ExecutorRunner) -> BatchedCar | None:
+    """Return who runs crossings side by side; None where the car's policy, or the scenario, has them one by one."""
+    car = crossing_plan.plan.car
     if car.is_own or car.is_external:
         return None
-    one = Crossings(np.array([0]), np.zeros((1, encounter.walker_normals)), np.empty((1, 0)), np.array([0]))
-    if why_not_side_by_side(AnyCar(encounter, runner).episodes(one, 1.0)[0]):
+    one = Crossings(np.array([0]), np.zeros((1, crossing_plan.walker_normals)), np.empty((1, 0)), np.array([0]))
+    if why_not_side_by_side(AnyCar(crossing_plan, runner).episodes(one, 1.0)[0]):
         return None
     (takes,) = runner.map(answers_batches, [car])
-    return BatchedCar(encounter, runner) if takes else None
+    return BatchedCar(crossing_plan, runner) if takes else None
 
 
 class BatchedCar:
@@ -46,17 +46,19 @@ class BatchedCar:
 
     car_normals = 0
 
-    def __init__(self, encounter: Encounter, runner: ExecutorRunner) -> None:
+    def __init__(self, crossing_plan: CrossingPlan, runner: ExecutorRunner) -> None:
         """Run blocks by `runner`."""
-        self._encounter, self._runner = encounter, runner
+        self._crossing_plan, self._runner = crossing_plan, runner
 
     def run(self, crossings: Crossings, scale: float) -> Ends:
         """Run crossings; those of a block that a worker has died of, one by one."""
         rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
-        jobs = [_Job(self._encounter, crossings.of(one), scale) for one in rows]
+        jobs = [_Job(self._crossing_plan, crossings.of(one), scale) for one in rows]
         parts = []
         for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
-            parts.append(AnyCar(self._encounter, self._runner).run(job.crossings, scale) if found is None else found)
+            parts.append(
+                AnyCar(self._crossing_plan, self._runner).run(job.crossings, scale) if found is None else found
+            )
         return Ends.together(parts)
 
 
@@ -66,15 +68,15 @@ def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
 
 def _crossed(job: _Job) -> Ends | None:
     try:
-        return isolated(job.encounter.plan.car.user_code, _crossed_here, job)
+        return isolated(job.crossing_plan.plan.car.user_code, _crossed_here, job)
     except LostProcessError as error:
         return _not_crossed(job, error.reason)
 
 
 def _crossed_here(job: _Job) -> Ends:
     """Run crossings side by side, and judge each."""
-    encounter = job.encounter
-    episodes = AnyCar(encounter, None).episodes(job.crossings, job.scale)
+    crossing_plan = job.crossing_plan
+    episodes = AnyCar(crossing_plan, None).episodes(job.crossings, job.scale)
 
     found = replayed(episodes)
     scenario = episodes[0].scenario

@@ -110,7 +110,7 @@ class Runner(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Encounter:
+class CrossingPlan:
     """What all crossings of a car share.
 
     Attributes:

@@ -15,12 +15,12 @@ from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import next_speed, travelled
 
 from skd_evaluator.metrics.behaviour.walking import walk
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
 
 
 class Course(NamedTuple):
-    """The encounter in numbers; lengths in m, speeds in m/s, times in s."""
+    """The scenario in numbers; lengths in m, speeds in m/s, times in s."""
 
     line: FloatArray  # of the road
     front: float
@@ -39,7 +39,7 @@ class Course(NamedTuple):
 
 
 def course_of(episode: Episode) -> Course:
-    """Return an encounter in numbers."""
+    """Return a scenario in numbers."""
     scenario = episode.scenario
     car = scenario.car
     return Course(
@@ -67,7 +67,7 @@ def cross(
     """Let the car meet somebody who walks a way.
 
     Args:
-        course: the encounter.
+        course: the scenario.
         way: places at ticks, m.
         count: how many of them.
         gap: front bumper to the crossing line before the draw, m.
@@ -142,15 +142,17 @@ def cross_many(
 class KnownCar:
     """Runs crossings in front of a basic car."""
 
-    def __init__(self, encounter: Encounter) -> None:
-        """Take the encounter apart into numbers."""
-        self.car_normals = 1 + 2 * encounter.ticks
-        episodes = [encounter.plan.episode(Mode.KAMIKAZE, index, 0, phi) for index, phi in enumerate(encounter.safe)]
+    def __init__(self, crossing_plan: CrossingPlan) -> None:
+        """Take the scenario apart into numbers."""
+        self.car_normals = 1 + 2 * crossing_plan.ticks
+        episodes = [
+            crossing_plan.plan.episode(Mode.KAMIKAZE, index, 0, phi) for index, phi in enumerate(crossing_plan.safe)
+        ]
         self._course = course_of(episodes[0])
-        self._values = encounter.values
-        self._lengths = np.array([len(phi) for phi in encounter.safe], np.int64)
-        self._paths = np.zeros((len(encounter.safe), int(self._lengths.max()), 2))
-        for index, phi in enumerate(encounter.safe):
+        self._values = crossing_plan.values
+        self._lengths = np.array([len(phi) for phi in crossing_plan.safe], np.int64)
+        self._paths = np.zeros((len(crossing_plan.safe), int(self._lengths.max()), 2))
+        for index, phi in enumerate(crossing_plan.safe):
             self._paths[index, : len(phi)] = phi.positions
         self._gaps = np.array([episode.start_gap for episode in episodes])
 

@@ -11,7 +11,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import Behaviour
 from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import walkers_of, why_no_risk
-from skd_evaluator.risk.crossings import Crossings, Encounter
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings
 
 
 def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: int, scale: float) -> Episode:
@@ -31,7 +31,7 @@ def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: i
         raise UsageError(f"--mode risk: {why}")
     runner = InProcessRunner(1)
     safe = tuple(safe_trajectories(plan, runner))
-    encounter = Encounter(plan, safe, behaviour.values)
-    normals = walkers_of(encounter).normals(safe_number + trial * len(safe))
+    crossing_plan = CrossingPlan(plan, safe, behaviour.values)
+    normals = walkers_of(crossing_plan).normals(safe_number + trial * len(safe))
     one = Crossings(np.array([safe_number]), normals[None], np.empty((1, 0)), np.array([trial]))
-    return AnyCar(encounter, runner).episodes(one, scale)[0]
+    return AnyCar(crossing_plan, runner).episodes(one, scale)[0]

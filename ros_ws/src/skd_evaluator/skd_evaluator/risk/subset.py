@@ -24,7 +24,7 @@ from skd_sim.world.episode import Role, generator
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.walking import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
-from skd_evaluator.risk.crossings import Crossings, Encounter, Ends, Runner
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
 
 REPLICATES: Final = 16
 PER_LEVEL: Final = 1000
@@ -95,14 +95,14 @@ class Replicate(NamedTuple):
     reached: bool
 
 
-def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort) -> Levels:
+def levels_of(crossing_plan: CrossingPlan, runner: Runner, scale: float, effort: Effort) -> Levels:
     """Find the levels by a simulation whose own estimate is not used.
 
     Raises:
         AbortedCrossingsError: crossings of it were aborted.
     """
-    count, rng = effort.per_level, generator(encounter.plan.seed, _FIRST, Role.RISK, round(1000 * scale))
-    now, ends = _begun(encounter, runner, scale, count, rng)
+    count, rng = effort.per_level, generator(crossing_plan.plan.seed, _FIRST, Role.RISK, round(1000 * scale))
+    now, ends = _begun(crossing_plan, runner, scale, count, rng)
     thresholds: list[float] = []
     steps: list[tuple[float, float]] = []
     step = [_STEP, _STEP]
@@ -114,7 +114,7 @@ def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort
         parts = [(now.of(order), ends.of(order))]
         for turn in range(1, SHARE):
             kind = _kind(turn)
-            crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
+            crossings, after, share = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, runner, scale, rng)
             parts.append((crossings, after))
             tries = sum(_kind(one) == kind for one in range(1, turn + 1))
             step[kind] = min(0.999, step[kind] * math.exp((share - _WANTED) / math.sqrt(tries)))
@@ -125,12 +125,12 @@ def levels_of(encounter: Encounter, runner: Runner, scale: float, effort: Effort
 
 
 def replicate(
-    encounter: Encounter, runner: Runner, scale: float, number: int, effort: Effort, levels: Levels
+    crossing_plan: CrossingPlan, runner: Runner, scale: float, number: int, effort: Effort, levels: Levels
 ) -> Replicate:
     """Run one simulation.
 
     Args:
-        encounter: what the crossings share.
+        crossing_plan: what the crossings share.
         runner: runs them.
         scale: of the behaviour.
         number: of the replicate, from which its draws follow.
@@ -140,9 +140,9 @@ def replicate(
     Raises:
         AbortedCrossingsError: crossings of it were aborted.
     """
-    count, rng = effort.per_level, generator(encounter.plan.seed, number, Role.RISK, round(1000 * scale))
-    phis, probability = len(encounter.safe), 1.0
-    now, ends = _begun(encounter, runner, scale, count, rng)
+    count, rng = effort.per_level, generator(crossing_plan.plan.seed, number, Role.RISK, round(1000 * scale))
+    phis, probability = len(crossing_plan.safe), 1.0
+    now, ends = _begun(crossing_plan, runner, scale, count, rng)
     for level, (threshold, step) in enumerate(zip(*levels, strict=True), start=1):
         inside = np.flatnonzero(ends.missed <= threshold)
         if not inside.size:
@@ -152,7 +152,7 @@ def replicate(
         parts = [(now.of(chosen), ends.of(chosen))]
         for turn in range(1, SHARE):
             kind = _kind(turn)
-            crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], encounter, runner, scale, rng)
+            crossings, after, _ = _next(*parts[-1], threshold, kind, step[kind], crossing_plan, runner, scale, rng)
             parts.append((crossings, after))
         now, ends = Crossings.together([one for one, _ in parts]), Ends.together([one for _, one in parts])
     hits = ends.touch == Touch.FRONT
@@ -161,13 +161,13 @@ def replicate(
 
 
 def _begun(
-    encounter: Encounter, runner: Runner, scale: float, count: int, rng: np.random.Generator
+    crossing_plan: CrossingPlan, runner: Runner, scale: float, count: int, rng: np.random.Generator
 ) -> tuple[Crossings, Ends]:
     """Return the crossings of the first level, which nobody has chosen, and how they ended."""
-    phis = len(encounter.safe)
+    phis = len(crossing_plan.safe)
     crossings = Crossings(
         (np.arange(count) + int(rng.integers(phis))) % phis,
-        rng.standard_normal((count, encounter.walker_normals)),
+        rng.standard_normal((count, crossing_plan.walker_normals)),
         rng.standard_normal((count, runner.car_normals)),
         _DRAWS + rng.integers(_DRAWS, size=count),
     )
@@ -197,13 +197,13 @@ def _next(
     threshold: float,
     kind: int,
     step: float,
-    encounter: Encounter,
+    crossing_plan: CrossingPlan,
     runner: Runner,
     scale: float,
     rng: np.random.Generator,
 ) -> tuple[Crossings, Ends, float]:
     """Return crossings after a move within a level, how they ended, and the share of the moves that were accepted."""
-    trial = _moved(now, _MOVED[kind], step, len(encounter.safe), rng)
+    trial = _moved(now, _MOVED[kind], step, len(crossing_plan.safe), rng)
     found = _run(runner, trial, scale)
     fine = found.missed <= threshold
     return now.where(fine, trial), ends.where(fine, found), float(fine.mean())

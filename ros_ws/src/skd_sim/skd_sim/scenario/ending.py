@@ -1,4 +1,4 @@
-"""When an encounter is over, and when the adversary comes into the car's path: regions beside and along the road.
+"""When a scenario is over, and when the adversary comes into the car's path: regions beside and along the road.
 
 A region is in road coordinates: how far to the right of the centre line, and how far along it from the crossing line.
 """

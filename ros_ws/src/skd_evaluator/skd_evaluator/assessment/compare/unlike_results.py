@@ -7,11 +7,11 @@ from typing import Any
 from skd_sim.inputs.files import one_line
 from skd_sim.options.car_under_test import WORLD
 
-from skd_evaluator.assessment.compare.encounter_difference import (
+from skd_evaluator.assessment.compare.scenario_difference import (
     FRICTION,
     differences,
-    encounter_difference,
     phi_differences,
+    scenario_difference,
 )
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.judge.planned_figures import hit_speed
@@ -55,18 +55,18 @@ def refusals(first: StoredResult, second: StoredResult) -> list[str]:
         found.append(f"{between} have different η_max, {ours['eta_max']:g} and {theirs['eta_max']:g}")
     if all("margin" in one.groups for one in (first, second)) and hit_speed(ours) != hit_speed(theirs):
         found.append(f"{between} have different hit speeds, {hit_speed(ours):g} and {hit_speed(theirs):g} m/s")
-    if differs := encounter_difference(*(_encounter(one) for one in (first, second))):
+    if differs := scenario_difference(*(_scenario(one) for one in (first, second))):
         key, here, there = differs
-        found.append(f"{between} are of different encounters: {key} is {here} and {there}")
+        found.append(f"{between} are of different scenarios: {key} is {here} and {there}")
     kinds = ours["safe"], theirs["safe"]
     if kinds[0] != kinds[1] and not shared(first, second):
         found.append(f"{between} are of different φ, from {kinds[0]} and {kinds[1]}: their metres do not compare")
     return found
 
 
-def _encounter(result: StoredResult) -> dict[str, Any]:
+def _scenario(result: StoredResult) -> dict[str, Any]:
     """Return a result's scenario with every key of today, except for those that are compared separately."""
-    scenario = result.encounter
+    scenario = result.scenario
     collision = {key: value for key, value in scenario["collision"].items() if key != "hit_speed"}
     return {**{key: value for key, value in scenario.items() if key != "eta_max"}, "collision": collision}
 
@@ -89,8 +89,8 @@ def warnings(first: StoredResult, second: StoredResult) -> list[str]:
 
 
 def different_roads(first: StoredResult, second: StoredResult) -> list[str]:
-    """Return a line that says so where roads differ in friction and a car has no tyres; see `encounter_difference`."""
-    here, there = (float(one.encounter["road"]["friction"]) for one in (first, second))
+    """Return a line that says so where roads differ in friction and a car has no tyres; see `scenario_difference`."""
+    here, there = (float(one.scenario["road"]["friction"]) for one in (first, second))
     between = f"{first.folder} and {second.folder}"
     said = f"{FRICTION} is {here:g} and {there:g}, and one of the cars has no tyres to feel it"
     return [] if here == there else [f"{between} are of different roads: {said}"]
@@ -112,11 +112,11 @@ def _why_generated(first: StoredResult, second: StoredResult) -> str:
     """Return why two sets of generated φ are not the same: they follow from seed, scenario and version of SKD."""
     if first.figures["seed"] != second.figures["seed"]:
         return "of different seeds"
-    if differ := phi_differences(first.encounter, second.encounter):
+    if differ := phi_differences(first.scenario, second.scenario):
         return "made where " + ", ".join(f"{key} is {here} and {there}" for key, here, there in differ)
     if first.figures["version"] != second.figures["version"]:
         return "made by different versions of SKD"
-    return "though of one seed and one encounter"
+    return "though of one seed and one scenario"
 
 
 def _simulator(result: StoredResult) -> str:

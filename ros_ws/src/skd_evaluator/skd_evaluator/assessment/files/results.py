@@ -69,7 +69,7 @@ class StoredResult:
         return figures_html(self.figures, not_credible(self.figures.get("warnings") or ()))
 
     @cached_property
-    def encounter(self) -> dict[str, Any]:
+    def scenario(self) -> dict[str, Any]:
         """Its scenario with every key of today, as plain data.
 
         Raises:

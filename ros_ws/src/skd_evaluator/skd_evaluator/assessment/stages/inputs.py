@@ -38,7 +38,7 @@ def inputs_of(values: Mapping[str, Any]) -> list[Path]:
     found += [_expanded(str(name)) for name in models if name not in _WORDS]
     found += map(_expanded, values.get("message_folder") or ())
     scenarios = [values.get("scenario"), *(values.get("names") or ())]
-    if isinstance(listed := values.get("encounters"), str):
+    if isinstance(listed := values.get("scenarios"), str):
         scenarios += [name.strip() for row in csv.reader([listed]) for name in row]
     found += [path for name in scenarios if name for path in _files_of_scenario(str(name))]
     if values.get("controller"):

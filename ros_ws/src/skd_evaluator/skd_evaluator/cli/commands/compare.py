@@ -15,7 +15,7 @@ from skd_sim.inputs.files import real_path
 from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, compare, ranking_figure
-from skd_evaluator.assessment.compare.encounter_difference import encounter_difference
+from skd_evaluator.assessment.compare.scenario_difference import scenario_difference
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import StoredResult, read_result
@@ -127,13 +127,13 @@ def _reference(folder: Path, first: StoredResult) -> list[RatedCar]:
     for subject in read_subjects([folder]):
         car = rated_car(subject.figures, subject.label, behind=True)
         same = first.same_safe(subject.episodes.safe) and alike(subject.figures, first.figures)
-        if car is not None and same and not encounter_difference(*map(_encounter, (subject.figures, first.figures))):
+        if car is not None and same and not scenario_difference(*map(_scenario, (subject.figures, first.figures))):
             found.append(car)
     curve = basic_cars(found)
     if not curve:
         raise UsageError(
             f"--reference {folder}: has no two basic cars with margin and risk over the φ of {first.folder}, in its "
-            f"encounter and with its behaviour model. {reference_hint(first.figures)}"
+            f"scenario and with its behaviour model. {reference_hint(first.figures)}"
         )
     return curve
 
@@ -142,14 +142,14 @@ _REFERENCE = ("0.75", "1", "1.25")
 
 
 def reference_hint(figures: Mapping[str, Any]) -> str:
-    """Return the command that makes basic cars to compare a result with: over its φ, in its encounter."""
+    """Return the command that makes basic cars to compare a result with: over its φ, in its scenario."""
     safe, count = str(figures["safe"]), len(figures["per_safe_trajectory"])
     scenario = repeat.scenario_name(figures) or repeat.SCENARIO_FILE
     behaviour = (repeat.behaviour_name(figures) or repeat.BEHAVIOUR_FILE) if figures.get("risk") else WALKERS
     if scenario != scenario_for(None, safe).name:
         return (
             f"A campaign makes them, whose file says `cars: [{{controller: basic, sweep: {{multiplier: "
-            f"[{', '.join(_REFERENCE)}]}}}}]`, `encounters: [{{scenario: {scenario}}}]` and `defaults: {{seed: "
+            f"[{', '.join(_REFERENCE)}]}}}}]`, `scenarios: [{{scenario: {scenario}}}]` and `defaults: {{seed: "
             f"{figures['seed']}, safe: {safe}, safe_count: {count}, behaviour: {behaviour}}}`"
         )
     words = [repeat.program(), "sweep", "--multipliers", *_REFERENCE, "--seed", str(figures["seed"])]
@@ -158,7 +158,7 @@ def reference_hint(figures: Mapping[str, Any]) -> str:
     return f"This makes them: {shlex.join([*words, '--out', 'skd_results/reference'])}"
 
 
-def _encounter(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _scenario(figures: Mapping[str, Any]) -> dict[str, Any]:
     return scenario_from_dict(figures["scenario"], "a result").as_dict()
 
 

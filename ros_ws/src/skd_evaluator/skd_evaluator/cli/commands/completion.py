@@ -14,14 +14,14 @@ from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS
 
 from skd_evaluator.assessment.plan.options import GENERATED, NO_BEHAVIOUR
 from skd_evaluator.cli.parser import commands_of, make_parser
-from skd_evaluator.extensions.ncap.matrices import known_encounters
+from skd_evaluator.extensions.ncap.matrices import known_scenarios
 from skd_evaluator.metrics.behaviour import WALKERS
 
 _NAMES: Final[Mapping[str, Callable[[], Iterable[str]]]] = {
     "behaviour": lambda: (WALKERS, NO_BEHAVIOUR),
     "car_model": lambda: (),
     "controller": CONTROLLERS.names,
-    "encounters": known_encounters,
+    "scenarios": known_scenarios,
     "names": SCENARIOS.names,
     "safe": lambda: (*GENERATED, REGULATORY),
     "scenario": SCENARIOS.names,

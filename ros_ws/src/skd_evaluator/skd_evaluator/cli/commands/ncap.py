@@ -38,7 +38,7 @@ _INTERRUPTED = 130
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    sources = names_in(arguments.encounters)
+    sources = names_in(arguments.scenarios)
     asked = asked_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         print_ncap(_found(arguments, asked, grids))
         print(
             f"skd ncap: interrupted; nothing was written. What is above is of {len(grids)} of {len(sources)} "
-            "encounters; the same command begins anew and gives the same",
+            "scenarios; the same command begins anew and gives the same",
             file=sys.stderr,
         )
         return _INTERRUPTED
@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def names_in(text: str) -> list[str]:
-    """Return the encounters of a list with commas in between.
+    """Return the scenarios of a list with commas in between.
 
     Raises:
         UsageError: it is empty, or one is there twice.
@@ -98,15 +98,15 @@ def names_in(text: str) -> list[str]:
     (names,) = csv.reader([text]) if text.strip() else ([],)
     found = [name.strip() for name in names]
     if not found or not all(found) or len(set(found)) < len(found):
-        raise UsageError(f"--encounters must be different names with commas in between, as cpna,cpnco; got {text!r}")
+        raise UsageError(f"--scenarios must be different names with commas in between, as cpna,cpnco; got {text!r}")
     return found
 
 
 def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
-    """Return what is asked of every encounter, after all checks that can be made before any work.
+    """Return what is asked of every scenario, after all checks that can be made before any work.
 
     Raises:
-        UsageError: there is no such encounter or car, or they do not go together.
+        UsageError: there is no such scenario or car, or they do not go together.
     """
     every = [(source, *wanted_cells(source, arguments.speeds)) for source in sources]
     source, matrix, cells = every[0]

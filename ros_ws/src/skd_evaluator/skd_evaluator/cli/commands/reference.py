@@ -1,4 +1,4 @@
-"""`skd encounters reference`: margins of basic cars in an encounter, and the equivalent multiplier of a car in it."""
+"""`skd scenarios reference`: margins of basic cars in a scenario, and the equivalent multiplier of a car in it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from skd_evaluator.report.terminal import narrow_table, print_table
 
 RESULT = "reference.json"
 _SYNTHETIC = 5
-"""φ where an encounter has no protocol."""
+"""φ where a scenario has no protocol."""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -73,11 +73,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, progress: Progress) -> Asked:
-    """Return where basic cars are compared: in the trials of an assessment, or on an encounter's own φ."""
+    """Return where basic cars are compared: in the trials of an assessment, or on a scenario's own φ."""
     if (Path(name) / ASSESSMENT).is_file():
         result = read_result(Path(name))
         for line in result.remarks:
-            print(f"skd encounters: warning: {line}", file=sys.stderr)
+            print(f"skd scenarios: warning: {line}", file=sys.stderr)
         return asked_of_result(result)
     scenario = load_scenario(name)
     regulatory = scenario.protocol is not None

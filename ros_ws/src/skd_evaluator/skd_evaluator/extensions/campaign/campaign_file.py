@@ -1,10 +1,10 @@
-"""The file of a campaign: which cars, encounters and values are crossed, each key checked where it stands.
+"""The file of a campaign: which cars, scenarios and values are crossed, each key checked where it stands.
 
     defaults: {kamikaze_count: 50}
     cars:
       - {controller: basic, sweep: {multiplier: [0.75, 1.0]}}
       - controller: cal
-    encounters:
+    scenarios:
       - scenario: crossing
     sweep:
       seed: [0, 1]
@@ -71,7 +71,7 @@ class _CampaignFile(Frozen):
 
     defaults: dict[str, Any] = field(default_factory=dict)
     cars: _Entries = ({},)
-    encounters: _Entries | None = None
+    scenarios: _Entries | None = None
     sweep: _Lists = field(default_factory=dict)
 
 
@@ -119,7 +119,7 @@ class _Part:
 
 
 def read_campaign(path: Path) -> list[Combination]:
-    """Return the cells of a campaign's file, in its order: car by car, encounter by encounter, value by value.
+    """Return the cells of a campaign's file, in its order: car by car, scenario by scenario, value by value.
 
     Raises:
         UsageError: it cannot be read, or something in it is wrong; says where.
@@ -132,12 +132,12 @@ def read_campaign(path: Path) -> list[Combination]:
     file = read_model(_CampaignFile, parse_yaml(text, str(path)), str(path))
     defaults = reader.values(file.defaults, "defaults")
     cars = reader.entries(file.cars, "cars")
-    encounters = [_Part({})] if file.encounters is None else reader.entries(file.encounters, "encounters")
+    scenarios = [_Part({})] if file.scenarios is None else reader.entries(file.scenarios, "scenarios")
     sweeps = reader.sweeps(file.sweep, "sweep")
-    reader.refuse_repeated({"cars": cars, "encounters": encounters, "sweep": sweeps})
-    if (count := len(cars) * len(encounters) * len(sweeps)) > MOST_CELLS:
+    reader.refuse_repeated({"cars": cars, "scenarios": scenarios, "sweep": sweeps})
+    if (count := len(cars) * len(scenarios) * len(sweeps)) > MOST_CELLS:
         raise UsageError(f"{path}: {count} cells; at most {MOST_CELLS} go into a campaign")
-    cells = [_cell(defaults, parts) for parts in itertools.product(cars, encounters, sweeps)]
+    cells = [_cell(defaults, parts) for parts in itertools.product(cars, scenarios, sweeps)]
     return list(_with_unique_names(cells, path))
 
 
@@ -234,8 +234,8 @@ class _Reader:
 
 
 def _cell(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part]) -> Combination:
-    car, encounter, sweep = parts
-    given = {**defaults, **car.values, **encounter.values, **sweep.values}
+    car, of_scenario, sweep = parts
+    given = {**defaults, **car.values, **of_scenario.values, **sweep.values}
     values = {name: one.unsaid for name, one in _OPTIONS.items() if name != _SCENARIO}
     values |= {key: value for key, value in given.items() if key in values}
     changes = {key.partition(".")[2]: value for key, value in given.items() if key.startswith(f"{_SCENARIO}.")}
@@ -244,11 +244,11 @@ def _cell(defaults: Mapping[str, Any], parts: tuple[_Part, _Part, _Part]) -> Com
     words = [car.name or CarUnderTest(values["controller"], values["multiplier"]).file_name]
     shown = () if car.name else _OF_CAR  # they are in the name of the car
     words += [_word(key, given[key]) for key in car.swept if key not in shown]
-    if encounter.where:
-        words.append(encounter.name or (_stem(scenario) if scenario else _stem(str(values["safe"]))))
-    words += [_word(key, given[key]) for part in (encounter, sweep) for key in part.swept if key not in shown]
+    if of_scenario.where:
+        words.append(of_scenario.name or (_stem(scenario) if scenario else _stem(str(values["safe"]))))
+    words += [_word(key, given[key]) for part in (of_scenario, sweep) for key in part.swept if key not in shown]
     name = _UNSAFE.sub("-", "_".join(words)).strip(".-_")
-    return Combination(name, values, scenario, changes, swept, car.where or encounter.where)
+    return Combination(name, values, scenario, changes, swept, car.where or of_scenario.where)
 
 
 def _word(key: str, value: Any) -> str:

@@ -1,4 +1,4 @@
-"""From encounters and a car to the regulator's view: each cell's static test, its colour, and the margin around it."""
+"""From scenarios and a car to the regulator's view: each cell's static test, its colour, and the margin around it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from skd_evaluator.metrics.margins import Margins
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of every encounter.
+    """What is asked of every scenario.
 
     Attributes:
         plan: the car, and how its kamikazes are planned, in whatever scenario.
@@ -55,7 +55,7 @@ class Asked:
 
 @dataclass
 class Seen:
-    """What a car has done in all encounters.
+    """What a car has done in all scenarios.
 
     Attributes:
         tests: its static tests.
@@ -83,7 +83,7 @@ class Seen:
 
 
 def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, seen: Seen) -> Grid:
-    """Return the cells of an encounter.
+    """Return the cells of a scenario.
 
     Args:
         source: its name, or the path of its file.
@@ -93,7 +93,7 @@ def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Pro
         seen: what happens is added to it.
 
     Raises:
-        UsageError: there is no such encounter.
+        UsageError: there is no such scenario.
         AssessmentError: the car fails in a static test.
     """
     matrix, wanted = wanted_cells(source, asked.speeds)

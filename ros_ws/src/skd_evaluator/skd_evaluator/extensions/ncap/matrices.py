@@ -49,10 +49,10 @@ class MatrixPoint:
 
 @dataclass(frozen=True)
 class Matrix:
-    """The tests of a matrix that one encounter has.
+    """The tests of a matrix that one scenario has.
 
     Attributes:
-        test: the name by which the calculator knows the matrix; two encounters may share one.
+        test: the name by which the calculator knows the matrix; two scenarios may share one.
         points: its tests.
     """
 
@@ -60,18 +60,18 @@ class Matrix:
     points: tuple[MatrixPoint, ...]
 
 
-def matrix_of(encounter: str) -> Matrix | None:
-    """Return the tests that a shipped encounter has in 2026's matrices; None where it has none."""
-    return _matrices().get(encounter)
+def matrix_of(scenario: str) -> Matrix | None:
+    """Return the tests that a shipped scenario has in 2026's matrices; None where it has none."""
+    return _matrices().get(scenario)
 
 
-def encounters_of(test: str) -> list[str]:
-    """Return the shipped encounters that make up a matrix."""
+def scenarios_of(test: str) -> list[str]:
+    """Return the shipped scenarios that make up a matrix."""
     return [name for name, one in _matrices().items() if one.test == test]
 
 
-def known_encounters() -> list[str]:
-    """Return the encounters that have tests in the matrices."""
+def known_scenarios() -> list[str]:
+    """Return the scenarios that have tests in the matrices."""
     return list(_matrices())
 
 

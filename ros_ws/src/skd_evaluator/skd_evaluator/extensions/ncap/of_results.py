@@ -51,7 +51,7 @@ class Result(Protocol):
 
 @dataclass(frozen=True)
 class View:
-    """The tests of one car in one encounter.
+    """The tests of one car in one scenario.
 
     Attributes:
         car: the car, as people read it.
@@ -71,7 +71,7 @@ class View:
 
 
 def views_of(results: Sequence[Result], room: float) -> list[View]:
-    """Return the regulator's view of results that have static tests, a grid for each car in each encounter.
+    """Return the regulator's view of results that have static tests, a grid for each car in each scenario.
 
     Results that differ in test speed and seed alone make up one grid; where two have the same cell, its trials are
     those of both.
@@ -124,7 +124,7 @@ def _view(group: Sequence[Result], room: float) -> View:
 
 
 def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
-    """Return the matrix of a result's encounter, and its cells."""
+    """Return the matrix of a result's scenario, and its cells."""
     scenario, figures = one.scenario, one.figures
     assert scenario.protocol is not None
     places = [place_of(str(row["name"])) for row in figures["per_safe_trajectory"]]
@@ -174,7 +174,7 @@ def _joined(first: Cell, second: Cell) -> Cell:
 
 
 def _wanted(scenario: Scenario, place: float) -> tuple[Matrix | None, Wanted]:
-    """Return the matrix of a result's encounter, and which of its cells an impact place at the scenario's speed is."""
+    """Return the matrix of a result's scenario, and which of its cells an impact place at the scenario's speed is."""
     assert scenario.protocol is not None
     speed, target = rounded_kmh(KMH * scenario.car.start_speed), KMH * scenario.protocol.speed
     bare = Wanted(speed, place)

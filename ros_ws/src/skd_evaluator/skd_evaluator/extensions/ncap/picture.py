@@ -1,4 +1,4 @@
-"""The regulator's view as a picture: a panel for each encounter, in the colours of 2026, each cell with its margin."""
+"""The regulator's view as a picture: a panel for each scenario, in the colours of 2026, each cell with its margin."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _draw(axes: Axes, grid: Grid, room: float) -> None:
     axes.set_yticks(range(len(layout.rows)), [row.label for row in layout.rows], fontsize=8)
     axes.set_xlabel(f"{layout.over} ({layout.columns[0].split()[-1]})", fontsize=8)
     axes.set_ylabel("test speed (km/h)", fontsize=8)
-    axes.set_title(grid.encounter, fontsize=10, parse_math=False)
+    axes.set_title(grid.scenario, fontsize=10, parse_math=False)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib import import_module  # it is slow to import, an extra, and nobody else's
 from importlib.util import find_spec
 
-from skd_evaluator.extensions.ncap.matrices import encounters_of, matrix_of
+from skd_evaluator.extensions.ncap.matrices import matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.result import Grid, Points
 
 PACKAGE = "euroncap_rating_2026"
@@ -32,8 +32,8 @@ def points_of(grids: Sequence[Grid]) -> list[Points]:
 
 
 def _points(test: str, grids: Sequence[Grid]) -> Points:
-    names = encounters_of(test)
-    cells = [cell for grid in grids if grid.encounter in names for cell in grid.cells if cell.colour]
+    names = scenarios_of(test)
+    cells = [cell for grid in grids if grid.scenario in names for cell in grid.cells if cell.colour]
     wanted = sum(len(one.points) for name in names if (one := matrix_of(name)) is not None)
     if len(cells) != wanted:
         return Points(

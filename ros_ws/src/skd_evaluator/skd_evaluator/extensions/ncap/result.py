@@ -37,8 +37,8 @@ class Cell(Frozen):
 
     Attributes:
         speed: test speed of the car, km/h.
-        target: speed of the target, km/h; None: that of the encounter.
-        place: impact place, % of the car's width; None: that of the encounter.
+        target: speed of the target, km/h; None: that of the scenario.
+        place: impact place, % of the car's width; None: that of the scenario.
         range: of the matrix in which it is, `standard` or `extended`.
         criterion: what its colour goes by.
         touched: whether the car touched the target.
@@ -92,17 +92,17 @@ class Cell(Frozen):
 
 @dataclass(frozen=True)
 class Grid(Frozen):
-    """The tests of one encounter.
+    """The tests of one scenario.
 
     Attributes:
-        encounter: its name, or the path of its file.
+        scenario: its name, or the path of its file.
         description: what happens in it.
         cells: row by row.
         test: the matrix of 2026 that it belongs to; empty: none.
         source: where the numbers of its target come from.
     """
 
-    encounter: str
+    scenario: str
     description: str
     cells: tuple[Cell, ...]
     test: str = ""
@@ -142,7 +142,7 @@ class Ncap(Frozen):
         trials: for each margin.
         margin_limit: candidates that the search may drive in each trial.
         room: margin below which a green test stands out, m.
-        grids: one for each encounter.
+        grids: one for each scenario.
         points: one for each matrix; empty where nobody computed any.
         points_why: why nobody did.
         warnings: why the car is not one that a rating is of, a line each.
@@ -198,13 +198,13 @@ def checked(found: Ncap, path: Path) -> Ncap:
     Raises:
         UsageError: one does.
     """
-    names = [grid.encounter for grid in found.grids]
+    names = [grid.scenario for grid in found.grids]
     if len(set(names)) < len(names):
-        raise UsageError(f"{path}: has an encounter twice")
+        raise UsageError(f"{path}: has a scenario twice")
     for grid in found.grids:
         known = set()
         for cell in grid.cells:
-            where = f"{path}: {grid.encounter} at {cell.speed:g} km/h"
+            where = f"{path}: {grid.scenario} at {cell.speed:g} km/h"
             if (which := (cell.speed, cell.target, cell.place)) in known:
                 raise UsageError(f"{where}: is there twice")
             known.add(which)
@@ -282,11 +282,11 @@ def table_of(found: Ncap) -> str:
     names = [one.name for one in dataclasses.fields(Cell)]
     file = io.StringIO(newline="")
     writer = csv.writer(file)
-    writer.writerow(["encounter", "test", *names])
+    writer.writerow(["scenario", "test", *names])
     for grid in found.grids:
         for cell in grid.cells:
             values = (getattr(cell, name) for name in names)
-            writer.writerow([grid.encounter, grid.test, *(_text(value) for value in values)])
+            writer.writerow([grid.scenario, grid.test, *(_text(value) for value in values)])
     return file.getvalue()
 
 

@@ -30,7 +30,7 @@ def print_ncap(found: Ncap) -> None:
     print(f"{first}. Each cell: {LEGEND}{same}; ! green with less than {found.room:g} m of room")
     for grid in found.grids:
         beside = f" ({grid.test})" if grid.test else ""
-        print(f"\n{grid.encounter}{beside}: test speed (km/h) × {layout_of(grid).over}")
+        print(f"\n{grid.scenario}{beside}: test speed (km/h) × {layout_of(grid).over}")
         print_table(grid_table(grid, found.room))
         print(headline(grid, found.room))
         for line in reasons(grid):

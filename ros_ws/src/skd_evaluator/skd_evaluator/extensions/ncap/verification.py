@@ -45,17 +45,17 @@ def with_regulator(found: Verified) -> Verified:
 
 
 def _beyond(said: Ncap, path: Path) -> list[str]:
-    """Return, a line each, in which of SKD's own encounters other trials than those without a hit count as η_max."""
+    """Return, a line each, in which of SKD's own scenarios other trials than those without a hit count as η_max."""
     lines = []
     for grid in said.grids:
-        if not is_named(grid.encounter):
+        if not is_named(grid.scenario):
             continue
-        most = load_scenario(grid.encounter).eta_max
+        most = load_scenario(grid.scenario).eta_max
         for cell in grid.cells:
             count = sum(margin >= most for margin in cell.margins)
             if count != cell.beyond or any(margin > most for margin in cell.margins):
                 lines.append(
-                    f"{path}: a cell of {grid.encounter} at {cell.speed:g} km/h says that {cell.beyond} trials have "
+                    f"{path}: a cell of {grid.scenario} at {cell.speed:g} km/h says that {cell.beyond} trials have "
                     f"no hit, and {count} of its margins are η_max, {most:g} m"
                 )
     return lines

@@ -1,4 +1,4 @@
-"""Which cells of a matrix an encounter has at which test speeds, and the scenario of each."""
+"""Which cells of a matrix a scenario has at which test speeds, and the scenario of each."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Wanted:
 
     Attributes:
         speed: test speed, km/h.
-        place: impact place, %; None: that of the encounter.
-        target: speed of the target, km/h; None: that of the encounter.
+        place: impact place, %; None: that of the scenario.
+        target: speed of the target, km/h; None: that of the scenario.
         point: what 2026's matrix has there.
         why: why it has nothing.
     """
@@ -38,16 +38,16 @@ class Wanted:
 
 
 def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | None, list[Wanted]]:
-    """Return the matrix that an encounter belongs to, and its cells at some test speeds (km/h; None: the matrix's).
+    """Return the matrix that a scenario belongs to, and its cells at some test speeds (km/h; None: the matrix's).
 
     Raises:
-        UsageError: there is no such encounter, or it has no protocol.
+        UsageError: there is no such scenario, or it has no protocol.
     """
     scenario = load_scenario(source)
     if scenario.protocol is None:
         raise UsageError(
             f"scenario {source} has no section protocol, so no regulator's test is known in it; "
-            "skd encounters list names those that have impact places"
+            "skd scenarios list names those that have impact places"
         )
     matrix = next((found for name in lineage(source) if (found := matrix_of(name)) is not None), None)
     points = () if matrix is None else matrix.points
@@ -82,7 +82,7 @@ def scenario_of(source: str, wanted: Wanted, matrix: Matrix | None) -> Scenario:
     The target's speed is the matrix's where that has several; a target of another speed than the only one is let be.
 
     Raises:
-        UsageError: there is no such encounter at this speed.
+        UsageError: there is no such scenario at this speed.
     """
     scenario = changed_scenario(source, {"car.start_speed": wanted.speed / KMH})
     assert scenario.protocol is not None

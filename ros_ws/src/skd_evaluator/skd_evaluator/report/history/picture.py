@@ -21,7 +21,7 @@ _MOST_LABELS = 24
 
 
 def save_trends(path: Path, trends: Sequence[Trend], kind: Kind) -> None:
-    """Save one picture with a panel for each car and encounter."""
+    """Save one picture with a panel for each car and scenario."""
     unit, scale = kind.unit, kind.scale
     figure = Figure(figsize=(PAGE, 0.8 + 3.0 * len(trends)), layout="constrained")
     panels = figure.subplots(len(trends), 1, squeeze=False)[:, 0]
@@ -50,7 +50,7 @@ def save_trends(path: Path, trends: Sequence[Trend], kind: Kind) -> None:
         axes.tick_params(axis="y", labelsize=TYPE)
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel(f"{trend.label} ({unit})" if unit else trend.label, fontsize=TYPE)
-        axes.set_title(f"{trend.car}, {trend.encounter}", loc="left", fontsize=10).set_parse_math(False)
+        axes.set_title(f"{trend.car}, {trend.scenario}", loc="left", fontsize=10).set_parse_math(False)
         axes.grid(axis="y", color="#dddddd", lw=0.6)
         axes.legend(frameon=False, fontsize=TYPE, loc="best")
     save_picture(figure, path)

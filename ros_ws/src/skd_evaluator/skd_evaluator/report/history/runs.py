@@ -43,7 +43,7 @@ class Run:
         return car_name(self.figures)
 
     @property
-    def encounter(self) -> str:
+    def scenario(self) -> str:
         """Name of the scenario."""
         return str(self.figures["scenario"]["name"])
 
@@ -84,7 +84,7 @@ class Run:
         return {
             "folder": str(self.folder),
             "car": self.car,
-            "encounter": self.encounter,
+            "scenario": self.scenario,
             "date": self.date,
             "revision": self.revision,
             "safe_count": len(self.figures["per_safe_trajectory"]),

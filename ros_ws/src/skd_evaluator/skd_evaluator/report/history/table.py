@@ -26,7 +26,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
     table = narrow_table(f"Assessments in {escape(str(parent))}, as they are written")
     table.add_column("folder", overflow="fold")
     table.add_column("car", overflow="fold")
-    table.add_column("encounter", overflow="fold")
+    table.add_column("scenario", overflow="fold")
     for name in ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("code of\nthe car", no_wrap=True)
@@ -35,7 +35,7 @@ def runs_table(runs: Sequence[Run]) -> Table:
         table.add_row(
             f"{escape(os.path.relpath(run.folder, parent))}{'[red]*[/]' if run.remark or run.warnings else ''}",
             escape(run.car),
-            escape(run.encounter),
+            escape(run.scenario),
             bounded_cell(run.figures, _number(run.figures["margin"])),
             _interval(run.figures["margin_ci95"], 2),
             TERMINAL.share(run.figures["nominal_collision_rate"]),
@@ -69,7 +69,7 @@ def trend_table(trend: Trend, kind: Kind) -> Table:
     together = f"{100.0 * trend.confidence:.3g} %"
     unit, scale = kind.unit, kind.scale
     parent = common_parent([step.run for step in trend.steps])
-    table = narrow_table(f"{escape(trend.car)} in {escape(trend.encounter)}: {trend.label}; in {escape(str(parent))}")
+    table = narrow_table(f"{escape(trend.car)} in {escape(trend.scenario)}: {trend.label}; in {escape(str(parent))}")
     table.add_column("date\n(UTC)")
     table.add_column("code of\nthe car", no_wrap=True)
     table.add_column(f"{trend.label}\n({unit})" if unit else trend.label, justify="right")

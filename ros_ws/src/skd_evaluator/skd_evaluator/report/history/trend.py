@@ -58,18 +58,18 @@ class Step:
 
 @dataclass(frozen=True)
 class Trend:
-    """How a car has changed in an encounter.
+    """How a car has changed in a scenario.
 
     Attributes:
         car: name of the car.
-        encounter: name of the scenario.
+        scenario: name of the scenario.
         figure: key of the figure.
         steps: the assessments, the earliest first.
         confidence: of each verdict.
     """
 
     car: str
-    encounter: str
+    scenario: str
     figure: str
     steps: tuple[Step, ...]
     confidence: float
@@ -83,7 +83,7 @@ class Trend:
         """Return the entry of trend.json."""
         return {
             "car": self.car,
-            "encounter": self.encounter,
+            "scenario": self.scenario,
             "figure": self.figure,
             "confidence": self.confidence,
             "runs": [
@@ -107,7 +107,7 @@ class Trend:
 def trends_of(
     runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Compared | None] | None = None
 ) -> list[Trend]:
-    """Return a trend for each car and encounter, in the order of their names.
+    """Return a trend for each car and scenario, in the order of their names.
 
     Args:
         runs: the assessments, in any order.
@@ -116,14 +116,14 @@ def trends_of(
     """
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in sorted(runs, key=lambda one: (one.date, str(one.folder))):
-        groups.setdefault((run.car, run.encounter), []).append(run)
+        groups.setdefault((run.car, run.scenario), []).append(run)
     found = []
-    for (car, encounter), mine in sorted(groups.items()):
+    for (car, scenario), mine in sorted(groups.items()):
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
         steps = [_step(mine[0], figure)]
         for before, run in itertools.pairwise(mine):
             steps.append(_step(run, figure, None if compare is None else compare(before, run, confidence)))
-        found.append(Trend(car, encounter, figure, tuple(steps), confidence))
+        found.append(Trend(car, scenario, figure, tuple(steps), confidence))
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from skd_evaluator import palette
 from skd_evaluator.assessment.judge.figure_table import CI95, SHARE, Figure, shown_in
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.report.html.matrix import encounters_of
+from skd_evaluator.report.html.matrix import scenarios_of
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
 from skd_evaluator.report.vulnerability import interval_band
@@ -203,7 +203,7 @@ def comparison_charts(subjects: Sequence[Subject]) -> list[Spec]:
 
 def _compared(subjects: Sequence[Subject], figure: Figure) -> list[dict[str, Any]]:
     """Return a figure of each car that has one, with its interval."""
-    several = len(encounters_of(subjects)) > 1
+    several = len(scenarios_of(subjects)) > 1
     key, scale, rows = figure.key, figure.kind.scale, []
     for one in subjects:
         value = one.figures.get(key)
@@ -229,7 +229,7 @@ def _compared(subjects: Sequence[Subject], figure: Figure) -> list[dict[str, Any
 def _comparison(subjects: Sequence[Subject], figure: Figure, rows: Sequence[Mapping[str, Any]]) -> Spec:
     title, against = figure.heading, against_multiplier(subjects)
     kinds = list(dict.fromkeys(str(one["kind"]) for one in rows))
-    legend = None if kinds == [""] else _legend("encounter" if len(encounters_of(subjects)) > 1 else "φ")
+    legend = None if kinds == [""] else _legend("scenario" if len(scenarios_of(subjects)) > 1 else "φ")
     colour = alt.Color("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SERIES[: len(kinds)]))
     shape = alt.Shape("kind:N", legend=legend).scale(domain=kinds, range=list(palette.SHAPES[: len(kinds)]))
     zero, ends = figure.kind is SHARE, ("value", "low")

@@ -1,4 +1,4 @@
-"""Cars by encounters: the matrix with which the page of a campaign begins."""
+"""Cars by scenarios: the matrix with which the page of a campaign begins."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Assessments by car and encounter.
+    """Assessments by car and scenario.
 
     Attributes:
-        encounters: names of the columns.
-        rows: name of each car, and for each encounter its assessments, which may be several or none.
+        scenarios: names of the columns.
+        rows: name of each car, and for each scenario its assessments, which may be several or none.
     """
 
-    encounters: tuple[str, ...]
+    scenarios: tuple[str, ...]
     rows: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
 
 
-def encounters_of(subjects: Sequence[Subject]) -> list[str]:
+def scenarios_of(subjects: Sequence[Subject]) -> list[str]:
     """Return the names of the scenarios, in the order in which they come."""
     return list(dict.fromkeys(one.scenario.name for one in subjects))
 
 
 def matrix_of(subjects: Sequence[Subject]) -> Matrix | None:
-    """Return the matrix; None where there are not both several cars and several encounters."""
-    cars, encounters = list(dict.fromkeys(car_name(one.figures) for one in subjects)), encounters_of(subjects)
-    if len(cars) < 2 or len(encounters) < 2:
+    """Return the matrix; None where there are not both several cars and several scenarios."""
+    cars, scenarios = list(dict.fromkeys(car_name(one.figures) for one in subjects)), scenarios_of(subjects)
+    if len(cars) < 2 or len(scenarios) < 2:
         return None
     cells: dict[tuple[str, str], list[Cell]] = {}
     for one in subjects:
         cells.setdefault((car_name(one.figures), one.scenario.name), []).append(_cell(one))
-    rows = tuple((car, tuple(tuple(cells.get((car, place), ())) for place in encounters)) for car in cars)
-    return Matrix(tuple(encounters), rows)
+    rows = tuple((car, tuple(tuple(cells.get((car, place), ())) for place in scenarios)) for car in cars)
+    return Matrix(tuple(scenarios), rows)
 
 
-def by_encounter(subjects: Sequence[Subject]) -> list[int]:
-    """Return the places of subjects, those of one encounter together."""
-    order = encounters_of(subjects)
+def by_scenario(subjects: Sequence[Subject]) -> list[int]:
+    """Return the places of subjects, those of one scenario together."""
+    order = scenarios_of(subjects)
     return sorted(range(len(subjects)), key=lambda place: (order.index(subjects[place].scenario.name), place))
 
 

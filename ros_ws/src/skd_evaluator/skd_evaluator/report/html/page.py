@@ -32,7 +32,7 @@ from skd_evaluator.report.html.charts import (
     rating_charts,
     vulnerability_charts,
 )
-from skd_evaluator.report.html.matrix import by_encounter, matrix_of
+from skd_evaluator.report.html.matrix import by_scenario, matrix_of
 from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
@@ -92,7 +92,7 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         "skd_evaluator.report.html",
         "report.html.j2",
         subjects=views,
-        listed=[views[place] for place in by_encounter(subjects)],
+        listed=[views[place] for place in by_scenario(subjects)],
         matrix=matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
         views=views_of(subjects, ROOM),

@@ -1,4 +1,4 @@
-"""`skd drive`: an encounter at the pace of the wall clock, with an adversary who is moved by keys or follows φ."""
+"""`skd drive`: a scenario at the pace of the wall clock, with an adversary who is moved by keys or follows φ."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class _Episodes:
         if self.by_keys and arguments.safe_number is not None:
             raise UsageError(f"--safe-number {arguments.safe_number}: there is no φ to follow; add --safe")
         self._plan, self._first = plan, arguments.safe_number or 0
-        # φ is found within the encounter's own horizon, whatever is shown of it.
+        # φ is found within the scenario's own horizon, whatever is shown of it.
         self._safe = [] if self.by_keys else safe_trajectories(plan, InProcessRunner(1))
         if arguments.ticks is not None:
             horizon = arguments.ticks * plan.scenario.time_step
@@ -125,7 +125,7 @@ class _Said:
 
 
 def _asked(arguments: argparse.Namespace) -> tuple[Plan, GraphOptions]:
-    """Return car, encounter and φ, and how a graph is run.
+    """Return car, scenario and φ, and how a graph is run.
 
     Raises:
         UsageError: some options do not go together.

@@ -12,7 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.assessment.compare.encounter_difference import encounter_difference, has_tyres
+from skd_evaluator.assessment.compare.scenario_difference import has_tyres, scenario_difference
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.history.runs import Run, find_runs
 from skd_evaluator.report.history.table import runs_table
@@ -57,12 +57,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _is_asked_for(one: Run, arguments: argparse.Namespace) -> bool:
-    wanted = {one.car: arguments.car, one.encounter: arguments.encounter}
+    wanted = {one.car: arguments.car, one.scenario: arguments.scenario}
     return all(part is None or part.casefold() in name.casefold() for name, part in wanted.items())
 
 
 def _namesakes(runs: Sequence[Run]) -> list[str]:
-    """Return a line for each encounter that has the name of an earlier one and differs from it."""
+    """Return a line for each scenario that has the name of an earlier one and differs from it."""
     kinds: dict[str, Run] = {}
     for run in runs:
         kinds.setdefault(json.dumps(run.figures["scenario"], sort_keys=True), run)
@@ -73,19 +73,19 @@ def _namesakes(runs: Sequence[Run]) -> list[str]:
             scenario = scenario_from_dict(run.figures["scenario"], str(run.folder)).as_dict()
         except UsageError:
             continue  # a list shows what was written; whoever reads the result refuses it
-        earlier = known.setdefault(run.encounter, [])
-        # A car without tyres is in the encounter of any friction: it makes no two of them one.
+        earlier = known.setdefault(run.scenario, [])
+        # A car without tyres is in the scenario of any friction: it makes no two of them one.
         alike = [one for one in earlier if has_tyres(one[1]) == has_tyres(scenario)]
         differ = [
             (other, difference)
             for other, its in alike or earlier
-            if (difference := encounter_difference(its, scenario)) is not None
+            if (difference := scenario_difference(its, scenario)) is not None
         ]
         is_new = len(differ) == len(alike or earlier)
         if is_new and differ:
             other, (key, there, here) = differ[0]
             said = f"{key} is {there} in {other.folder} and {here} in {run.folder}"
-            found.append(f"{run.encounter} is the name of different encounters: {said}")
+            found.append(f"{run.scenario} is the name of different scenarios: {said}")
         if is_new or not alike:
             earlier.append((run, scenario))
     return found

@@ -68,7 +68,7 @@ class Picture {
 
   car(x, y, heading, name) { return this.polygon(carCorners(this.scene.car, x, y, heading), name); }
 
-  // The others of the encounter, so many ticks after its start: those that stand, or those that move.
+  // The others of the scenario, so many ticks after its start: those that stand, or those that move.
   others(ticks, standing) {
     for (const other of this.scene.others) {
       if ((other.points.length === 1) !== standing) continue;

@@ -108,7 +108,7 @@ def walked(
     return Trajectory(np.column_stack([x, y]), phi.time_step, phi.name)
 
 
-def encounters(
+def scenarios(
     car: Car, safe: Sequence[Trajectory], runs: range, seed: int, manner: Manner = Manner.WIDE
 ) -> list[Episode]:
     """Return some runs of a car; φ take turns.
@@ -148,7 +148,7 @@ def encounters(
 
 
 def _letters(job: tuple[Car, Sequence[Trajectory], range, int, Manner]) -> str:
-    return "".join(run_of(run_episode(episode)) for episode in encounters(*job))
+    return "".join(run_of(run_episode(episode)) for episode in scenarios(*job))
 
 
 def outcomes(

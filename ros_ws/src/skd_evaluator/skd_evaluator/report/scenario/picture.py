@@ -1,4 +1,4 @@
-"""An encounter as a picture from above: who starts where, and the ways that its protocol prescribes."""
+"""A scenario as a picture from above: who starts where, and the ways that its protocol prescribes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _LONGEST, _WIDEST = 9.0, 6.0  # inches of the view
 _LEGEND = 5.6  # inches that the longest line of the legend takes
 
 
-def save_encounter(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
-    """Save the picture of an encounter as a PNG file.
+def save_scenario(path: Path, scenario: Scenario, ways: Sequence[Trajectory]) -> None:
+    """Save the picture of a scenario as a PNG file.
 
     Args:
         path: of the file.

@@ -1,4 +1,4 @@
-"""Keys of a scenario that describe the encounter, and not the car: they have to be the same where cars are compared."""
+"""Keys of a scenario that describe the scenario, and not the car: they have to be the same where cars are compared."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from typing import Any
 from skd_sim.options.car_under_test import BASIC, DYNAMICS
 
 _SAYS_NOTHING = frozenset({"name", "description", "sensor", "control_period"})
-"""Keys of a scenario that say nothing about the encounter, and on which no safe trajectory depends."""
+"""Keys of a scenario that say nothing about the scenario, and on which no safe trajectory depends."""
 _FREE = (
     _SAYS_NOTHING
     | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
     | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
 )
-"""Keys of a scenario that are the car's own, or say nothing about the encounter."""
+"""Keys of a scenario that are the car's own, or say nothing about the scenario."""
 FRICTION = "road.friction"
 
 Different = tuple[str, Any, Any]
 """A key, with its value in each of two scenarios."""
 
 
-def encounter_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Different | None:
-    """Return the first key in which two encounters differ, with its value in each; None if they are the same.
+def scenario_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Different | None:
+    """Return the first key in which two scenarios differ, with its value in each; None if they are the same.
 
-    The road's friction is of the encounter where both cars have tyres. A car without tyres has no other than 1.
+    The road's friction is of the scenario where both cars have tyres. A car without tyres has no other than 1.
 
     Args:
         one: a scenario as plain data.
-        other: the other encounter, in the same form.
+        other: the other scenario, in the same form.
     """
     tyres = all(has_tyres(scenario) for scenario in (one, other))
     return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)

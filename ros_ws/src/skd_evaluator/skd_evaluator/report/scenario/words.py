@@ -1,4 +1,4 @@
-"""What is said of an encounter: in lines, and as plain data."""
+"""What is said of a scenario: in lines, and as plain data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _KMH = 3.6
 
 
 def sources_of(scenario: Scenario) -> list[str]:
-    """Return where an encounter's safe trajectories can come from, beside files."""
+    """Return where a scenario's safe trajectories can come from, beside files."""
     walkers = [WALKERS] if scenario.adversary.kind == "pedestrian" else []
     return [SYNTHETIC, OWN, *walkers, *([REGULATORY] if scenario.protocol is not None else [])]
 
@@ -25,11 +25,11 @@ def places_of(scenario: Scenario) -> list[float]:
     return [] if scenario.protocol is None else list(scenario.protocol.impact_places)
 
 
-def encounter_data(scenario: Scenario, known: str | None) -> dict[str, Any]:
-    """Return what is said of an encounter as plain data.
+def scenario_data(scenario: Scenario, known: str | None) -> dict[str, Any]:
+    """Return what is said of a scenario as plain data.
 
     Args:
-        scenario: the encounter.
+        scenario: the scenario.
         known: why the basic car's margin is not exact in it, in a few words; None where it is.
     """
     return {
@@ -44,8 +44,8 @@ def encounter_data(scenario: Scenario, known: str | None) -> dict[str, Any]:
     }
 
 
-def encounter_lines(scenario: Scenario, known: str | None) -> list[str]:
-    """Return what is said of an encounter, line by line; arguments as of `encounter_data`."""
+def scenario_lines(scenario: Scenario, known: str | None) -> list[str]:
+    """Return what is said of a scenario, line by line; arguments as of `scenario_data`."""
     return [f"{scenario.name}: {scenario.description}", *(f"  {line}" for line in _lines(scenario, known))]
 
 

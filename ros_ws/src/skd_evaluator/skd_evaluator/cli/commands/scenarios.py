@@ -1,4 +1,4 @@
-"""`skd encounters`: those that have a name, one of them, a file of one's own; with a picture each."""
+"""`skd scenarios`: those that have a name, one of them, a file of one's own; with a picture each."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 from skd_evaluator.margin.basic_margins import unknown_for
-from skd_evaluator.report.encounter.picture import save_encounter
-from skd_evaluator.report.encounter.words import encounter_data, encounter_lines, places_of
+from skd_evaluator.report.scenario.picture import save_scenario
+from skd_evaluator.report.scenario.words import places_of, scenario_data, scenario_lines
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 _KMH = 3.6
@@ -34,14 +34,14 @@ _KMH = 3.6
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     if arguments.multipliers and arguments.action != "reference":
-        raise UsageError("--multipliers goes with skd encounters reference")
+        raise UsageError("--multipliers goes with skd scenarios reference")
     if arguments.action == "list":
         if arguments.names:
-            raise UsageError("skd encounters list takes no names; skd encounters show does")
+            raise UsageError("skd scenarios list takes no names; skd scenarios show does")
         return _list(arguments)
     if not arguments.names:
         what = "a file" if arguments.action == "check" else "a name, as cpna or cpna-75"
-        raise UsageError(f"skd encounters {arguments.action} needs {what}")
+        raise UsageError(f"skd scenarios {arguments.action} needs {what}")
     if arguments.action == "campaign":
         return _campaign(arguments)
     if arguments.action == "reference":
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         return reference.run(arguments)
     if arguments.speeds:
-        raise UsageError("--speeds goes with skd encounters campaign")
+        raise UsageError("--speeds goes with skd scenarios campaign")
     return _show(arguments, [load_scenario(name) for name in arguments.names])
 
 
@@ -58,9 +58,9 @@ def _list(arguments: argparse.Namespace) -> int:
     if arguments.out is not None:
         return _show(arguments, scenarios)
     if arguments.json:
-        print_json({"encounters": [encounter_data(one, _unknown(one)) for one in scenarios]})
+        print_json({"scenarios": [scenario_data(one, _unknown(one)) for one in scenarios]})
         return 0
-    table = narrow_table("Encounters; with an impact place after a dash, as cpna-75")
+    table = narrow_table("Scenarios; with an impact place after a dash, as cpna-75")
     for name in ("name", "adversary"):
         table.add_column(name)
     table.add_column("km/h", justify="right")
@@ -79,29 +79,29 @@ def _show(arguments: argparse.Namespace, scenarios: Sequence[Scenario]) -> int:
     known = [_unknown(one) for one in scenarios]
     names = [f"{one.name}.png" for one in scenarios]
     if len(set(names)) < len(names):
-        raise UsageError("two of these encounters have one name; give one of them at a time")
+        raise UsageError("two of these scenarios have one name; give one of them at a time")
     entries = [
-        {**encounter_data(one, why), "picture": name} for one, why, name in zip(scenarios, known, names, strict=True)
+        {**scenario_data(one, why), "picture": name} for one, why, name in zip(scenarios, known, names, strict=True)
     ]
     out = result_folder(arguments)
 
     def write(folder: Path) -> None:
         for one, drawn, name in zip(scenarios, ways, names, strict=True):
-            save_encounter(folder / name, one, drawn)
-        write_json(folder / "encounters.json", {"encounters": entries})
+            save_scenario(folder / name, one, drawn)
+        write_json(folder / "scenarios.json", {"scenarios": entries})
 
     out.write(write)
     if arguments.json:
-        print_json({"encounters": entries})
+        print_json({"scenarios": entries})
         return 0
     for one, why, name in zip(scenarios, known, names, strict=True):
-        print("\n".join(encounter_lines(one, why)))
+        print("\n".join(scenario_lines(one, why)))
         print(f"  picture: {out.path / name}")
     return 0
 
 
 def _ways(scenario: Scenario) -> list[Trajectory]:
-    """Return the ways of an encounter's protocol, after all checks that an assessment makes before any work."""
+    """Return the ways of a scenario's protocol, after all checks that an assessment makes before any work."""
     check_kind(scenario)
     if scenario.protocol is None:
         return []
@@ -115,7 +115,7 @@ def _unknown(scenario: Scenario) -> str | None:
 def _campaign(arguments: argparse.Namespace) -> int:
     """Print a campaign's file, or write it."""
     if not arguments.speeds:
-        raise UsageError("skd encounters campaign needs --speeds, as 10:60:10")
+        raise UsageError("skd scenarios campaign needs --speeds, as 10:60:10")
     for name in arguments.names:
         for speed in arguments.speeds:
             count_safe_trajectories(REGULATORY, changed_scenario(name, {"car.start_speed": speed / _KMH}))
@@ -135,7 +135,7 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
 
 def _as_named(name: str, campaign: Path | None) -> str:
-    """Return how a campaign's file names an encounter: a file by the way to it from where the campaign is."""
+    """Return how a campaign's file names a scenario: a file by the way to it from where the campaign is."""
     if campaign is None or name in SCENARIOS.own or not Path(name).is_file():
         return name
     found = os.path.relpath(Path(name).absolute(), campaign.absolute().parent)
@@ -150,7 +150,7 @@ def _campaign_lines(names: Sequence[str], speeds: Sequence[float]) -> list[str]:
         "  safe: regulatory",
         "  kamikaze_count: 20",
         "  objective: deviation",
-        "encounters:",
+        "scenarios:",
         *(f"  - scenario: {as_yaml(name)}" for name in names),
         "sweep:",
         f"  scenario.car.start_speed: [{metres}] # m/s",

@@ -1,4 +1,4 @@
-"""`skd encounters`: names, pictures, files of one's own, campaigns of test speeds; and assessing on regulatory φ."""
+"""`skd scenarios`: names, pictures, files of one's own, campaigns of test speeds; and assessing on regulatory φ."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
 def test_every_name_is_listed(skd_here):
-    done = skd_here("encounters", "list", "--json")
+    done = skd_here("scenarios", "list", "--json")
     assert done.returncode == 0, done.stderr
-    listed = {one["name"]: one for one in json.loads(done.stdout)["encounters"]}
+    listed = {one["name"]: one for one in json.loads(done.stdout)["scenarios"]}
     assert set(listed) == set(SCENARIOS.own)
     assert listed["cpna"]["impact_places"] == [0, 10, 25, 50, 75, 90, 100]
     assert all("Euro NCAP" in one["source"] for one in listed.values() if "regulatory" in one["safe"])
@@ -31,21 +31,21 @@ def test_every_name_is_listed(skd_here):
 
 
 def test_shown_ones_are_drawn(skd_here, here):
-    done = skd_here("encounters", "show", "cpnco-50", "ccftap", "cut_out", "--out", "shown")
+    done = skd_here("scenarios", "show", "cpnco-50", "ccftap", "cut_out", "--out", "shown")
     assert done.returncode == 0, done.stderr
     pictures = ["ccftap.png", "cpnco-50.png", "cut_out.png"]
-    assert names(here / "shown") == [*pictures, "encounters.json", "manifest.sha256"]
+    assert names(here / "shown") == [*pictures, "scenarios.json", "manifest.sha256"]
     assert all(imread(here / "shown" / name).shape[1] > 300 for name in pictures)
     assert "2 parked" in done.stdout
-    assert skd_here("encounters", "show", "cpna", "--out", "shown", "--overwrite").returncode == 0
+    assert skd_here("scenarios", "show", "cpna", "--out", "shown", "--overwrite").returncode == 0
 
 
 def test_a_file_of_five_lines_is_checked(skd_here, here):
     good = "name: mine\ndescription: mine\nextends: cpna-75\ncar:\n  start_speed: 5.0\n"
     (here / "mine.yaml").write_text(good)
-    done = skd_here("encounters", "check", "mine.yaml", "--out", "checked", "--json")
+    done = skd_here("scenarios", "check", "mine.yaml", "--out", "checked", "--json")
     assert done.returncode == 0, done.stderr
-    (found,) = json.loads(done.stdout)["encounters"]
+    (found,) = json.loads(done.stdout)["scenarios"]
     assert (found["car_speed"], found["impact_places"], found["picture"]) == (5.0, [75.0], "mine.png")
     for text, said in (
         ("adversary:\n  kind: unicorn\n", "unicorn"),
@@ -54,7 +54,7 @@ def test_a_file_of_five_lines_is_checked(skd_here, here):
         ("car:\n  start_sped: 3.0\n", "start_sped"),
     ):
         (here / "bad.yaml").write_text(f"name: bad\ndescription: bad\nextends: cpna-75\n{text}")
-        one_line(skd_here("encounters", "check", "bad.yaml", "--out", "bad"), 2, said)
+        one_line(skd_here("scenarios", "check", "bad.yaml", "--out", "bad"), 2, said)
         assert not (here / "bad").exists()
 
 
@@ -64,7 +64,7 @@ def test_a_file_of_five_lines_is_checked(skd_here, here):
         (("show",), "needs a name"),
         (("check",), "needs a file"),
         (("list", "cpna"), "takes no names"),
-        (("show", "cpna", "--speeds", "10:20:10"), "goes with skd encounters campaign"),
+        (("show", "cpna", "--speeds", "10:20:10"), "goes with skd scenarios campaign"),
         (("campaign", "cpna"), "needs --speeds"),
         (("campaign", "crossing", "--speeds", "10:20:10"), "has no section protocol"),
         (("show", "cpna-33"), "impact places are 0, 10, 25"),
@@ -72,18 +72,18 @@ def test_a_file_of_five_lines_is_checked(skd_here, here):
     ],
 )
 def test_what_is_not_there_is_said_in_one_line(skd_here, words, said):
-    one_line(skd_here("encounters", *words), 2, said)
+    one_line(skd_here("scenarios", *words), 2, said)
 
 
 @pytest.mark.parametrize("speeds", ["10", "10:60", "60:10:10", "10:60:0", "a:b:c", "0:60:10", "1:60:0.1", "10:inf:1"])
 def test_speeds_that_are_none_are_refused(skd_here, speeds):
-    done = skd_here("encounters", "campaign", "cpna", "--speeds", speeds)
+    done = skd_here("scenarios", "campaign", "cpna", "--speeds", speeds)
     assert done.returncode == 2
     assert "must be FROM:TO:STEP" in done.stderr
 
 
 def test_a_campaign_of_test_speeds(skd_here, here):
-    done = skd_here("encounters", "campaign", "cpna", "cbfa-50", "--speeds", "10:60:10", "--out", "grid.yaml")
+    done = skd_here("scenarios", "campaign", "cpna", "cbfa-50", "--speeds", "10:60:10", "--out", "grid.yaml")
     assert done.returncode == 0, done.stderr
     assert yaml.safe_load((here / "grid.yaml").read_text())["defaults"]["safe"] == "regulatory"
     cells = make_cells(read_campaign(here / "grid.yaml"))
@@ -94,7 +94,7 @@ def test_a_campaign_of_test_speeds(skd_here, here):
         assert cell.plan.safe_count == (7 if cell.plan.scenario.name == "cpna" else 1)
     assert {round(3.6 * cell.plan.scenario.car.start_speed) for cell in cells} == {10, 20, 30, 40, 50, 60}
     one_line(
-        skd_here("encounters", "campaign", "cpna", "--speeds", "10:20:10", "--out", "grid.yaml"), 2, "is there already"
+        skd_here("scenarios", "campaign", "cpna", "--speeds", "10:20:10", "--out", "grid.yaml"), 2, "is there already"
     )
 
 

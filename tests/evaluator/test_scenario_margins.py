@@ -1,4 +1,4 @@
-"""Where the basic car is known in an encounter, its exact margin is what the search against the car itself finds."""
+"""Where the basic car is known in a scenario, its exact margin is what the search against the car itself finds."""
 
 from __future__ import annotations
 

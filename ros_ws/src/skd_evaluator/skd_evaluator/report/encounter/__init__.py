@@ -1,1 +1,0 @@
-"""Encounters as people see them: a picture, and what is said of one."""

@@ -1,0 +1,1 @@
+"""Scenarios as people see them: a picture, and what is said of one."""
