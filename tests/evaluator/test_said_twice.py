@@ -18,11 +18,3 @@ def test_an_entry_of_json_is_there_once(text):
         parse_json(text, "here")
 
 
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_an_array_is_in_a_file_once(tmp_path):
-    """The last had counted."""
-    np.savez(tmp_path / "a.npz", margin=np.zeros(3))
-    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
-        archive.writestr("margin.npy", archive.read("margin.npy"))
-    with pytest.raises(UsageError, match=r"a\.npz: 'margin\.npy' is in it twice"):
-        read_arrays(tmp_path / "a.npz", {"margin": Column(np.float64, (-1,))})

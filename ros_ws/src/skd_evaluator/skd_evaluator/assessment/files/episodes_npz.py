@@ -8,13 +8,11 @@ from __future__ import annotations
 import itertools
 import math
 import zipfile
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -24,7 +22,8 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, until_contact
+from skd_sim.world.trajectory import Trajectory
 
 from skd_evaluator.assessment.judge.failures import Walkers, failures_of
 from skd_evaluator.assessment.judge.rating import Rating
@@ -33,6 +32,7 @@ from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.distances.deviation import deviation_pairs
 from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
+from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 
 LARGEST = 128 * 2**20
@@ -68,16 +68,12 @@ def read_arrays(
 
     Raises:
         UsageError: it is no regular file or no .npz file, is damaged (its checksums are compared), lacks an array, has
-            one of another type or shape, has one twice, or holds more than `LARGEST` bytes.
+            one of another type or shape, or holds more than `LARGEST` bytes.
     """
     with open_regular(path) as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
-                names = archive.namelist()
-                there = set(names)
-                if len(there) < len(names):
-                    twice = next(name for name, count in Counter(names).items() if count > 1)
-                    raise UsageError(f"{twice[:60]!r} is in it twice: one reader takes the first, another the last")
+                there = set(archive.namelist())
                 columns = {**columns, **{name: one for name, one in (optional or {}).items() if f"{name}.npy" in there}}
                 members = {name: archive.getinfo(f"{name}.npy") for name in columns}
                 size = sum(member.file_size for member in members.values())
@@ -95,54 +91,18 @@ def read_arrays(
 
 def _array(content: bytes, name: str, column: Column) -> Array:
     """Return the array in a member of the archive."""
-    stream = BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read_header(stream)
-    wanted_type = np.dtype(column.dtype)
-    if wanted_type == np.dtype("U"):  # texts of any length
-        wanted_type = dtype if dtype.kind == "U" and dtype.isnative else wanted_type
-    if dtype != wanted_type or not _fits(shape, column.shape):
+    found: Array = np.lib.format.read_array(BytesIO(content), allow_pickle=False)
+    lengths = [there if wanted < 0 else wanted for there, wanted in zip(found.shape, column.shape, strict=False)]
+    any_text = np.dtype(column.dtype) == np.dtype("U") and found.dtype.kind == "U"
+    if not (any_text or found.dtype == column.dtype) or found.shape != (*lengths, *column.shape[found.ndim :]):
         wanted = " × ".join("n" if length < 0 else str(length) for length in column.shape) or "a single value"
-        raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {dtype}, {shape}")
-    if math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
-        raise UsageError(f"{name} says that it has the shape {shape}, and has {len(content) - stream.tell()} bytes")
-    values = np.frombuffer(content, dtype, offset=stream.tell())
-    if dtype.kind == "U" and not _are_texts(np.frombuffer(content, np.uint32, offset=stream.tell())):
-        raise UsageError(f"{name} has a text with a number that is of no character of Unicode")
-    return values.reshape(shape, order="F" if fortran else "C")
-
-
-def _are_texts(numbers: Array) -> bool:
-    """Tell whether all are numbers of characters: Python cannot hold others, and half a character cannot be written."""
-    return bool(((numbers < 0xD800) | ((numbers > 0xDFFF) & (numbers <= 0x10FFFF))).all())
-
-
-def _fits(shape: Sequence[int], wanted: Sequence[int]) -> bool:
-    return len(shape) == len(wanted) and all(
-        length >= 0 and most in (-1, length) for length, most in zip(shape, wanted, strict=True)
-    )
+        raise UsageError(f"{name} must be {np.dtype(column.dtype)}, {wanted}; it is {found.dtype}, {found.shape}")
+    return found
 
 
 _NOWHERE = (math.nan, math.nan)
-_BELIEVED = len(BelievedCar._fields)
 
 Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
-
-
-class _Later:
-    """An array that is made when it is written: `savez` makes one after the other, and keeps none.
-
-    Of a hundred thousand episodes those with a row for each tick would be the most that an assessment ever holds.
-    """
-
-    def __init__(self, make: Callable[[], npt.NDArray[Any]]) -> None:
-        """Have `make` make it, as often as somebody asks."""
-        self._make = make
-
-    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        made = self._make()
-        return made if dtype is None else made.astype(dtype)
 
 
 def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
@@ -153,32 +113,26 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     different objectives with one id have the same draws. Arrays that begin with `margin` are of the ways of least
     deviation, which nobody has planned.
     """
-    logs: list[EpisodeLog] = []
-    rows: list[tuple[int, str]] = []  # number of φ, objective
+    rows: list[tuple[EpisodeLog, int, str]] = []  # with the number of φ and the objective
+    for index, phi in enumerate(rating.safe):
+        nowhere = np.full((len(phi), 3), np.nan)  # Φ was recorded, or made against another car
+        episode = Episode(rating.plan.scenario, Mode.SAFE, rating.plan.seed, 0)
+        rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
     for assessment in rating.assessments:
         for index, kamikaze in enumerate(assessment.kamikaze):
-            for log in kamikaze.in_order:
-                logs.append(log)
-                rows.append((index, str(assessment.plan.objective)))
-    for log, index in zip(rating.replays, _along(rating), strict=True):
-        logs.append(log)
-        rows.append((index, ""))
-    safe = _columns_of_safe(rating)
-    columns = episode_columns(logs, safe)
-    offsets = columns.pop("offsets")
-    indices, objectives = zip(*rows, strict=True) if rows else ((), ())
-    count = len(rating.safe)
+            rows += [(log, index, str(assessment.plan.objective)) for log in kamikaze.in_order]
+    rows += [(log, _index_of(rating, log), "") for log in rating.replays]
+    logs = [log for log, _, _ in rows]
+    columns = episode_columns(logs)
     if any(log.belief is not None for log in logs):
-        columns["belief"] = _Later(lambda: _beliefs(logs, offsets[len(rating.safe) :]))
+        columns["belief"] = _beliefs(logs)
     if any(log.own_contact is not None for log in logs):
-        own = [math.nan if log.own_contact is None else log.own_contact for log in logs]
-        columns["own_contact"] = np.array([*[math.nan] * count, *own])
+        columns["own_contact"] = np.array([math.nan if log.own_contact is None else log.own_contact for log in logs])
     np.savez_compressed(
         path,
         **columns,
-        offsets=offsets,
-        safe_index=np.array([*range(count), *indices], np.int32),
-        objective=np.array([*[""] * count, *objectives], "U16"),
+        safe_index=np.array([index for _, index, _ in rows], np.int32),
+        objective=np.array([objective for _, _, objective in rows], "U16"),
         safe_name=_texts([one.name for one in rating.safe]),
         **_margin_columns(rating),
         **_risk_columns(rating),
@@ -186,16 +140,12 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
     )
 
 
-def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = MappingProxyType({})) -> Columns:
-    """Return the arrays of episodes.npz that follow from logs alone, in their order, for `savez` to write.
-
-    Args:
-        logs: the episodes.
-        before: such arrays of what stands before them.
-    """
-    positions, car = before.get("positions", np.empty((0, 2))), before.get("car", np.empty((0, 3)))
-    offsets, lengths = before.get("offsets", np.zeros(1, np.int64)), [len(log.adversary) for log in logs]
-    own = {
+def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
+    """Return the arrays of episodes.npz that follow from logs alone, in their order."""
+    return {
+        "positions": np.concatenate([np.empty((0, 2)), *(log.adversary for log in logs)]),
+        "car": np.concatenate([np.empty((0, 3)), *(log.car for log in logs)]),
+        "offsets": np.cumsum([0, *(len(log.adversary) for log in logs)], dtype=np.int64),
         "mode": np.array([int(log.episode.mode) for log in logs], np.int8),
         "outcome": np.array([int(log.outcome) for log in logs], np.int8),
         "episode_id": np.array([log.episode.episode_id for log in logs], np.int64),
@@ -205,45 +155,14 @@ def episode_columns(logs: Sequence[EpisodeLog], before: Mapping[str, Any] = Mapp
         "clipped": np.array([log.clipped for log in logs], np.int64),
         "reason": _texts([log.reason for log in logs]),
     }
-    return {
-        "positions": _Later(lambda: np.concatenate([positions, *(log.adversary for log in logs)])),
-        "car": _Later(lambda: np.concatenate([car, *(log.car for log in logs)])),
-        "offsets": np.concatenate([offsets, offsets[-1] + np.cumsum(lengths, dtype=np.int64)]),
-        **{name: np.concatenate([before[name], column]) if before else column for name, column in own.items()},
-    }
 
 
-def _along(rating: Rating) -> list[int]:
-    """Return which φ each run is along, in the order of Φ; recordings need not have every run, nor every φ."""
-    places: dict[bytes, list[int]] = {}
-    for index, phi in enumerate(rating.safe):
-        places.setdefault(phi.positions.tobytes(), []).append(index)
-    numbers = [split_episode_id(log.episode.episode_id)[1] for log in rating.replays]
-    alike: dict[bytes, set[int]] = {}  # φ that are the same to the bit are told apart by their numbers
-    followed = [log.episode.safe_trajectory for log in rating.replays]
-    paths = [b"" if one is None else one.positions.tobytes() for one in followed]
-    for path, number in zip(paths, numbers, strict=True):
-        alike.setdefault(path, set()).add(number)
-    turns = {(path, number): turn for path, found in alike.items() for turn, number in enumerate(sorted(found))}
-    return [places[path][turns[path, number]] for path, number in zip(paths, numbers, strict=True)]
-
-
-def _columns_of_safe(rating: Rating) -> Columns:
-    """Return the same arrays of Φ, which were recorded, or made against another car."""
-    count, lengths = len(rating.safe), [len(one) for one in rating.safe]
-    return {
-        "positions": np.concatenate([one.positions for one in rating.safe]),
-        "car": np.full((sum(lengths), 3), np.nan),
-        "offsets": np.cumsum([0, *lengths], dtype=np.int64),
-        "mode": np.full(count, int(Mode.SAFE), np.int8),
-        "outcome": np.full(count, int(Outcome.ARRIVED), np.int8),
-        "episode_id": np.zeros(count, np.int64),
-        "impact_time": np.full(count, np.nan),
-        "impact_speed": np.full(count, np.nan),
-        "contact": np.full((count, 2), np.nan),
-        "clipped": np.zeros(count, np.int64),
-        "reason": _texts([""] * count),
-    }
+def _index_of(rating: Rating, log: EpisodeLog) -> int:
+    """Return the number of the φ that a run is along; recordings need not have every φ, so it may not be its own."""
+    phi, number = log.episode.safe_trajectory, split_episode_id(log.episode.episode_id)[1]
+    assert phi is not None
+    alike = [k for k, one in enumerate(rating.safe) if np.array_equal(one.positions, phi.positions)]
+    return number if number in alike else alike[0]
 
 
 def _settings(rating: Rating) -> Columns:
@@ -268,17 +187,14 @@ def _contact(log: EpisodeLog) -> tuple[float, float]:
     return x, y
 
 
-def _beliefs(logs: Sequence[EpisodeLog], offsets: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
-    """Return what was believed of the car at each state; nan where nothing was, or it is not known.
+def _beliefs(logs: Sequence[EpisodeLog]) -> npt.NDArray[np.float32]:
+    """Return the adversary's belief of the car at each state; nan where there was none, or it is not known.
 
-    In millimetres, which is finer than anybody looks, a file of them is half as large. Logs begin at `offsets`, of
-    which the last is the number of all states.
+    In millimetres, which is finer than anybody looks, a file of them is half as large.
     """
-    believed = np.full((int(offsets[-1]), _BELIEVED), np.nan, np.float32)
-    for log, begin in zip(logs, offsets.tolist(), strict=False):
-        if log.belief is not None:
-            believed[begin : begin + len(log.adversary)] = np.round(log.belief, 3)
-    return believed
+    nothing = (len(BelievedCar._fields),)
+    parts = [np.full((len(log.car), *nothing), np.nan) if log.belief is None else log.belief for log in logs]
+    return np.round(np.concatenate(parts), 3).astype(np.float32)
 
 
 def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
@@ -394,29 +310,9 @@ _OPTIONAL = {
     "risk_failure_impact_speed": Column(np.float64, (-1,)),
 }
 """Likewise what figures follow from, where it was asked for."""
+_ROUNDING = 1e-9  # m
 _OF_EPISODES = ("clipped", "reason", "own_contact")
 _PER_EPISODE = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed", "objective")
-
-
-@dataclass(frozen=True, eq=False)
-class StoredWay:
-    """The way of least deviation of a trial.
-
-    Attributes:
-        trial: number of the trial.
-        distance: deviation of the way, m.
-        positions: positions at ticks, n × 2, m; the last of them is at the contact.
-        duration: time until the contact, in ticks.
-        impact_speed: speed of the car at the contact, m/s.
-        gap: the least is at most so far below the distance, m; nan where it was searched for.
-    """
-
-    trial: int
-    distance: float
-    positions: FloatArray
-    duration: float
-    impact_speed: float
-    gap: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -436,9 +332,7 @@ class StoredEpisodes:
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
         hit_speed: speed of the car, m/s, from which on a collision is a hit.
-        margins: per φ the margin of each trial in the order of their numbers, m; infinite: nobody is hit within
-            η_max. None where the file holds none.
-        margin_ways: per φ the ways of least deviation, of those trials that have one.
+        margin_ways: per φ the trajectory of minimal deviation of each trial; None: nobody is hit within η_max.
         belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
@@ -458,8 +352,7 @@ class StoredEpisodes:
     impact_speed: FloatArray
     belief: tuple[FloatArray, ...] = ()
     hit_speed: float = 0.0
-    margins: tuple[FloatArray, ...] | None = None
-    margin_ways: tuple[tuple[StoredWay, ...], ...] = ()
+    margin_ways: tuple[tuple[LeastWay | None, ...], ...] = ()
     further: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -493,6 +386,13 @@ class StoredEpisodes:
         ticks = float(self.impact_time[number]) / self.time_step
         impact, adversary = float(self.impact_speed[number]), self.until_contact(number)[-1]
         return car_until_contact(scenario, self.car[number], ticks, impact, adversary)
+
+    def margins(self, eta_max: float) -> tuple[FloatArray, ...] | None:
+        """Return per φ the margin of each trial, m, η_max where nobody can be hit; None where it is not known."""
+        if not self.margin_ways:
+            return None
+        every = ([math.inf if way is None else way.distance for way in ways] for ways in self.margin_ways)
+        return tuple(np.minimum(np.array(one, np.float64), eta_max) for one in every)
 
     @cached_property
     def deviation(self) -> FloatArray:
@@ -560,7 +460,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
             ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
-    margins = _margins(arrays, phis, path)
+    margin_ways = _margin_ways(arrays, phis, path)
     stored = StoredEpisodes(
         safe=phis,
         time_step=float(arrays["time_step"]),
@@ -575,8 +475,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         impact_speed=arrays["impact_speed"][rest],
         belief=ways.get("belief", ()),
         hit_speed=float(arrays["hit_speed"]),
-        margins=margins,
-        margin_ways=() if margins is None else _margin_ways(arrays, margins),
+        margin_ways=margin_ways,
         further=_further(arrays, rest),
     )
     try:
@@ -592,69 +491,51 @@ def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, n
     return {name: one[rest] if name in _OF_EPISODES else one for name, one in found.items()}
 
 
-def _margins(
+def _margin_ways(
     arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
-) -> tuple[FloatArray, ...] | None:
-    """Return per φ the margins, each computed anew from its way; None where there are none.
+) -> tuple[tuple[LeastWay | None, ...], ...]:
+    """Return per φ the trajectory of minimal deviation of each trial, its deviation computed anew; empty without any.
 
     Raises:
-        UsageError: the arrays do not go together, or a way has another deviation than is said.
+        UsageError: the arrays do not go together, or a trajectory has another deviation than is said.
     """
-    if "margin" not in arrays:
-        return None
+    if not len(arrays.get("margin", ())):
+        return ()
     if missing := [name for name in _MARGIN if name not in arrays]:
         raise UsageError(f"{path}: it has margins and no {missing[0]}")
     said, offsets = arrays["margin"], arrays["margin_offsets"]
-    index, trial = arrays["margin_safe_index"], arrays["margin_trial"]
-    count = len(said)
-    whole = len(offsets) == count + 1 and not offsets[0] and offsets[-1] == len(arrays["margin_positions"])
-    whole = whole and not (offsets[1:] < offsets[:-1]).any()
-    of_trials = (index, trial, *(arrays[f"margin_{name}"] for name in ("duration", "impact_speed", "gap")))
-    if not (whole and all(len(one) == count for one in of_trials)):
+    index, positions = arrays["margin_safe_index"], arrays["margin_positions"]
+    of_trials = ("margin_trial", "margin_duration", "margin_impact_speed", "margin_gap", "margin_safe_index")
+    if not _cuts(offsets, len(positions), len(said)) or any(len(arrays[name]) != len(said) for name in of_trials):
         raise UsageError(f"{path}: the arrays of the margins do not go together")
-    found: list[FloatArray] = []
+    if not ((index >= 0) & (index < len(safe))).all():
+        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+    step, found = float(arrays["time_step"]), []
     for number, phi in enumerate(safe):
-        mine = np.flatnonzero(index == number)
-        if (trial[mine] != np.arange(mine.size)).any():
+        rows = np.flatnonzero(index == number)
+        if (arrays["margin_trial"][rows] != np.arange(rows.size)).any():
             raise UsageError(f"{path}: the trials of the margins are not numbered from 0")
-        values = np.full(mine.size, np.inf)
-        known = np.flatnonzero(np.isfinite(said[mine]))
-        ways = [arrays["margin_positions"][offsets[row] : offsets[row + 1]] for row in mine[known].tolist()]
+        known = rows[np.isfinite(said[rows])]
+        ways = [positions[offsets[row] : offsets[row + 1]] for row in known.tolist()]
+        durations, speeds = arrays["margin_duration"][known], arrays["margin_impact_speed"][known]
         try:
-            values[known] = deviation_pairs(phi, ways, arrays["margin_duration"][mine[known]])
+            trajectories = [Trajectory(way, step) for way in ways]
+            distances = deviation_pairs(phi, ways, durations)
         except (ValueError, IndexError) as error:
             raise UsageError(f"{path}: a way of the margins: {error}") from error
-        if (np.abs(values[known] - said[mine[known]]) > 1e-9).any():
+        if (np.abs(distances - said[known]) > _ROUNDING).any():
             raise UsageError(f"{path}: the way of a margin has another deviation than it says")
-        found.append(values)
-    if sum(map(len, found)) != count:
-        raise UsageError(f"{path}: margin_safe_index has a number of a φ that is not there")
+        columns = (distances.tolist(), trajectories, durations.tolist(), speeds.tolist())
+        by_row = dict(zip(known.tolist(), map(LeastWay, *columns, arrays["margin_gap"][known].tolist()), strict=True))
+        found.append(tuple(by_row.get(row) for row in rows.tolist()))
     return tuple(found)
 
 
-def _margin_ways(
-    arrays: dict[str, npt.NDArray[Any]], margins: Sequence[FloatArray]
-) -> tuple[tuple[StoredWay, ...], ...]:
-    """Return per φ the ways of the margins; the arrays go together."""
-    offsets = arrays["margin_offsets"].tolist()
-    found = []
-    for number, distances in enumerate(margins):
-        rows = np.flatnonzero(arrays["margin_safe_index"] == number).tolist()
-        found.append(
-            tuple(
-                StoredWay(
-                    trial,
-                    distance,
-                    arrays["margin_positions"][offsets[row] : offsets[row + 1]],
-                    float(arrays["margin_duration"][row]),
-                    float(arrays["margin_impact_speed"][row]),
-                    float(arrays["margin_gap"][row]),
-                )
-                for trial, (row, distance) in enumerate(zip(rows, distances.tolist(), strict=True))
-                if np.isfinite(distance)
-            )
-        )
-    return tuple(found)
+def _cuts(offsets: IntArray, rows: int, count: int) -> bool:
+    """Whether offsets lead from 0 to `rows` in `count` steps, none of them backwards."""
+    # Compared, not subtracted: differences of numbers near 2⁶³ begin anew at the other end.
+    ends = len(offsets) == count + 1 and offsets[0] == 0 and offsets[-1] == rows
+    return bool(ends and (offsets[1:] >= offsets[:-1]).all())
 
 
 def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
@@ -751,7 +632,6 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         impact_time=times,
         impact_speed=speeds,
         belief=(),
-        margins=None,
         margin_ways=(),
         further={},
     )

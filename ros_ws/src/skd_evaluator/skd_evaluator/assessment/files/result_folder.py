@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_text, real_path, sha256_of
@@ -112,52 +112,39 @@ class ResultFolder:
         """Let `fill` write into a temporary folder beside the target and put it in the target's place.
 
         Raises:
-            ElsewhereError: somebody put something there meanwhile, which stays; the results are in a folder beside it.
+            ElsewhereError: something was put there meanwhile, which stays; the results are in a folder beside it.
             OSError: it cannot be written; nothing has changed.
         """
         temporary = self._temporary()
-        replaced = temporary.with_name(temporary.name + ".old")
-        whole = temporary.stat()
         try:
             temporary.chmod(0o777 & ~_umask())
             fill(temporary)
             write_manifests(temporary)
-            self._exchange(temporary, replaced)
-        except BaseException as error:
-            if _is(self._target, whole):  # an interrupt came after all was done
-                note_in_place(self.path)
-            elif replaced.exists() and not self._target.exists():
-                replaced.rename(self._target)
-            self._remove(temporary, whole)
-            if isinstance(error, ElsewhereError):
-                self._remove(replaced, whole)
-            raise
-        note_in_place(self.path)
-        self._remove(temporary, whole)
-        self._remove(replaced, whole)
+            self._put_in_place(temporary)
+        finally:
+            remove(temporary)
 
-    def _remove(self, folder: Path, whole: os.stat_result) -> None:
-        """Remove what has not come into its place, or was replaced there; what is somebody else's goes nowhere."""
-        if self._is_ours(folder) or _is(folder, whole):
-            remove(folder)
-
-    def _exchange(self, temporary: Path, replaced: Path) -> None:
-        """Put what is complete in the target's place, and what is to be replaced, if anything, out of the way."""
-        if self._target.exists() and not self._is_ours(self._target):
-            self._put_beside(temporary)
-        if not self._replaces and self._target.exists():
-            _remove_left(self._target)
-        if self._replaces and self._target.exists():
+    def _put_in_place(self, temporary: Path) -> None:
+        replaced = temporary.with_name(temporary.name + ".old")
+        if self._replaces:
             self._target.rename(replaced)
-            if not self._is_ours(replaced):  # it was exchanged a moment ago
-                replaced.rename(self._target)
-                self._put_beside(temporary)
+        else:
+            _remove_left(self._target)
         try:
             temporary.rename(self._target)  # over an empty folder at most
         except OSError as error:
+            if replaced.exists():
+                replaced.rename(self._target)
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
-            self._put_beside(temporary)
+            asked, self.path = self.path, _free(self._target)
+            temporary.rename(self.path)
+            note_in_place(self.path)
+            raise ElsewhereError(
+                f"--out {asked}: something was put there meanwhile; the results are in {self.path}"
+            ) from error
+        note_in_place(self.path)
+        remove(replaced)
 
     def save(self, fill: Callable[[Path], None]) -> str | None:
         """Write, and return why it failed, in one line; none where all is well.
@@ -171,24 +158,6 @@ class ResultFolder:
         except OSError as error:
             return f"nothing was written: {error}"
         return None
-
-    def _is_ours(self, folder: Path) -> bool:
-        """Return whether this is the folder that was taken, not another that bears its name now."""
-        return _is(folder, os.fstat(self._descriptor))
-
-    def _put_beside(self, temporary: Path) -> NoReturn:
-        """Move the results to the first free name beside the target, and say so."""
-        for number in itertools.count(2):
-            other = self._target.with_name(f"{self._target.name}-{number}")
-            with suppress(FileExistsError):
-                other.mkdir()
-                break
-        temporary.rename(other)
-        asked, self.path = self.path, other
-        note_in_place(other)
-        raise ElsewhereError(
-            f"--out {asked}: somebody else has put something there meanwhile; the results are in {other}"
-        )
 
     def _temporary(self) -> Path:
         self._target.parent.mkdir(parents=True, exist_ok=True)
@@ -293,14 +262,6 @@ def _free(path: Path) -> Path:
     return next(one for one in map(path.with_name, names) if not (one.exists() or one.is_symlink()))
 
 
-def _is(folder: Path, known: os.stat_result) -> bool:
-    """Return whether a folder is there, and the one that is known, not another that bears its name now."""
-    try:
-        return os.path.samestat(folder.lstat(), known)
-    except FileNotFoundError:
-        return False
-
-
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
@@ -340,23 +301,11 @@ def write_manifests(folder: Path) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    for inside in sorted(folder.glob(f"**/{ASSESSMENT}"), reverse=True):
-        if inside.parent != folder:
-            _write(inside.parent)
-    _write(folder)
-
-
-def _write(folder: Path) -> None:
-    lines = [f"{sha256_of(folder / name)}  {name}\n" for name in _files(folder)]
-    temporary = folder / f"{PREFIX}{MANIFEST}.{os.getpid()}"
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.writelines(line for line in lines if _LINE.fullmatch(line[:-1]))
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(folder / MANIFEST)
-    finally:
-        temporary.unlink(missing_ok=True)
+    below = {inside.parent for inside in folder.glob(f"**/{ASSESSMENT}")} - {folder}
+    for one in (*sorted(below, reverse=True), folder):
+        lines = [f"{sha256_of(one / name)}  {name}" for name in _files(one)]
+        text = "".join(f"{line}\n" for line in lines if _LINE.fullmatch(line))
+        (one / MANIFEST).write_text(text, encoding="utf-8")
 
 
 def _files(folder: Path) -> list[str]:

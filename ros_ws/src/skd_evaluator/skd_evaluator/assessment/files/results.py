@@ -108,7 +108,7 @@ def read_checked(folder: Path) -> tuple[dict[str, Any], StoredEpisodes, tuple[st
         scenario_from_dict(figures["scenario"], str(folder / ASSESSMENT))
         eta_max, count = float(figures["eta_max"]), len(figures["per_safe_trajectory"])
         trials = stored.deviations_of(first_of(RANKING_OBJECTIVES, figures["objectives"]))
-        curve, margins = vulnerability_curve(trials, eta_max), _margins(stored, eta_max)
+        curve, margins = vulnerability_curve(trials, eta_max), stored.margins(eta_max)
         found = None if margins is None else mean(np.concatenate(margins))
         _check_same(folder, "margin", found, figures["margin"], eta_max)
         found = None if curve is None else curve.area_above
@@ -132,7 +132,7 @@ def read_both(folder: Path) -> tuple[StoredResult, StoredEpisodes]:
         eta_max = float(figures["eta_max"])
         objective = first_of(RANKING_OBJECTIVES, figures["objectives"])
         objective_of_skd = first_of(SKD_OBJECTIVES, figures["objectives"])
-    margins = _margins(stored, eta_max)
+    margins = stored.margins(eta_max)
     deviations = stored.deviations_of(objective)
     curve = vulnerability_curve(deviations, eta_max)
     if curve is None and margins is None:
@@ -174,13 +174,6 @@ def _at_worst(risks: Risks) -> dict[str, tuple[FloatArray, ...]]:
             hits = np.where(one.touches == Touch.ABORTED, int(Touch.FRONT), one.touches)
             found[f"risk_{one.scale:g}"] = replace(one, touches=hits).groups
     return found
-
-
-def _margins(stored: StoredEpisodes, eta_max: float) -> tuple[FloatArray, ...] | None:
-    """Return per φ what the ways of least deviation give as the margin of each trial, m; None without any."""
-    if stored.margins is None or not sum(map(len, stored.margins)):
-        return None
-    return tuple(np.minimum(one, eta_max) for one in stored.margins)
 
 
 def _check_same(folder: Path, name: str, found: float | None, stated: Any, eta_max: float) -> None:

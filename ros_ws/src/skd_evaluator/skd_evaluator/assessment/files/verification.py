@@ -29,7 +29,6 @@ from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.assessment.judge.rating import Rating, judge_all
 from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_set
 from skd_evaluator.metrics.credibility import not_credible
-from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.margins import Excess, Margins
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
 
@@ -128,19 +127,12 @@ def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Tra
 def _stored_margins(
     figures: Mapping[str, Any], stored: StoredEpisodes, scenario: Scenario, confidence: float
 ) -> Margins | None:
-    if stored.margins is None or not sum(map(len, stored.margins)):
+    if not stored.margin_ways:
         return None
-    ways: list[tuple[LeastWay | None, ...]] = []
-    for distances, known in zip(stored.margins, stored.margin_ways, strict=True):
-        found: list[LeastWay | None] = [None] * len(distances)
-        for way in known:
-            trajectory = Trajectory(way.positions, stored.time_step, "")
-            found[way.trial] = LeastWay(way.distance, trajectory, way.duration, way.impact_speed, way.gap)
-        ways.append(tuple(found))
     budget, converged = figures["margin_budget"], figures["margin_converged"]
     excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
     how = figures["margin_how"] or ""
-    return Margins(tuple(ways), scenario.eta_max, budget, bool(converged), excess, confidence, how)
+    return Margins(stored.margin_ways, scenario.eta_max, budget, bool(converged), excess, confidence, how)
 
 
 def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:

@@ -57,12 +57,15 @@ def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
     return [
         [
             {
-                "points": _rounded(way.positions),
+                "points": _rounded(way.trajectory.positions),
                 "deviation": round(way.distance, 3),
                 "impactSpeed": round(way.impact_speed, 2),
-                "trial": way.trial,
+                "trial": trial,
             }
-            for way in sorted(ways, key=lambda one: (one.distance, one.trial))[:most]
+            for trial, way in sorted(
+                ((k, one) for k, one in enumerate(ways) if one is not None),
+                key=lambda pair: (pair[1].distance, pair[0]),
+            )[:most]
         ]
         for ways in subject.episodes.margin_ways
     ]

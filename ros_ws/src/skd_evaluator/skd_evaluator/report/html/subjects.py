@@ -84,9 +84,8 @@ class Subject:
     @cached_property
     def margins(self) -> tuple[FloatArray, ...]:
         """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
-        if self.episodes.margins is None:
-            return (np.empty(0),) * len(self.episodes.safe)
-        return tuple(np.minimum(one, float(self.figures["eta_max"])) for one in self.episodes.margins)
+        found = self.episodes.margins(float(self.figures["eta_max"]))
+        return (np.empty(0),) * len(self.episodes.safe) if found is None else found
 
     @cached_property
     def failing(self) -> StoredEpisodes:
