@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
-
-import numpy as np
 import pytest
-from skd_evaluator.assessment.files.episodes_npz import Column, read_arrays
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import parse_json
 
@@ -16,5 +12,3 @@ def test_an_entry_of_json_is_there_once(text):
     """The last had counted."""
     with pytest.raises(UsageError, match=r"^here: not JSON that SKD reads: 'margin' stands twice in one object"):
         parse_json(text, "here")
-
-

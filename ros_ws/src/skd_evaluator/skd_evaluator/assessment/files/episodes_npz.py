@@ -23,7 +23,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, until_contact
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.judge.failures import Walkers, failures_of
 from skd_evaluator.assessment.judge.rating import Rating
