@@ -9,7 +9,6 @@ import pytest
 from scipy import stats
 from skd_evaluator.extensions.fusion.estimate import (
     LEAST_PAIRS,
-    Reach,
     alone,
     alone_rate,
     checked_pairs,
@@ -23,7 +22,6 @@ from skd_evaluator.extensions.fusion.estimate import (
 )
 from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure, gap_of, trend
 from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, PhysicalTrial, paired
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.errors import UsageError
 
@@ -59,14 +57,6 @@ def test_symmetric_figures_have_student_s_interval():
     below, above = alone(skewed).interval
     assert below == pytest.approx(skewed.mean() - reach)
     assert above > skewed.mean() + 1.05 * reach
-
-
-def test_a_simulator_that_is_off_by_a_constant_and_a_factor_says_the_same():
-    y, x, every = drawn(np.random.default_rng(2), 0.9, 10)
-    one = fused(y, x, every, fitted_line(y, x))
-    other = fused(y, 7.0 + 3.0 * x, 7.0 + 3.0 * every, fitted_line(y, 7.0 + 3.0 * x))
-    assert other.interval == pytest.approx(one.interval)
-    assert not fitted_line(y, -x).predicts  # where it is better in one, it is worse in the other
 
 
 @pytest.mark.parametrize(
@@ -185,15 +175,6 @@ def test_trials_of_harmless_phi_again_and_again_make_no_safer_car():
     assert often.why_alone == "there are fewer than 3 φ with a hit, or without one"
 
 
-def test_of_one_trial_on_each_phi_a_rate_is_that_of_all_trials_to_the_last_bit():
-    for hits in range(13):
-        groups = hits_of(*[(1, 1)] * hits, *[(0, 1)] * (12 - hits))
-        found = clustered_rate([(1, 1)] * hits + [(0, 1)] * (12 - hits))
-        one = alone_rate(groups)
-        assert found is not None
-        assert (one.value, one.interval, one.error) == (found.value, found.interval, found.standard_error)
-
-
 @pytest.mark.parametrize("alike", [True, False])
 def test_intervals_of_rates_hold_with_trials_unequally_often(alike: bool):
     """25 trials on some φ and one on others: where φ are alike, and where each is a yes or a no."""
@@ -227,21 +208,6 @@ def test_without_prediction_the_physical_trials_stand_alone():
     assert bad.saved == 0
     assert bad.stands.interval == good.alone.interval
     assert good.as_dict()["gap"]["by_phi"][3]["gap"] == pytest.approx(float(y[3] - x[3]))
-
-
-def test_several_trials_of_a_phi_count_as_one():
-    y, _, every = drawn(np.random.default_rng(5), 0.9, 10)
-    once = fuse(trials_of(y + 9.0), simulated_of(every + 9.0)).figures[0]
-    thrice = fuse([one for one in trials_of(y + 9.0) for _ in range(3)], simulated_of(every + 9.0)).figures[0]
-    assert thrice.stands.interval == pytest.approx(once.stands.interval)
-    assert any("count as one" in note for note in thrice.notes)
-
-
-def test_looks_are_paid_for():
-    y, _, every = drawn(np.random.default_rng(6), 0.9, 12)
-    widths = [fuse(trials_of(y + 9.0), simulated_of(every + 9.0), looks=looks).figures[0] for looks in (1, 5)]
-    assert widths[1].confidence == nominal_confidence(5) > 0.98
-    assert widths[1].stands.width > 1.1 * widths[0].stands.width
 
 
 def test_intervals_at_all_looks_hold_together():
@@ -320,14 +286,6 @@ def test_of_trials_on_alike_phi_nothing_is_said():
         for index in chosen
     ]
     assert fuse(spread, simulated_of(every)).figures[0].predicts
-
-
-def test_normal_figures_reach_as_far_as_student_s():
-    every = 3.0 - 2.0 * stats.norm.ppf((np.arange(2000) + 0.5) / 2000)
-    for by_line in (False, True):
-        reach = rehearsed(every, 10, 0.95, by_line=by_line, mirrored=False, least=0.0)
-        assert reach == Reach(1.0, 1.0)
-    assert rehearsed(np.full(50, 0.7), 10, 0.95, by_line=False, mirrored=False, least=0.0) == Reach()
 
 
 def test_the_reach_is_that_of_the_studentised_mean_of_such_figures():

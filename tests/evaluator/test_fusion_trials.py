@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from common import run_skd
 from skd_evaluator.extensions.fusion.recording import read_tracks
-from skd_evaluator.extensions.fusion.track import Frame, Track
+from skd_evaluator.extensions.fusion.track import Frame
 from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_evaluator.extensions.fusion.trial_sources import Recorder, overruled, read_simulated, read_trials, table_in
 from skd_sim.errors import UsageError
@@ -83,13 +83,6 @@ def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock
     apart = np.hypot(ahead, np.maximum(0.0, np.abs(x) - SCENARIO.car.half_width)) - SCENARIO.adversary.reach
     assert plain.values["clearance"] == pytest.approx(apart.min(), abs=0.03)
     assert plain.values["hit"] == 0.0
-
-
-def test_a_car_that_does_not_brake_hits(tmp_path: Path):
-    trial = recorder().measured(tracked(tmp_path / "a.csv", gap=SPEED * 3.5 / WALKED), PhysicalTrial("walk"))
-    assert trial.values == {"clearance": 0.0, "required_deceleration": 9.81, "hit": 1.0}
-    late = recorder(reference=2.0).measured(tracked(tmp_path / "b.csv", gap=10.0), PhysicalTrial("walk"))
-    assert late.gap == pytest.approx(12.0, abs=0.03)  # the tracked point is ahead of the reference point
 
 
 @pytest.mark.parametrize(
@@ -210,12 +203,6 @@ def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
     path.write_text(rows, encoding="utf-8")
     with pytest.raises(UsageError, match=says):
         read_tracks(path, None, None)
-
-
-def test_times_that_do_not_increase_are_refused():
-    places = np.zeros((6, 2))
-    with pytest.raises(UsageError, match="must increase"):
-        Track(np.array([0.0, 1.0, 1.0, 2.0, 3.0, 4.0]), places, None, None, "a").checked()
 
 
 @pytest.mark.parametrize(

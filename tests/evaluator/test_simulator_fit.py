@@ -16,7 +16,6 @@ from scipy import special, stats
 from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
 from skd_evaluator.cli.commands.models.simulator import warnings_of
 from skd_evaluator.extensions.fusion.calibration import (
-    PARAMETERS,
     Drive,
     Recorded,
     ShownRecording,
@@ -229,11 +228,3 @@ def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
     ]
     doubted = draw(warnings=[f"{NOT_CREDIBLE}it counts", "the car was clipped"])
     assert draw_warnings([doubted, doubted], 0.05) == [f"{NOT_CREDIBLE}it counts"]
-
-
-def test_every_parameter_is_a_key_of_a_scenario():
-    world = calibrated(
-        load_scenario("crossing"), {"delay": 0.4, "friction": 0.5, "deceleration": 6.0, "sensor_range": 9.0}
-    )
-    assert [one.of(world) for one in PARAMETERS.values()] == [0.4, 6.0, 0.5, 9.0]
-    assert world.car.dynamics == "multi_body"

@@ -63,14 +63,6 @@ def test_distances_and_handedness_stay(placement: Placement, x: float, y: float)
     assert placement.point_to_map(x, y) == pytest.approx((expected.real, expected.imag), abs=1e-9)
 
 
-def test_a_road_that_runs_east() -> None:
-    """The crossing's y axis, along which the car drives, points East if its x axis points South."""
-    placement = Placement(100.0, 50.0, -math.pi / 2)
-    car = placement.car_to_map(CarState(0.0, -15.0, math.pi / 2, 8.0))
-    assert car == pytest.approx((85.0, 50.0, 0.0, 8.0), abs=1e-12)
-    assert placement.point_to_map(2.0, 0.0) == pytest.approx((100.0, 48.0))
-
-
 @pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.7, 3.1])
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.05, -0.1)])
 def test_yaw_of_a_leaning_car(yaw: float, roll: float, pitch: float) -> None:

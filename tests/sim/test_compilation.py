@@ -133,29 +133,6 @@ def test_a_change_anywhere_below_a_kernel_counts(compiled, file, old, new, expec
     assert answer(compiled) == pytest.approx(expected)
 
 
-def test_a_change_that_is_taken_back_finds_what_was_kept(compiled):
-    text, before = (compiled / "numbers_of_mine.py").read_text(), kept(compiled)
-    (compiled / "numbers_of_mine.py").write_text(text.replace("9.81", "3.0"))
-    assert answer(compiled) == pytest.approx(112.0)
-    both = kept(compiled)
-    assert both > before
-    (compiled / "numbers_of_mine.py").write_text(text)
-    assert answer(compiled) == pytest.approx(139.24)
-    assert kept(compiled) == both
-
-
-def test_parameters_of_the_program_itself_are_the_same_in_code_that_was_kept_and_in_new_code(compiled):
-    """A second run reads `step` back, and compiles another kernel around it for the program's own parameters."""
-    before = kept(compiled)
-    text = (compiled / "model.py").read_text()
-    (compiled / "model.py").write_text(
-        text.replace("return _step(parameters, seconds)", "return 2.0 * _step(parameters, seconds)")
-    )
-    assert answer(compiled) == pytest.approx(2.0 * 139.24)
-    # The step was not compiled again.
-    assert [name for name in kept(compiled) - before if "_search_template" not in name] == []
-
-
 def test_damaged_file_is_compiled_anew(compiled):
     for path in (compiled / "cache" / "kernels").iterdir():
         content = bytearray(path.read_bytes())
@@ -249,23 +226,7 @@ def test_what_cannot_be_told_apart_is_not_kept():
         assert digest_of(reading(value)) is None
 
 
-def test_functions_that_call_each_other_have_an_end():
-    namespace: dict[str, Any] = {"__name__": "somewhere"}
-    exec("def odd(n):\n    return even(n - 1)\ndef even(n):\n    return odd(n - 1)\n", namespace)
-    assert digest_of(namespace["odd"]) != digest_of(namespace["even"])
-
-
 # --- the folder
-
-
-def test_without_a_home_a_temporary_folder_is_used(mine):
-    (mine / "tmp").mkdir()
-    done = run(mine, SKD_CACHE_DIR="", XDG_CACHE_HOME="", HOME="/dev/null", TMPDIR=str(mine / "tmp"))
-    assert float(done.stdout) == pytest.approx(139.24)
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("skd: warning:")
-    assert "SKD_CACHE_DIR" in line
-    assert not any((mine / "tmp").iterdir())  # it is gone
 
 
 def test_a_cache_that_cannot_be_written_costs_time_only(mine):

@@ -51,13 +51,6 @@ def test_basic_controller_measures_from_the_front_bumper_along_the_lane(multipli
         assert controller.command(car, AdversaryState(x, SCENARIO.car.front + distance, 0.0, 0.0)) == expected
 
 
-def test_zero_multiplier_never_brakes_ahead() -> None:
-    controller = make_controller("basic", 0.0)
-    controller.reset(SCENARIO, RNG)
-    car = CarState(0.0, 0.0, HEADING_NORTH, 5.0)
-    assert controller.command(car, AdversaryState(0.0, SCENARIO.car.front + 1e-3, 0.0, 0.0)) == 0.0
-
-
 @pytest.mark.parametrize("multiplier", [-0.1, math.nan, math.inf, -math.inf])
 def test_bad_multiplier(multiplier: float) -> None:
     with pytest.raises(UsageError, match="multiplier must be a finite number ≥ 0, got"):

@@ -154,12 +154,6 @@ def test_energy_never_rises_without_throttle(
             energy = after
 
 
-def test_rolls_on_in_neutral() -> None:
-    path, _ = drive(scenario(), START, [0.0] * 10)
-    np.testing.assert_allclose(path[:, 3], START, rtol=1e-12)
-    assert path[-1, 1] == pytest.approx(10 * TICK * START)
-
-
 @pytest.mark.parametrize("deceleration", [1.0, 3.5, 6.0])
 def test_load_transfer(deceleration: float) -> None:
     """Front axle gains m·a·h/L, rear axle loses as much.
@@ -242,21 +236,6 @@ def test_brake_waits_and_then_ramps(delay: float, rate: float, step: float) -> N
     np.testing.assert_allclose(released, np.clip(6.0 - (times - delay) * rate, 0.0, 6.0), atol=rate * step + 1e-9)
 
 
-def test_brake_keeps_what_was_commanded_across_ticks() -> None:
-    """A brake pulse shorter than the delay comes out whole, later."""
-    brake = new_brake(0.1, 0.01)
-    demand = [5.0] * 3 + [0.0] * 30
-    applied = [apply_brake(brake, value, 1e6, 0.01) for value in demand]
-    assert applied == [0.0] * 10 + [2.5, 5.0, 5.0, 2.5] + [0.0] * 19
-
-
-def test_car_does_not_slow_down_within_the_delay() -> None:
-    path, _ = drive(scenario(brake_delay=0.1), START, [FULL])
-    times = np.linspace(0.0, TICK, len(path))
-    np.testing.assert_allclose(path[times <= 0.1 + 1e-9, 3], START, rtol=1e-12)
-    assert path[times > 0.115, 3].max() < START
-
-
 def test_engine_follows_the_command_up_to_its_power() -> None:
     path, _ = drive(scenario(), 5.0, [2.0] * 4)
     assert path[-1, 3] == pytest.approx(5.0 + 2.0 * 4 * TICK, rel=0.02)
@@ -289,14 +268,6 @@ def test_a_tick_in_parts_is_the_same_tick() -> None:
     whole, _ = drive(scenario(), START, [FULL] * 3)
     parts, _ = drive(scenario(), START, [FULL] * 18, duration=TICK / 6)
     assert np.array_equal(whole, parts)
-
-
-def test_a_duration_between_the_parts_is_refused() -> None:
-    car = MultiBodyCar(scenario())
-    car.reset(CarState(0.0, 0.0, 0.0, START))
-    for duration in (0.0, 0.005, 0.013):
-        with pytest.raises(ValueError, match=r"must be a multiple of 0\.01 s"):
-            car.advance(0.0, duration, car.draw(np.random.default_rng(0)))
 
 
 def test_noise_comes_from_the_generator_only() -> None:

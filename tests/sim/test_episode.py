@@ -51,18 +51,6 @@ def test_start_and_gap() -> None:
     assert _episode(Mode.SAFE, MEETING).start_gap == MEETING.car.start_gap
 
 
-@pytest.mark.parametrize("mode", [Mode.KAMIKAZE, Mode.REPLAY])
-def test_modes_that_need_a_safe_trajectory(mode: Mode) -> None:
-    with pytest.raises(ValueError, match=f"{mode.name} needs a safe trajectory"):
-        _episode(mode)
-
-
-@pytest.mark.parametrize(("seed", "episode_id"), [(-1, 0), (0, -1)])
-def test_negative_seed_or_id(seed: int, episode_id: int) -> None:
-    with pytest.raises(ValueError, match="negative"):
-        Episode(CROSSING, Mode.SAFE, seed, episode_id)
-
-
 PHI = _along(-3.0, -1.0, 1.0, 3.0)
 LAST = CROSSING.ticks
 
@@ -89,15 +77,6 @@ LAST = CROSSING.ticks
 def test_outcomes(mode: Mode, tick: int, x: float, collided: bool, expected: Outcome) -> None:
     episode = _episode(mode, CROSSING, None if mode == Mode.SAFE else PHI)
     assert episode.outcome(tick, AdversaryState(x, 0.0, 0.0, 0.0), collided=collided) == expected
-
-
-def test_log_gives_the_walk() -> None:
-    walk = np.array([[-3.5, 0.0], [-2.75, 0.0]])
-    log = EpisodeLog(_episode(Mode.SAFE), Outcome.TIMEOUT, walk, np.zeros((2, 3)))
-    np.testing.assert_array_equal(log.trajectory.positions, walk)
-    assert log.trajectory.time_step == CROSSING.time_step
-    assert np.isnan(log.impact_time)
-    assert np.isnan(log.impact_speed)
 
 
 def test_the_adversary_is_at_the_end_where_the_two_touch() -> None:

@@ -95,15 +95,6 @@ def test_same_end_as_in_the_world(episode_id: int, period: float | None) -> None
         assert seen.impact(0.3) == pytest.approx(there.impact(0.3), abs=1e-9)
 
 
-def test_both_ends_occur() -> None:
-    """What the comparison above rests on."""
-    ends = {
-        _run(FramedSimulator(Uniform()), Episode(_scenario(gap), Mode.SAFE, 7, 0), (2.5, 0.0)).outcome
-        for gap in (9.0, 30.0)
-    }
-    assert ends == {Outcome.COLLISION, Outcome.ARRIVED}
-
-
 @pytest.mark.parametrize("name", ["cyclist", "bystanders", "cut_in"])
 def test_boxes_and_others_end_as_in_the_world(name: str) -> None:
     """Of many ways, some that touch the adversary, some that touch one of the others, and some that touch nobody."""

@@ -19,9 +19,7 @@ from skd_sim.controllers.cal import (
     HazardNetwork,
     Perception,
     associate,
-    load_network,
     on_collision_course,
-    save_network,
     segment,
     shipped_network,
 )
@@ -29,7 +27,7 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, load_scenario
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
-from train_hazard_network import digest, fit, generate_scenes, probabilities_of, train
+from train_hazard_network import digest, generate_scenes, probabilities_of
 
 CROSSING = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training
@@ -124,14 +122,6 @@ def test_what_is_new_or_wide_is_taken_to_stand():
     assert np.isnan(velocities[:, 2]).tolist() == [False, True, True]
 
 
-def test_the_velocity_of_the_step_before_is_kept():
-    before, now = np.array([[0.0, 0.0, 0.5]]), np.array([[0.3, 0.6, 0.5]])
-    velocities = associate(now, before, np.array([[-1.0, 0.5, 7.0, 7.0]]), 0.3)
-    np.testing.assert_allclose(velocities, [[1.0, 2.0, -1.0, 0.5]])
-    new = associate(now, before, np.array([[0.0, 0.0, math.nan, 0.0]]), 0.3)
-    np.testing.assert_allclose(new, [[1.0, 2.0, 1.0, 2.0]])
-
-
 def test_who_has_just_come_into_view_may_run_towards_the_path():
     """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
@@ -171,31 +161,6 @@ def test_a_row_has_the_same_bits_alone_and_in_company():
     alone = np.concatenate([network.probability(rows[i : i + 1]) for i in range(len(rows))])
     assert together.tobytes() == alone.tobytes()
     assert len(network.probability(np.empty((0, 3)))) == 0
-
-
-def test_weights_on_disk(tmp_path):
-    save_network(random_network(), tmp_path / "weights.npz")
-    again = load_network(tmp_path / "weights.npz")
-    assert digest(again) == digest(random_network())
-    save_network(again, tmp_path / "again.npz")
-    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "weights.npz").read_bytes()
-
-
-def test_training_finds_the_probability_of_noisy_labels():
-    """Two inputs; P(1) is 0.9 where they have the same sign and 0.2 elsewhere: no linear rule gives that."""
-    rng = np.random.default_rng(1)
-    rows = rng.uniform(-1.0, 1.0, (20_000, 2))
-    truth = np.where(rows[:, 0] * rows[:, 1] > 0.0, 0.9, 0.2)
-    labels = (rng.random(len(rows)) < truth).astype(float)
-    network = train(rows, labels, 16, 8, np.random.default_rng(2))
-    grid = np.array([(x, y) for x in (-0.6, -0.3, 0.3, 0.6) for y in (-0.6, -0.3, 0.3, 0.6)])
-    expected = np.where(grid[:, 0] * grid[:, 1] > 0.0, 0.9, 0.2)
-    np.testing.assert_allclose(network.probability(grid), expected, atol=0.1)
-
-
-def test_the_same_seed_gives_the_same_weights():
-    first, second, other = (fit(CROSSING, seed, 40, hidden=8, epochs=2) for seed in (3, 3, 4))
-    assert digest(first) == digest(second) != digest(other)
 
 
 # --- the shipped network

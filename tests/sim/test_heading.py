@@ -16,11 +16,6 @@ def test_a_heading_of_the_grid_survives_the_quaternion_to_the_last_bit(heading: 
     assert on_grid(kept) == kept
 
 
-def test_what_is_no_heading_stays_none() -> None:
-    assert math.isnan(on_grid(math.nan))
-    assert math.isnan(on_grid(math.inf))
-
-
 def test_quarter_turns_are_exact() -> None:
     assert [float(on_grid(h)) for h in (0.0, math.pi / 2, math.pi, -math.pi / 2)] == [
         0.0,

@@ -124,17 +124,3 @@ def test_a_region_of_a_lane_ends_at_its_edges() -> None:
     end = scenario_with(adversary=leaves, ending={"arrived": {"lane": 1, "ahead_of": -5.0}}).end
     assert [end.arrived(x, 0.0) for x in (1.7, 1.8, 4.7, 4.8)] == [False, True, True, False]
     assert not end.arrived(3.0, -5.5)
-
-
-def test_shipped_scenarios_start_where_they_did_by_coordinates() -> None:
-    cuts_in = load_scenario("cut_in").adversary
-    assert (cuts_in.start_x, cuts_in.start_y, cuts_in.start_heading) == (-3.5, -8.0, 1.5707963267948966)
-    van = load_scenario("bystanders").others[-1]
-    assert [(point.time, point.x, point.y) for point in van.way] == [(0.0, 0.0, 12.0), (12.0, 0.0, 132.0)]
-    assert van.start_heading == 1.5707963267948966
-
-
-def test_files_without_lanes_are_read_as_before() -> None:
-    for data in (BASE, TURN):
-        assert "lanes" not in data["road"]
-        assert scenario_from_dict(data).as_dict() == data

@@ -10,7 +10,7 @@ import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_sim.scenario.road import HEADING_NORTH
-from skd_sim.scenario.scenario import Obstacle, Scenario, Sensor, load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.sensors import PlanarLaser, disc_range, make_laser, rectangle_range
 from skd_sim.world.state import AdversaryState, CarState
@@ -166,35 +166,3 @@ def test_a_scenario_without_sensor_has_no_laser():
     assert "sensor" not in data
     assert "obstacles" not in data
     assert scenario_from_dict(data) == bare
-
-
-def test_obstacles_come_from_the_scenario_file():
-    data = CROSSING.as_dict() | {"obstacles": [{"x": -2.9, "y": -5.0, "heading": 1.5, "length": 4.3, "width": 1.8}]}
-    loaded = scenario_from_dict(data)
-    assert loaded.obstacles == (Obstacle(-2.9, -5.0, 1.5, 4.3, 1.8),)
-    assert scenario_from_dict(loaded.as_dict()) == loaded
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"obstacles": 3}, "obstacles must be a list, got int"),
-        ({"obstacles": [{"x": 0.0}]}, r"missing key obstacles\[0\].y"),
-        ({"sensor": 3}, "sensor must be a mapping"),
-        ({"sensor": {"beams": 3}}, "missing key sensor.mount_ahead"),
-    ],
-)
-def test_mistakes_in_the_optional_sections(change, message):
-    with pytest.raises(ValueError, match=message):
-        scenario_from_dict(CROSSING.as_dict() | change, "some.yaml")
-
-
-def test_beams_are_whole():
-    data = CROSSING.as_dict()
-    data["sensor"]["beams"] = 10.5
-    with pytest.raises(ValueError, match=r"sensor.beams must be a whole number"):
-        scenario_from_dict(data)
-
-
-def test_sensor_fields_survive():
-    assert CROSSING.sensor == Sensor(2.25, 1441, math.pi, 40.0, 0.02, 0.01)

@@ -38,10 +38,6 @@ def test_a_pedal_comes_back(pedal: float) -> None:
     assert again == pytest.approx(pedal, abs=1e-5) or pedal == 0.0
 
 
-def test_coasting_is_no_pedal() -> None:
-    assert PEDALS.acceleration(0.0) == -0.3
-
-
 def test_more_brake_that_does_less_is_level() -> None:
     less = Pedals((Measured(0.5, -8.0), Measured(1.0, -7.0)), (Measured(1.0, 2.0),), -0.3)
     assert less.limits.least == -8.0

@@ -50,11 +50,6 @@ def test_moments_of_the_noise() -> None:
     assert np.abs(np.sort(draws) / (2.0 * h) + 0.5 - ranks).max() < 1.95 / math.sqrt(n)
 
 
-def test_no_noise_without_range() -> None:
-    rng = np.random.default_rng(1)
-    assert all(draw_relative(0.0, rng) == 0.0 for _ in range(10))
-
-
 @given(
     speed=st.floats(0.0, 60.0),
     acceleration=st.floats(-50.0, 50.0),
@@ -66,7 +61,3 @@ def test_the_car_never_reverses(speed: float, acceleration: float, noise: float,
     assert after >= 0.0
     assert travelled(speed, after, step) >= 0.0
     assert after == pytest.approx(max(0.0, speed * (1.0 + noise) + step * acceleration), abs=1e-9)
-
-
-def test_distance_of_uniform_acceleration() -> None:
-    assert travelled(2.0, 5.0, 3.0) == pytest.approx(2.0 * 3.0 + 0.5 * 1.0 * 3.0**2)

@@ -56,17 +56,6 @@ def test_a_step_into_a_rectangle_is_one_whose_points_come_too_near(
     assert clearance(rectangles, x, y) == pytest.approx(distance_to_polygon(parked.corners, x, y), abs=1e-9)
 
 
-def test_nothing_is_run_into_where_nothing_is_parked() -> None:
-    assert not runs_into(CROSSING.rectangles, -50.0, 0.0, 50.0, 0.0, 1.0)
-    assert clearance(CROSSING.rectangles, 0.0, 0.0) == math.inf
-
-
-def test_corners_are_where_length_and_width_lead() -> None:
-    assert Obstacle(1.0, 2.0, math.pi / 2, 4.0, 2.0).corners == pytest.approx(
-        np.array([(0.0, 4.0), (0.0, 0.0), (2.0, 0.0), (2.0, 4.0)]), abs=1e-12
-    )
-
-
 def test_who_runs_into_one_has_missed_but_a_replay_goes_on() -> None:
     scenario = with_obstacles(PARKED)
     inside = AdversaryState(-3.0, -0.7, 0.0, -1.4)

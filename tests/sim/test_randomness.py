@@ -44,15 +44,3 @@ def test_streams_differ_and_are_uncorrelated() -> None:
     correlation = np.corrcoef(streams)[np.triu_indices(12, 1)]
     # Under independence √n·r is standard normal; 4.5 is its 0.0007 % point, for 66 pairs.
     assert np.abs(correlation).max() * math.sqrt(n) < 4.5
-
-
-def test_first_draws_of_neighbouring_episodes_are_uniform() -> None:
-    n = 2000
-    draws = np.sort([generator(0, episode, Role.START).random() for episode in range(n)])
-    assert np.abs(draws - (np.arange(n) + 0.5) / n).max() < 1.95 / math.sqrt(n)
-
-
-def test_the_global_state_is_left_alone() -> None:
-    before = np.random.get_state()[1].tobytes()  # type: ignore[index]  # noqa: NPY002
-    generator(1, 2, Role.CAR).random(10)
-    assert np.random.get_state()[1].tobytes() == before  # type: ignore[index]  # noqa: NPY002

@@ -96,12 +96,6 @@ def test_a_point_beside_the_line_has_the_coordinates_that_it_was_made_from(
         assert (found, offset) == pytest.approx((s, left), abs=1e-6)
 
 
-@given(s=st.integers(-80_000, 80_000).map(lambda mm: 1e-3 * mm))
-def test_the_pose_at_a_coordinate_has_that_coordinate(s: float) -> None:
-    x, y, _ = road_pose(RIGHT_TURN, s)
-    assert road_position(RIGHT_TURN, x, y) == pytest.approx((s, 0.0), abs=1e-9)
-
-
 @given(parts=some_parts, origin=fraction)
 def test_the_pose_is_continuous_and_moves_at_unit_speed(parts: list[tuple[float, float]], origin: float) -> None:
     line = centre_line(parts, origin * sum(length for length, _ in parts))

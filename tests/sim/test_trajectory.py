@@ -28,13 +28,6 @@ def test_positions_are_a_copy_and_read_only() -> None:
         trajectory.time_step = 1.0  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(("count", "expected"), [(-1, 1), (0, 1), (1, 1), (3, 3), (5, 5), (99, 5)])
-def test_prefix(count: int, expected: int) -> None:
-    prefix = Trajectory(POINTS, 0.3, "walk").prefix(count)
-    np.testing.assert_array_equal(prefix.positions, POINTS[:expected])
-    assert (prefix.time_step, prefix.name) == (0.3, "walk")
-
-
 @pytest.mark.parametrize("points", [np.empty((0, 2)), np.empty((3, 0)), np.zeros(3), np.zeros((2, 2, 2))])
 def test_wrong_shape(points: np.ndarray) -> None:
     with pytest.raises(ValueError, match="n × d"):

@@ -37,13 +37,6 @@ def world_of(scenario: Scenario, seed: int = 3) -> World:
 # --- noise
 
 
-def test_one_period_a_tick_is_the_world_without_the_key() -> None:
-    one, other = world_of(CROSSING), world_of(clocked(CROSSING, 1))
-    for tick in range(12):
-        assert one.step(-0.5 * tick, (2.0, 0.3)) == other.step(-0.5 * tick, (2.0, 0.3))
-        assert (one.car, one.adversary, one.tick) == (other.car, other.adversary, other.tick)
-
-
 @pytest.mark.parametrize("periods", [2, 3, 6, 30])
 def test_noise_is_drawn_once_a_tick_and_spread_evenly(periods: int) -> None:
     """By hand: the same two numbers a tick, a share of the first and all of the second in every control period."""
@@ -85,17 +78,6 @@ def test_without_noise_a_held_command_leads_to_the_same_place(periods: int) -> N
         once.step(-1.5, (1.0, 0.5))
         assert often.car == pytest.approx(once.car, abs=1e-9)
         assert often.adversary == once.adversary  # to the last bit
-
-
-@pytest.mark.parametrize("periods", [2, 6])
-def test_the_multi_body_car_does_not_notice_how_often_it_is_told_the_same(periods: int) -> None:
-    scenario = load_scenario("crossing_multi_body")
-    often, once = world_of(clocked(scenario, periods)), world_of(scenario)
-    for _ in range(5):
-        for _ in range(periods):
-            often.step(-4.0, (0.0, 0.0))
-        once.step(-4.0, (0.0, 0.0))
-        assert often.car == pytest.approx(once.car, abs=1e-9)
 
 
 # --- the adversary, and contacts
@@ -170,18 +152,6 @@ def test_after_a_contact_the_tick_ends_under_the_same_command() -> None:
     assert (world.tick, world.period) == (tick + 1, 0)
     assert world.car.speed == pytest.approx(before.speed - (6 - period) * 0.05)
     assert period / 6 <= contact.fraction <= (period + 1) / 6
-
-
-def test_slow_contacts_do_not_end_a_tick() -> None:
-    base = quiet(replace(CROSSING, car=replace(CROSSING.car, start_gap=3.0, start_speed=3.0)))
-    scenario = clocked(replace(base, collision=replace(base.collision, minimum_impact_speed=20.0)), 3)
-    world = World(
-        scenario, adversary_start=(0.0, 0.0), start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1)
-    )
-    for step in range(1, 13):
-        assert world.step(0.0, (0.3, 0.0)) is None
-        assert world.adversary.x == pytest.approx(0.03 * step)
-        assert (world.tick, world.period) == divmod(step, 3)
 
 
 def test_an_episode_ends_at_ticks_only() -> None:

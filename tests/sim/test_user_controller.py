@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import fractions
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from skd_sim.controllers import make_controller
 from skd_sim.controllers.loading import user_controller
-from skd_sim.errors import AssessmentError, NoNumberError, UsageError
+from skd_sim.errors import AssessmentError, NoNumberError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.sensors import Scan
 from skd_sim.world.state import AdversaryState, CarState, Scene
@@ -136,14 +133,3 @@ def test_it_senses_and_sees_the_scene_where_its_class_does() -> None:
     assert (blind.takes_scene, blind.takes_batches, hasattr(blind, "sense")) == (False, True, False)
     seeing.sense(Scan(np.float32([3.0]), 0.0, 0.1, 10.0))  # type: ignore[attr-defined]
     assert seeing.command(CAR, ADVERSARY) == 3.0
-
-
-def test_a_class_whose_attributes_fail_cannot_be_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "shy_car.py").write_text(
-        "class Car:\n    @property\n    def takes_scene(self): raise RuntimeError('no laser')\n"
-        "    def reset(self, scenario, rng): pass\n    def command(self, car, adversary): return 0.0\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(UsageError, match="'shy_car:Car' cannot be loaded: RuntimeError: no laser"):
-        make_controller("shy_car:Car")
-    sys.modules.pop("shy_car", None)

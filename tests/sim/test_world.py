@@ -64,13 +64,6 @@ def test_minimum_impact_speed(offset: float, hit: bool) -> None:
     assert (contact is not None) is hit
 
 
-def test_slow_touch_does_not_count_but_a_later_fast_one_does() -> None:
-    world = _world(_scenario(minimum_impact_speed=1.0), 0.3)
-    assert world.step(-CROSSING.car.start_speed / STEP, (0.0, 0.0)) is not None  # 8 m/s to 0 in one step
-    world = _world(_scenario(minimum_impact_speed=9.0), 1.0)
-    assert world.step(0.0, (0.0, 0.0)) is None
-
-
 def test_start_gap_is_uniform_over_its_range() -> None:
     scenario = _scenario(start_gap_range=2.5)
     n = 2000

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from skd_adversary.car_models.car_model_file import fitted_car, read_car_model
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import LARGEST, parse_yaml, to_yaml
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Episode, Mode
 
 SCENARIO = yaml.safe_dump(load_scenario("crossing").as_dict())
 NO_MODELS = {
@@ -45,13 +43,6 @@ def test_what_is_no_model_is_one_short_line(tmp_path: Path, text: str, read: Cal
     assert str(path) in said
     assert len(said) < 700
     assert "\n" not in said
-
-
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    for read in (lambda path: load_scenario(str(path)), read_car_model):
-        with pytest.raises(UsageError, match="pipe"):
-            read(tmp_path / "pipe")
 
 
 def test_ordinary_yaml_means_what_it_says() -> None:
@@ -121,9 +112,3 @@ def test_what_is_written_reads_the_same_by_either_version_of_yaml(data: object) 
     text = to_yaml([data])
     assert parse_yaml(text, "here") == [data]
     assert yaml.safe_load(text) == [data]
-
-
-@pytest.mark.parametrize("maximum", [float("inf"), float("nan"), 0.0, -1.0])
-def test_maximum_distance_of_an_episode_is_finite(maximum: float) -> None:
-    with pytest.raises(UsageError, match="maximum_distance must be a positive finite number"):
-        Episode(load_scenario("crossing"), Mode.SAFE, 0, 0, maximum_distance=maximum)
