@@ -25,6 +25,7 @@ from skd_sim.controllers.protocol import (
 )
 from skd_sim.errors import AssessmentError, NoNumberError, UsageError
 from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import CONTROLLERS, EXTERNAL, CarUnderTest
 from skd_sim.options.registry import load, reason_of
@@ -35,31 +36,23 @@ from skd_sim.world.state import AdversaryState, CarState, Scene
 _Result = TypeVar("_Result")
 
 
-def shown(value: object, as_text: Callable[[object], str], length: int) -> str:
-    """Return how a user's object shows itself, in one line of at most `length` characters; it may fail at that, too."""
-    try:
-        return " ".join(as_text(value).split())[:length]
-    except BaseException as error:
-        return f"something of {type(value).__name__} that cannot be shown ({type(error).__name__})"
-
-
 def failed(whose: str, method: str, error: BaseException) -> AssessmentError:
     """Return in one line what a user's code raised, and where; called while it is handled."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
-    said = f"{type(error).__name__}: {shown(error, str, 200)}"
     where = f"{Path(frame.filename).name}, line {frame.lineno}"
-    return AssessmentError(f"{whose}: {method} failed with {said} ({where})")
+    return AssessmentError(f"{whose}: {method} failed with {reason_of(error)} ({where})")
 
 
-def _is_number(answer: Any) -> bool:
-    """Return whether an answer may be taken for a number: `float` takes texts, too, and drops what is imaginary.
-
-    A yes or no is no acceleration, though Python counts it as one; nor is an array of one.
-    """
-    if isinstance(answer, (np.ndarray, np.generic)):
-        return answer.dtype.kind in "fiu" and not np.ma.is_masked(answer)
-    no_number = isinstance(answer, (str, bytes, bytearray, bool))
-    return not no_number and not str(getattr(answer, "dtype", "")).endswith("bool")  # as of PyTorch
+def _number(answer: Any) -> float:
+    """Return an answer as a number; nan where it is none: a text, a yes or no, or an array is no acceleration."""
+    if isinstance(answer, float):
+        return float(answer)
+    if isinstance(answer, (str, bytes, bool, np.bool_)) or np.ndim(answer):
+        return math.nan
+    try:
+        return float(answer)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 class UserController:
@@ -86,13 +79,11 @@ class UserController:
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""
         answer = self._call("command", lambda: self._controller.command(car, adversary))
-        try:
-            acceleration = float(answer) if isinstance(answer, float) or _is_number(answer) else math.nan
-        except BaseException:  # a number of a user's own kind, too
-            acceleration = math.nan
+        acceleration = _number(answer)
         if not math.isfinite(acceleration):
-            got = shown(answer, repr, 80)
-            raise NoNumberError(f"controller {self._name}: command must return a finite number (m/s²), got {got}")
+            raise NoNumberError(
+                f"controller {self._name}: command must return a finite number (m/s²), got {short(answer)}"
+            )
         return acceleration
 
     def commands(self, states: FloatArray) -> FloatArray:
@@ -113,19 +104,13 @@ class UserController:
         scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
         answer = self._call("commands", lambda: inner.commands(cars, scenes))
         count = states.shape[1]
-        try:
-            found = np.asarray(answer)
-            numbers = found.dtype.kind in "fiu" and found.shape == (count,)  # a yes or no is no acceleration
-            numbers = numbers and not np.ma.is_masked(answer)
-            accelerations = found.astype(np.float64)
-        except BaseException:  # an array of a user's own kind, too
-            numbers = False
-        if not numbers or not np.isfinite(accelerations).all():
-            got = shown(answer, repr, 80)
+        found = np.asarray(answer)
+        if found.dtype.kind not in "fiu" or found.shape != (count,) or not np.isfinite(found).all():
             raise NoNumberError(
-                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got {got}"
+                f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got "
+                f"{short(answer)}"
             )
-        return accelerations
+        return found.astype(np.float64)
 
     def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
         begin_call()

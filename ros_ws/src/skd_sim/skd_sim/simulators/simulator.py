@@ -11,12 +11,12 @@ it is told, for which a log has no commands.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn, Protocol, TypeVar, cast
 
-from skd_sim.controllers.loading import failed, shown
+from skd_sim.controllers.loading import failed
 from skd_sim.errors import AssessmentError, UsageError
+from skd_sim.inputs.yaml_file import short
 from skd_sim.interruption import Interrupted
 from skd_sim.options.car_under_test import SIMULATORS, is_own_world
 from skd_sim.options.registry import reason_of
@@ -150,7 +150,6 @@ DISOBEYED: Final = 0.05
 """m in a tick by which the adversary may be elsewhere than the velocities of this tick and the last one take it."""
 STRAYED: Final = 1.0
 """m that it may be away from where it starts, and later from where all its commands would have taken it."""
-_SHOWN = 80  # characters
 
 
 class CheckedSimulator:
@@ -214,54 +213,26 @@ class CheckedSimulator:
     @property
     def clipped(self) -> int:
         """How many commands of this episode asked more of the car than it can do."""
-        count: object = self._call("clipped", lambda: self._simulator.clipped)
-        try:
-            number = operator.index(count)  # type: ignore[arg-type]
-        except Exception:
-            number = -1
-        if number < 0:
-            self._fail(f"clipped must be a whole number from 0 on, got {shown(count, repr, _SHOWN)}")
-        return number
+        return int(self._call("clipped", lambda: self._simulator.clipped))
 
     @property
     def own_contact(self) -> float | None:
         """Time of the first contact by the simulator's own shapes (s), nan without one; None: it does not say."""
-        time: Any = self._call("own_contact", lambda: getattr(self._simulator, "own_contact", None))
-        if time is None:
-            return None
-        try:
-            seconds = float(time)
-        except Exception:
-            seconds = math.inf
-        if seconds < 0.0 or math.isinf(seconds):
-            self._fail(f"own_contact must be a time in s, nan or None, got {shown(time, repr, _SHOWN)}")
-        return seconds
+        return getattr(self._simulator, "own_contact", None)
 
     def _frame(self, method: str, answer: object, expected: tuple[int, int]) -> Frame:
         """Return what a method has answered as a frame of plain numbers; see `step` for what is raised."""
-        try:
-            assert isinstance(answer, Frame)
-            frame = Frame(
-                operator.index(answer.tick),
-                CarState(*map(float, answer.car)),
-                AdversaryState(*map(float, answer.adversary)),
-                None if answer.contact is None else Contact(*map(float, answer.contact)),
-                Outcome(answer.outcome),
-                operator.index(answer.period),
-            )
-        except Exception:
-            self._fail(f"{method} must return a Frame, got {shown(answer, repr, _SHOWN)}")
+        if not isinstance(answer, Frame):
+            self._fail(f"{method} must return a Frame, got {short(answer)}")
+        car, adversary = CarState(*map(float, answer.car)), AdversaryState(*map(float, answer.adversary))
+        frame = answer._replace(car=car, adversary=adversary)
         if (frame.tick, frame.period) != expected:
             said, wanted = (_moment(*one, self._periods) for one in ((frame.tick, frame.period), expected))
             self._fail(f"{method} must return the frame of {wanted}, got that of {said}")
-        numbers = (
-            *zip(("x", "y", "heading", "speed"), frame.car, strict=True),
-            *zip(("x", "y", "vx", "vy", "heading"), frame.adversary, strict=True),
-        )
-        for index, (what, number) in enumerate(numbers):
-            if not math.isfinite(number):
-                whose = "car" if index < len(frame.car) else "adversary"
-                self._abort(AbortKind.NOT_FINITE, f"{what} of the {whose} is {number:g} in tick {frame.tick}")
+        for whose, state in (("car", frame.car), ("adversary", frame.adversary)):
+            for what, number in state._asdict().items():
+                if not math.isfinite(number):
+                    self._abort(AbortKind.NOT_FINITE, f"{what} of the {whose} is {number:g} in tick {frame.tick}")
         if frame.outcome == Outcome.ABORTED:
             self._abort(AbortKind.FAILED, f"it ended the episode as ABORTED in tick {frame.tick}")
         if frame.period and frame.outcome != Outcome.RUNNING:
