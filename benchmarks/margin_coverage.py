@@ -1,12 +1,13 @@
 """How often the 95 % intervals of margin and equivalent multiplier hold what they speak of.
 
-    .venv/bin/python benchmarks/margin_coverage.py [--phi 60] [--trials 100] [--seed 2] [--campaigns 1000]
+    .venv/bin/python benchmarks/margin_coverage.py [--phi 60] [--trials 100] [--safe synthetic] [--campaigns 1000]
 
-A population is of exact margins: those of a car in so many trials on each of so many synthetic φ. A simulated
-campaign draws φ from it with replacement, and trials from those of each φ; what an interval has to hold is the
-population's own figure. The margin is tried on basic cars, the equivalent multiplier on cars that are none of those
-that they are compared with: they brake harder or more softly, or are less steady. Basic cars are
-compared with in the same trials, as in an assessment.
+A population is of exact margins: those of a car in so many trials on each of so many φ. A simulated campaign draws φ
+from it with replacement, and trials from those of each φ; what an interval has to hold is the population's own
+figure. Equal φ count one by one in the intervals by φ, and as one φ with more trials in those by distinct φ. The
+margin is tried on basic cars, the equivalent multiplier on cars that are none of those that they are compared with:
+they brake harder or more softly, or are less steady. Basic cars are compared with in the same trials, as in an
+assessment.
 
 In the populations named *hard* 15 % of the φ are four times as hard, for every car.
 """
@@ -113,17 +114,25 @@ def draws(
         yield safe, each, drawn
 
 
-def margins(name: str, population: FloatArray, eta_max: float, campaigns: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield how often the intervals of the margin hold, by size of the campaign."""
+def margins(
+    name: str, population: FloatArray, equal: IntArray, eta_max: float, campaigns: int, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Yield how often the intervals of the margin hold, by size of the campaign; equal φ have one number in `equal`."""
     truth = float(population.mean())
     for safe, each, drawn in draws(len(population), population.shape[1], campaigns, seed):
-        by_phi, independent = Tally(), Tally()
+        by_phi, by_distinct, independent = Tally(), Tally(), Tally()
         for chosen, numbers in drawn:
-            found = margin_figures(list(population[chosen[:, None], numbers]), eta_max)
+            drawn_margins = population[chosen[:, None], numbers]
+            found = margin_figures(list(drawn_margins), eta_max)
+            merged = [drawn_margins[equal[chosen] == one].ravel() for one in np.unique(equal[chosen])]
+            distinct = margin_figures(merged, eta_max)
             assert found is not None
+            assert distinct is not None
             by_phi.add(truth, found.ci95)
-            independent.add(truth, normal_interval(found.margins))
-        for kind, tally in (("by φ", by_phi), ("as independent", independent)):
+            by_distinct.add(truth, distinct.ci95)
+            independent.add(truth, normal_interval(drawn_margins.ravel()))
+        tallies = {"by φ": by_phi, "by distinct φ": by_distinct, "as independent": independent}
+        for kind, tally in tallies.items():
             row = {"figure": "margin", "population": name, "truth": truth, "safe": safe, "trials": each}
             yield {**row, "interval": kind, **tally.figures()}
 
@@ -187,17 +196,23 @@ def main() -> None:
     scenario = load_scenario(arguments.scenario)
     plan = Plan(scenario, seed=arguments.seed, safe=arguments.safe, safe_count=arguments.phi)
     rows: list[dict[str, Any]] = []
-    print(head())
     with InProcessRunner(arguments.workers) as runner:
         runner.start()
         populations = Populations(plan, arguments.trials, runner, arguments.kept)
         none, hard, eta_max = np.ones(arguments.phi), populations.hard, scenario.eta_max
         if arguments.only != "multiplier":
             cars = {name: populations.of(scenario, multiplier) for name, multiplier in BASIC.items()}
-            cars |= {f"{name}, hard": np.minimum(hard[:, None] * found, eta_max) for name, found in cars.items()}
+            ways = [phi.positions.tobytes() for phi in populations.safe]
+            equal = np.unique(np.array(ways, dtype=object), return_inverse=True)[1]
+            print(f"{equal.max() + 1} of {arguments.phi} φ are distinct", file=sys.stderr)
+            print(head("by φ", "by distinct φ", "trials as independent"))
             for name, found in cars.items():
-                rows += shown(margins(name, found, eta_max, arguments.campaigns, arguments.seed))
+                rows += shown(margins(name, found, equal, eta_max, arguments.campaigns, arguments.seed))
+                scaled, which = np.minimum(hard[:, None] * found, eta_max), 2 * equal + (hard > 1.0)
+                label = f"{name}, hard"
+                rows += shown(margins(label, scaled, which, eta_max, arguments.campaigns, arguments.seed))
         if arguments.only != "margin":
+            print(head("by φ", "φ given"))
             for name, (multiplier, changes) in OTHERS.items():
                 changed = replace(scenario, car=replace(scenario.car, **changes))
                 found = populations.of(changed, multiplier)
@@ -208,11 +223,10 @@ def main() -> None:
         arguments.out.write_text(json.dumps(rows, indent=1, ensure_ascii=False))
 
 
-def head() -> str:
-    """Return the first lines of the table."""
-    sizes = [f"{safe} × {trials}" for safe, trials in SIZES]
-    heads = " | ".join(f"{size}, by φ | {size}, not by φ" for size in sizes)
-    return f"| figure | population | truth | {heads} |\n{'|---' * (3 + 2 * len(SIZES))}|"
+def head(*kinds: str) -> str:
+    """Return the first lines of a table whose intervals are of these kinds."""
+    heads = [f"{safe} × {trials}, {kind}" for safe, trials in SIZES for kind in kinds]
+    return f"| figure | population | truth | {' | '.join(heads)} |\n{'|---' * (3 + len(heads))}|"
 
 
 def shown(found: Iterator[dict[str, Any]]) -> list[dict[str, Any]]:
