@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from skd_evaluator.assessment.compare.comparison import MARGIN, NOT_COMPARED, RISKS, Comparison, compare
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.files.results import StoredResult, read_result
+from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.margins import UPPER_BOUNDS, stopped_at
 
@@ -128,10 +129,10 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
         earlier: the earlier result, behind which the car must not fall.
     """
     name = f"not worse than {earlier.folder}"
-    mine = read_result(folder)
+    earlier, mine, tried = on_common_trajectories(earlier, read_result(folder), lambda _label, _done, _total: None)
     found = compare(earlier, mine)
     judge = found.behind_by or found.decided_by
-    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *found.lines())))
+    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *tried, *found.lines())))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)

@@ -14,7 +14,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
 from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.assessment.compare.comparison import MARGIN, compare, ranking_figure
+from skd_evaluator.assessment.compare.comparison import MARGIN, Comparison, compare, ranking_figure
 from skd_evaluator.assessment.compare.scenario_difference import scenario_difference
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
@@ -25,10 +25,12 @@ from skd_evaluator.assessment.stages.asked import scenario_for
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
+from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report import repeat
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.risk.rating import RatedCar, alike, basic_cars, rated_car
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
 from skd_evaluator.report.terminal import car_name, print_table
@@ -60,12 +62,18 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
     ]
     # All verdicts together are to be right with 95 %: Bonferroni's share for each.
     confidence = 1.0 - 0.05 / (len(results) - 1)
-    compared = [compare(results[0], other, confidence) for other in results[1:]]
+    compared: list[Comparison] = []
+    tried: list[str] = []
+    with progress_bar() as progress:
+        for other in results[1:]:
+            first, second, said = on_common_trajectories(results[0], other, progress)
+            compared.append(compare(first, second, confidence))
+            tried += said
     entries = [
         {"car": name, "compared_with": names[0], **one.as_dict()} for name, one in zip(names[1:], compared, strict=True)
     ]
     remarks = [line for one in results for line in one.remarks]
-    warnings = [*remarks, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
+    warnings = [*remarks, *tried, *(line for one in compared for line in one.lines()), *equal_remarks(rows, "car")]
     warnings = list(dict.fromkeys(warnings))
     ranked_by = ranking_figure(results)
     content = {

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import Episode, EpisodeLog
 
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.group import OTHER, Group
-from skd_evaluator.margin.search.trial import Trial
+from skd_evaluator.margin.search.trial import ActionSpace, Trial
 from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess
 
@@ -122,6 +123,41 @@ def search_margins(
         budget *= 2
 
 
+class Hit(NamedTuple):
+    """A trajectory on which a car hits.
+
+    Attributes:
+        safe: φ from which it deviates, n × 2, m.
+        positions: at ticks, the last at the end of the tick of the contact, n × 2, m.
+    """
+
+    safe: FloatArray
+    positions: FloatArray
+
+
+def margins_beside(
+    episodes: Sequence[Episode], known: Mapping[int, EpisodeLog], hits: Sequence[Hit], rounds: Rounds
+) -> list[float]:
+    """Return the margins of trials, m, in which hits of others are tried too; nothing further is searched.
+
+    Each trial meets all hits of its own φ. Where there is none of it, it meets the first hit of each other φ, with the
+    same actions.
+
+    Args:
+        episodes: the trials, as of `search_margins`.
+        known: the best hit of each trial that has one, by the id of its episode.
+        hits: what else is tried, best first.
+        rounds: drives.
+
+    Raises:
+        AssessmentError: the car fails.
+    """
+    searched = _Search(episodes, {}, rounds, Effort(excursions=0))
+    searched.begin_with(known, hits)
+    searched.round(0)
+    return searched.margins
+
+
 def _near(after: float, before: float) -> bool:
     return abs(before - after) <= CHANGE * before
 
@@ -157,6 +193,29 @@ class _Search:
     @property
     def _trials(self) -> list[Trial]:
         return [trial for group in self._groups for trial in group.trials]
+
+    def begin_with(self, known: Mapping[int, EpisodeLog], hits: Sequence[Hit]) -> None:
+        """Take the best hit of each trial, by the id of its episode, and offer hits of others, best first."""
+        for trial in self._trials:
+            if trial.episode.episode_id in known:
+                trial.learn(None, known[trial.episode.episode_id])
+        spaces = {one.space.path.tobytes(): one.space for one in self._groups}
+        offers: dict[bytes, list[IntArray]] = {}
+        for safe, positions in hits:
+            path = np.ascontiguousarray(safe).tobytes()
+            space = spaces.setdefault(path, ActionSpace(self._groups[0].space.scenario, safe))
+            stays = np.concatenate([positions, positions[-1:]])  # so that the tick of the contact counts in full
+            offers.setdefault(path, []).append(space.actions_along(stays))
+        firsts = [of_path[0] for of_path in offers.values()]
+        for group in self._groups:
+            for actions in reversed(offers.get(group.space.path.tobytes(), firsts)):  # the last offer is tried first
+                group.offer(actions, OTHER)
+
+    @property
+    def margins(self) -> list[float]:
+        """The margin of each trial, m, in the order of the episodes; η_max where no hit was found."""
+        trials = {trial.episode.episode_id: trial.least for trial in self._trials}
+        return [trials[one] for one in self._place]
 
     @property
     def mean(self) -> float:

@@ -1,0 +1,147 @@
+"""Margins of two cars after each of them has met the trajectories that were found for the other.
+
+A margin that was searched for is an upper bound, and depends on what the search happened to find. So before two cars
+are compared the hits of least deviation of either are walked before the other one too, and each trial keeps the smaller
+deviation: no car is called safer because its search was less lucky. Nothing further is searched. Exact margins stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.options.car_under_test import CarUnderTest
+from skd_sim.options.simulators import WORLD, is_own_world
+from skd_sim.scenario.scenario import scenario_from_dict
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from skd_sim.world.trajectory import Trajectory
+
+from skd_evaluator.assessment.compare.unlike_results import refusals
+from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
+from skd_evaluator.assessment.files.episodes_npz import StoredWay, read_episodes
+from skd_evaluator.assessment.files.results import StoredResult
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.search import Hit, margins_beside
+from skd_evaluator.margin.search.trial import prescribed
+from skd_evaluator.margin.searching import SAME, in_processes
+from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.statistics.statistics import mean
+
+MARGIN = "margin"
+_LOWERED = 1e-3  # m: less is not said
+
+
+def on_common_trajectories(
+    first: StoredResult, second: StoredResult, progress: Progress
+) -> tuple[StoredResult, StoredResult, tuple[str, ...]]:
+    """Return two results with the margins that compare, and what a reader should know of them, a line each.
+
+    Args:
+        first: an assessment.
+        second: the one to compare with it.
+        progress: called with how far the work is.
+    """
+    both = first, second
+    searched = [one for one in both if one.figures.get("margin_budget") is not None]
+    if not searched or any(MARGIN not in one.groups for one in both) or refusals(first, second):
+        return first, second, ()
+    ways = [read_episodes(one.folder).margin_ways for one in both]
+    found, lines = [], []
+    for one, mine, other, theirs in zip(both, ways, both[::-1], ways[::-1], strict=True):
+        if one not in searched:
+            found.append(one)
+            continue
+        try:
+            margins = _margins(one, mine, _hits(other, theirs), progress)
+        except (AssessmentError, UsageError) as error:
+            found.append(one)
+            lines.append(f"{one.folder}: not tried on the trajectories that were found for {other.folder}: {error}")
+            continue
+        before, after = (mean(np.concatenate(groups)) for groups in (one.groups[MARGIN], margins))
+        found.append(replace(one, groups={**one.groups, MARGIN: margins}))
+        if before - after > _LOWERED:
+            lines.append(
+                f"{one.folder}: trajectories that were found for {other.folder} lower its margin from {before:.3f} to "
+                f"{after:.3f} m, which the comparison goes by"
+            )
+    return found[0], found[1], tuple(lines)
+
+
+def _hits(result: StoredResult, ways: Sequence[Sequence[StoredWay]]) -> list[Hit]:
+    """Return the hits of least deviation of a result, least first."""
+    found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine]
+    return [Hit(phi, _whole(way)) for way, phi in sorted(found, key=lambda one: one[0].distance)]
+
+
+def _whole(way: StoredWay) -> FloatArray:
+    """Return the positions of a hit, n × 2, m, the last of them not at the contact but at the end of its tick."""
+    before, contact = way.positions[-2:]
+    share = max(way.duration - (len(way.positions) - 2), 1e-9)
+    return np.concatenate([way.positions[:-1], [before + (contact - before) / share]])
+
+
+def _margins(
+    result: StoredResult, ways: Sequence[Sequence[StoredWay]], hits: Sequence[Hit], progress: Progress
+) -> tuple[FloatArray, ...]:
+    """Return the margins of each φ, m, of a car that also meets some other trajectories.
+
+    Raises:
+        UsageError: the car cannot be made here.
+        AssessmentError: it fails, or does not repeat the hits of the result.
+    """
+    trials, groups = _trials(result), result.groups[MARGIN]
+    driven, stored = [], []
+    for index, mine in enumerate(ways):
+        for way in mine:
+            driven.append(prescribed(trials[index][way.attempt], _whole(way)))
+            stored.append((result.safe[index], way.distance))
+    first = trials[0][0]
+    with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
+        runner.start()
+        logs = list(runner.run(driven))
+        again = sum(map(_repeats, stored, logs))
+        if again < len(logs):
+            raise AssessmentError(f"of its {len(logs)} hits {again} come again: it is another car now")
+        known = {log.episode.episode_id: log for log in logs}
+        found = margins_beside([one for row in trials for one in row], known, hits, in_processes(runner, progress))
+    ends = np.cumsum([len(one) for one in groups])[:-1]
+    return tuple(map(np.minimum, groups, np.split(np.array(found), ends)))
+
+
+def _trials(result: StoredResult) -> list[list[Episode]]:
+    """Return the trials of each φ in which a result has margins.
+
+    Raises:
+        UsageError: its car cannot be run here.
+    """
+    figures = result.figures
+    simulator = str((figures.get("options") or {}).get("simulator", WORLD))
+    car = CarUnderTest(figures["controller"], figures["multiplier"] or CarUnderTest.multiplier)
+    if car.is_external or not is_own_world(simulator):
+        where = f"simulator {simulator}" if car.is_own else f"controller {car.controller} in simulator {simulator}"
+        raise UsageError(f"{where} cannot be run here" if not car.is_external else "its car is a node of its own")
+    scenario = check_controller(car, scenario_from_dict(figures["scenario"], str(result.folder)))
+    plan = Plan(
+        scenario,
+        controller=car.controller,
+        multiplier=car.multiplier,
+        seed=int(figures["seed"]),
+    )
+    return [
+        [
+            plan.episode(Mode.KAMIKAZE, index, attempt, Trajectory(phi, scenario.time_step, f"φ {index}"))
+            for attempt in range(len(result.groups[MARGIN][index]))
+        ]
+        for index, phi in enumerate(result.safe)
+    ]
+
+
+def _repeats(stored: tuple[FloatArray, float], log: EpisodeLog) -> bool:
+    phi, distance = stored
+    if not log.hit:
+        return False
+    return abs(deviation(phi, log.trajectory.positions, log.impact_time / log.trajectory.time_step) - distance) <= SAME

@@ -1,0 +1,85 @@
+"""Two cars are compared on the trajectories that were found for either: no search is less lucky than the other."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skd_evaluator import assess
+from skd_evaluator.assessment.compare.comparison import SAFER, compare
+from skd_evaluator.assessment.compare.gate import check_not_worse
+from skd_evaluator.assessment.files.results import StoredResult, read_result
+from skd_evaluator.margin.common_trajectories import on_common_trajectories
+
+CAR = '''
+class StoodStill:
+    """Brakes for whoever is near, but ignores for five ticks whoever stood still for two."""
+
+    def reset(self, scenario, rng):
+        self.before, self.still, self.ignores = None, 0, 0
+
+    def command(self, car, adversary):
+        place = adversary.x, adversary.y
+        self.still = self.still + 1 if place == self.before else 0
+        self.before = place
+        self.ignores = 5 if self.still >= 2 else self.ignores - 1
+        near = -1.0 <= adversary.y - car.y - 2.25 <= 20.0 and adversary.x < 2.0
+        return -8.0 if near and self.ignores < 0 else 0.0
+'''
+SMALL = {"safe_count": 4, "kamikaze_count": 3, "collision_runs": 4, "simulations": 20, "knowledge": "nothing"}
+
+
+def quiet(_label: str, _done: int, _total: int) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, StoredResult]]:
+    """Results of one car: searched well at two seeds, and hardly at all at the first of them."""
+    folder = tmp_path_factory.mktemp("common")
+    (folder / "memory_car.py").write_text(CAR, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        patch.syspath_prepend(folder)
+        for name, seed, limit in (("deep", 1, 64), ("deep, other seed", 2, 64), ("shallow", 1, 1)):
+            asked = {"seed": seed, "margin_limit": limit, "behaviour": "none", "workers": 1}
+            assess("memory_car:StoodStill", out=folder / name, **asked, **SMALL)
+        yield {one.name: read_result(one) for one in folder.iterdir() if (one / "assessment.json").is_file()}
+
+
+def test_a_margin_that_is_too_high_is_corrected(results):
+    deep, shallow = results["deep"], results["shallow"]
+    first, second, lines = on_common_trajectories(deep, shallow, quiet)
+    for before, after, other in zip(*(one.groups["margin"] for one in (shallow, second, deep)), strict=True):
+        assert (after <= np.minimum(before, other) + 1e-9).all()  # same car and draws: it is hit as the other is
+    assert (np.concatenate(first.groups["margin"]) <= np.concatenate(deep.groups["margin"])).all()
+    assert lines[-1].startswith(f"{shallow.folder}: trajectories that were found for {deep.folder} lower its margin")
+    assert "lower its margin" in check_not_worse(Path(shallow.folder), deep).text
+
+
+@pytest.mark.parametrize("pair", [("deep", "deep, other seed"), ("deep, other seed", "shallow"), ("deep", "shallow")])
+def test_a_car_is_never_safer_than_itself(results, pair):
+    # as if both searches had said that they have converged
+    sure = [replace(one, figures={**one.figures, "margin_converged": True}) for one in map(results.get, pair)]
+    for first, second in (sure, sure[::-1]):
+        assert compare(*on_common_trajectories(first, second, quiet)[:2]).verdict != SAFER
+
+
+def test_a_car_that_does_not_repeat_its_hits_is_left_as_it_was(results):
+    deep = results["deep"]
+    changed = replace(deep, figures={**deep.figures, "controller": "cal"})
+    first, _, lines = on_common_trajectories(changed, results["shallow"], quiet)
+    assert first is changed
+    assert lines[0].startswith(f"{deep.folder}: not tried on the trajectories")
+    assert lines[0].endswith("it is another car now")
+
+
+def test_exact_margins_stay(results):
+    exact = [
+        replace(one, figures={**one.figures, "margin_budget": None}) for one in map(results.get, ("deep", "shallow"))
+    ]
+    assert on_common_trajectories(*exact, quiet) == (*exact, ())
