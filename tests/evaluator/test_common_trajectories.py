@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from skd_evaluator import assess
 from skd_evaluator.assessment.compare.comparison import SAFER, compare
-from skd_evaluator.assessment.compare.gate import check_not_worse
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.margin.common_trajectories import on_common_trajectories
+from skd_evaluator.margin.common_trajectories import check_not_worse, on_common_trajectories
 
 CAR = '''
 class StoodStill:

@@ -15,13 +15,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from comparison_support import FIGURES
-from skd_evaluator.assessment.compare import gate
 from skd_evaluator.assessment.compare.comparison import NOT_TOLD_APART, compare
+from skd_evaluator.assessment.compare.gate import not_worse
 from skd_evaluator.assessment.files import results as stored_result
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.stages import library
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Skd
 from skd_sim.scenario.scenario import load_scenario
@@ -160,7 +161,7 @@ def mine(monkeypatch: pytest.MonkeyPatch) -> Assessed:
         of_a_car("at a crossing", 1.0, (0.5, 0.5), scenario="cbtano"),
     ]
     found = {one.folder: one for one in every}
-    for module in (stored_result, gate):
+    for module in (stored_result, common_trajectories):
         monkeypatch.setattr(module, "read_result", found.__getitem__)
     return Assessed(SimpleNamespace(as_dict=dict), Path("mine"))
 
@@ -183,18 +184,14 @@ def test_a_car_is_worse_where_the_gate_fails(mine: Assessed) -> None:
         ((1.5, 1.0), "mine", "worse"),
     ],
 )
-def test_no_gate_passes_by_an_upper_bound(
-    margins: tuple[float, float], bound: str, why: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_gate_passes_by_an_upper_bound(margins: tuple[float, float], bound: str, why: str | None) -> None:
     """Mine may be less than it says; an earlier one may be, and where it is the less anyhow it does no harm."""
     found = {}
     for name, margin in zip(("earlier", "mine"), margins, strict=True):
         one = of_a_car(name, margin, (0.5, 0.5))
         limits = {"margin_converged": False, "margin_budget": 64} if name == bound else {}
-        found[Path(name)] = replace(one, figures={**one.figures, **limits})
-    for module in (stored_result, gate):
-        monkeypatch.setattr(module, "read_result", found.__getitem__)
-    check = gate.check_not_worse(Path("mine"), found[Path("earlier")])
+        found[name] = replace(one, figures={**one.figures, **limits})
+    check = not_worse(found["mine"], found["earlier"])
     assert (check.failed, check.error, check.passed) == (why == "worse", why not in (None, "worse"), why is None)
     if check.error:
         assert re.search(why or "", check.text)

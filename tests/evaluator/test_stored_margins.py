@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from cli_support import one_line
 from skd_evaluator.assessment.compare.comparison import compare
-from skd_evaluator.assessment.compare.gate import Limit, check_limits, check_not_worse
+from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -134,9 +134,9 @@ class Assessed:
             AssessmentError: nothing can be said, as where the two do not compare: neither that it is worse nor that it
                 is not.
         """
-        from skd_evaluator.assessment.compare.gate import check_not_worse
         from skd_evaluator.assessment.files.results import read_result
         from skd_evaluator.errors import AssessmentError
+        from skd_evaluator.margin.common_trajectories import check_not_worse
 
         check = check_not_worse(self.folder, read_result(Path(earlier).expanduser()))
         if check.error:

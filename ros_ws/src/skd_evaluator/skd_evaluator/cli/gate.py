@@ -90,7 +90,8 @@ class Gate:
             folder: folder of the result; None where it could not be written.
             errors: why nothing, or not enough, can be said of the car.
         """
-        from skd_evaluator.assessment.compare.gate import Check, check_limits, check_not_worse
+        from skd_evaluator.assessment.compare.gate import Check, check_limits
+        from skd_evaluator.margin.common_trajectories import check_not_worse
         from skd_evaluator.metrics.aborted import aborted_lines
         from skd_evaluator.metrics.credibility import not_credible
 

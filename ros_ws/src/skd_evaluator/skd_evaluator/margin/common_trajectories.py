@@ -9,25 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.options.simulators import WORLD, is_own_world
+from skd_sim.options.car_under_test import WORLD, CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
-from skd_sim.world.trajectory import Trajectory
+from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.compare.gate import Check, not_worse
 from skd_evaluator.assessment.compare.unlike_results import refusals
+from skd_evaluator.assessment.files.episodes_npz import StoredWay, read_episodes
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
-from skd_evaluator.assessment.files.episodes_npz import StoredWay, read_episodes
-from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.margin.search.rounds import SAME, in_processes
 from skd_evaluator.margin.search.search import Hit, margins_beside
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.margin.searching import SAME, in_processes
 from skd_evaluator.metrics.distances.deviation import deviation
 from skd_evaluator.metrics.statistics.statistics import mean
 
@@ -71,6 +72,12 @@ def on_common_trajectories(
     return found[0], found[1], tuple(lines)
 
 
+def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
+    """Return whether the assessment in a folder falls behind an earlier one on common trajectories; see `not_worse`."""
+    earlier, mine, lines = on_common_trajectories(earlier, read_result(folder), lambda _label, _done, _total: None)
+    return not_worse(mine, earlier, lines)
+
+
 def _hits(result: StoredResult, ways: Sequence[Sequence[StoredWay]]) -> list[Hit]:
     """Return the hits of least deviation of a result, least first."""
     found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine]
@@ -97,7 +104,7 @@ def _margins(
     driven, stored = [], []
     for index, mine in enumerate(ways):
         for way in mine:
-            driven.append(prescribed(trials[index][way.attempt], _whole(way)))
+            driven.append(prescribed(trials[index][way.trial], _whole(way)))
             stored.append((result.safe[index], way.distance))
     first = trials[0][0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
@@ -133,8 +140,8 @@ def _trials(result: StoredResult) -> list[list[Episode]]:
     )
     return [
         [
-            plan.episode(Mode.KAMIKAZE, index, attempt, Trajectory(phi, scenario.time_step, f"φ {index}"))
-            for attempt in range(len(result.groups[MARGIN][index]))
+            plan.episode(Mode.KAMIKAZE, index, trial, Trajectory(phi, scenario.time_step, f"φ {index}"))
+            for trial in range(len(result.groups[MARGIN][index]))
         ]
         for index, phi in enumerate(result.safe)
     ]

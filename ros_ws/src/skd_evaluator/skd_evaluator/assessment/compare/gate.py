@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from skd_evaluator.assessment.compare.comparison import MARGIN, NOT_COMPARED, RISKS, Comparison, compare
 from skd_evaluator.assessment.files.assessment_json import figure
-from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.margin.common_trajectories import on_common_trajectories
+from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.margins import UPPER_BOUNDS, stopped_at
 
@@ -118,21 +116,21 @@ def _at_worst(result: Mapping[str, Any], limit: Limit, check: Check) -> Check:
     return replace(check, text=f"not judged: {check.text}, and {lost}", failed=False, error=True)
 
 
-def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
+def not_worse(mine: StoredResult, earlier: StoredResult, remarks: Iterable[str] = ()) -> Check:
     """Compare an assessment with an earlier one: it fails if a figure is surely worse, and none is surely better.
 
     A verdict that the car is less safe waits until no estimate points the other way; a gate does not. A car
     that would fall behind had it hit in every episode of its own that was aborted is an error.
 
     Args:
-        folder: folder of the assessment.
+        mine: the assessment.
         earlier: the earlier result, behind which the car must not fall.
+        remarks: what a reader should know of both beside that, a line each.
     """
     name = f"not worse than {earlier.folder}"
-    earlier, mine, tried = on_common_trajectories(earlier, read_result(folder), lambda _label, _done, _total: None)
     found = compare(earlier, mine)
     judge = found.behind_by or found.decided_by
-    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *tried, *found.lines())))
+    beside = "".join(f"; {line}" for line in dict.fromkeys((*earlier.remarks, *remarks, *found.lines())))
     if judge is None:
         few = "" if found.design == NOT_COMPARED else ": there are too few φ for an interval"
         return Check(name, f"{NOT_COMPARED}{few}{beside}", error=True)
