@@ -21,7 +21,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.compare.gate import Check, not_worse
 from skd_evaluator.assessment.compare.unlike_results import refusals
-from skd_evaluator.assessment.files.episodes_npz import StoredWay, read_episodes
+from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
@@ -30,9 +30,12 @@ from skd_evaluator.margin.search.rounds import SAME, in_processes
 from skd_evaluator.margin.search.search import Hit, margins_beside
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.distances.least_way import LeastWay
 from skd_evaluator.metrics.statistics.statistics import mean
 
 MARGIN = "margin"
+Ways = Sequence[Sequence[LeastWay | None]]
+"""For each φ the hits of least deviation, one a trial; None: no hit was found."""
 _LOWERED = 1e-3  # m: less is not said
 
 
@@ -78,22 +81,21 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     return not_worse(mine, earlier, lines)
 
 
-def _hits(result: StoredResult, ways: Sequence[Sequence[StoredWay]]) -> list[Hit]:
+def _hits(result: StoredResult, ways: Ways) -> list[Hit]:
     """Return the hits of least deviation of a result, least first."""
-    found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine]
+    found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine if way is not None]
     return [Hit(phi, _whole(way)) for way, phi in sorted(found, key=lambda one: one[0].distance)]
 
 
-def _whole(way: StoredWay) -> FloatArray:
+def _whole(way: LeastWay) -> FloatArray:
     """Return the positions of a hit, n × 2, m, the last of them not at the contact but at the end of its tick."""
-    before, contact = way.positions[-2:]
-    share = max(way.duration - (len(way.positions) - 2), 1e-9)
-    return np.concatenate([way.positions[:-1], [before + (contact - before) / share]])
+    positions = way.trajectory.positions
+    before, contact = positions[-2:]
+    share = max(way.duration - (len(positions) - 2), 1e-9)
+    return np.concatenate([positions[:-1], [before + (contact - before) / share]])
 
 
-def _margins(
-    result: StoredResult, ways: Sequence[Sequence[StoredWay]], hits: Sequence[Hit], progress: Progress
-) -> tuple[FloatArray, ...]:
+def _margins(result: StoredResult, ways: Ways, hits: Sequence[Hit], progress: Progress) -> tuple[FloatArray, ...]:
     """Return the margins of each φ, m, of a car that also meets some other trajectories.
 
     Raises:
@@ -103,9 +105,10 @@ def _margins(
     trials, groups = _trials(result), result.groups[MARGIN]
     driven, stored = [], []
     for index, mine in enumerate(ways):
-        for way in mine:
-            driven.append(prescribed(trials[index][way.trial], _whole(way)))
-            stored.append((result.safe[index], way.distance))
+        for trial, way in zip(trials[index], mine, strict=True):
+            if way is not None:
+                driven.append(prescribed(trial, _whole(way)))
+                stored.append((result.safe[index], way.distance))
     first = trials[0][0]
     with InProcessRunner(available_workers(), isolated=not first.car.is_own) as runner:
         runner.start()
@@ -129,8 +132,7 @@ def _trials(result: StoredResult) -> list[list[Episode]]:
     simulator = str((figures.get("options") or {}).get("simulator", WORLD))
     car = CarUnderTest(figures["controller"], figures["multiplier"] or CarUnderTest.multiplier)
     if car.is_external or not is_own_world(simulator):
-        where = f"simulator {simulator}" if car.is_own else f"controller {car.controller} in simulator {simulator}"
-        raise UsageError(f"{where} cannot be run here" if not car.is_external else "its car is a node of its own")
+        raise UsageError("its car is a node of its own" if car.is_external else f"it was in simulator {simulator}")
     scenario = check_controller(car, scenario_from_dict(figures["scenario"], str(result.folder)))
     plan = Plan(
         scenario,
