@@ -35,7 +35,6 @@ LOADING: Final = 10.0
 """Times as long the loading of a controller may take: it may read a large network."""
 FAILED_STARTS: Final = 3
 """So many children in a row that are lost in their first piece of work end the assessment."""
-_MOST: Final = 4  # children that a process keeps, one for each controller
 _POLL: Final = 0.25  # s between two looks at whether the child lives and its call is in time
 _PATIENCE: Final = 1.0  # s for a child whose pipe is closed to end by itself, so that its exit code is seen
 
@@ -61,7 +60,7 @@ class _Here:
         call: in a child, memory that its parent reads: until when the call that it is in may take (`time.monotonic`, 0
             outside of calls), and how long it may take, s.
         is_child: whether this process is a child.
-        children: children by the name of whose code they run; the last one used is the last.
+        children: children by the name of whose code they run.
         owner: id of the process whose children these are.
         failed: how many children in a row were lost in their first piece of work.
     """
@@ -116,11 +115,7 @@ def isolated(whose: str, work: Callable[[_Item], _Result], item: _Item) -> _Resu
     if _Here.owner != os.getpid():  # this process was forked, and they are its parent's
         children.clear()
         _Here.owner, _Here.failed = os.getpid(), 0
-    child = children.pop(whose, None)
-    if child is None:
-        while len(children) >= _MOST:
-            children.pop(next(iter(children))).close()
-        child = IsolatedProcess(whose)
+    child = children.pop(whose, None) or IsolatedProcess(whose)
     try:
         result = child.run(work, item)
     except LostProcessError as error:
