@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from fusion_trials import FIGURES as PLAYED
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fused_figure
-from skd_evaluator.extensions.fusion.trial import FIGURES, Figure, Pairs
+from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, TrialFigure
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
@@ -39,7 +39,7 @@ LOOKS = 4
 KINDS = (
     "normal", "gamma 1", "gamma 2", "log-normal", "cut off", "clustered", "clustered unequally", "clustered gamma 2"
 )  # fmt: skip
-_PLAIN = Figure("clearance", "figure", "m", math.inf)
+_PLAIN = TrialFigure("clearance", "figure", "m", math.inf)
 
 
 def shaped(kind: str, rho: float) -> tuple[Draw, float]:
@@ -87,7 +87,7 @@ def played(figures: FloatArray) -> tuple[Draw, float]:
     return draw, float(physical.mean())
 
 
-def asked(x: FloatArray, groups: list[FloatArray], figure: Figure, confidence: float = 0.95) -> FusedFigure | None:
+def asked(x: FloatArray, groups: list[FloatArray], figure: TrialFigure, confidence: float = 0.95) -> FusedFigure | None:
     """Return the figure; None where nothing is said."""
     count, every = len(groups), np.concatenate(groups)
     if not figure.is_rate and np.ptp(every) == 0.0:
@@ -102,7 +102,7 @@ def asked(x: FloatArray, groups: list[FloatArray], figure: Figure, confidence: f
         return None
 
 
-def coverage(draw: Draw, truth: float, figure: Figure, repetitions: int, seed: int) -> Iterator[dict[str, Any]]:
+def coverage(draw: Draw, truth: float, figure: TrialFigure, repetitions: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield for each number of trials how often intervals hold, and their widths."""
     for trials in TRIALS:
         rng = np.random.default_rng((seed, trials))

@@ -21,9 +21,9 @@ from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
-    Calibration,
-    Drive,
     Recorded,
+    ReplayedDrive,
+    SimulatorCalibration,
     calibrated,
     estimated,
     off_by,
@@ -93,13 +93,13 @@ def physical(case: Case, world: Scenario, count: int, seed: int) -> list[Recorde
     return found
 
 
-def fitted(case: Case, world: Scenario, trials: list[Recorded]) -> Calibration:
+def fitted(case: Case, world: Scenario, trials: list[Recorded]) -> SimulatorCalibration:
     """Return the calibration by trials."""
     start = {name: PARAMETERS[name].of(world) for name in PARAMETERS if not PARAMETERS[name].sensing}
 
     def off(values: Mapping[str, float]) -> list[FloatArray]:
         scenario = calibrated(world, values)
-        return [off_by(Drive(one, scenario, case.controller, 1.0)) for one in trials]
+        return [off_by(ReplayedDrive(one, scenario, case.controller, 1.0)) for one in trials]
 
     return estimated(off, start, case.free, list(range(len(trials))))
 

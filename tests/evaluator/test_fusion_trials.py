@@ -12,9 +12,15 @@ import numpy as np
 import pytest
 from common import run_skd
 from skd_evaluator.extensions.fusion.recording import read_tracks
-from skd_evaluator.extensions.fusion.track import Frame
+from skd_evaluator.extensions.fusion.track import RecordingFrame
 from skd_evaluator.extensions.fusion.trial import PhysicalTrial
-from skd_evaluator.extensions.fusion.trial_sources import Recorder, overruled, read_simulated, read_trials, table_in
+from skd_evaluator.extensions.fusion.trial_sources import (
+    TrialRecorder,
+    overruled,
+    read_simulated,
+    read_trials,
+    table_in,
+)
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -33,7 +39,7 @@ def tracked(
     *,
     rate: float = 20.0,
     other_rate: float = 10.0,
-    frame: Frame = Frame(),  # noqa: B008
+    frame: RecordingFrame = RecordingFrame(),  # noqa: B008
     clock: float = 7.3,
     gap: float = GAP,
     speed: float = SPEED,
@@ -59,12 +65,12 @@ def tracked(
     return path
 
 
-def recorder(**changes: object) -> Recorder:
-    return Recorder(SCENARIO, {"walk": PHI}, **changes)  # type: ignore[arg-type]
+def recorder(**changes: object) -> TrialRecorder:
+    return TrialRecorder(SCENARIO, {"walk": PHI}, **changes)  # type: ignore[arg-type]
 
 
 def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock(tmp_path: Path):
-    site = Frame(120.0, -40.0, 0.7)
+    site = RecordingFrame(120.0, -40.0, 0.7)
     plain = recorder().measured(tracked(tmp_path / "a.csv"), PhysicalTrial("walk"))
     moved = recorder(frame=site, car="ego", other="dummy").measured(
         tracked(tmp_path / "b.csv", rate=50.0, other_rate=25.0, frame=site, clock=1e5, ids=("ego", "dummy")),
@@ -90,8 +96,8 @@ def test_a_recording_gives_timing_and_figures_whatever_its_rates_frame_and_clock
     [
         ({"said": 3.6 * SPEED}, "is it in km/h"),
         ({"aside": 2.0}, "beside its lane's centre"),
-        ({"frame": Frame(0.0, 0.0, 1.2)}, "off its φ"),
-        ({"frame": Frame(0.0, 3.0, 0.0)}, "off its φ after"),
+        ({"frame": RecordingFrame(0.0, 0.0, 1.2)}, "off its φ"),
+        ({"frame": RecordingFrame(0.0, 3.0, 0.0)}, "off its φ after"),
         ({"ids": ("lead", "dummy")}, "no object 'car' but 'dummy', 'lead'"),
         ({"other_rate": 1.0}, "hole of 1.00 s"),
         ({"speed": 600.0}, "m and times in s"),

@@ -16,8 +16,8 @@ from scipy import special, stats
 from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
 from skd_evaluator.cli.commands.models.simulator import warnings_of
 from skd_evaluator.extensions.fusion.calibration import (
-    Drive,
     Recorded,
+    ReplayedDrive,
     ShownRecording,
     calibrated,
     estimated,
@@ -126,9 +126,9 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
         off_by_own = _places(shown, quiet, other, states)
         states = off_by_own
     trial = Recorded("walk", other, states, "here")
-    assert np.abs(off_by(Drive(trial, quiet, "basic", 1.0))).max() < 1e-9
+    assert np.abs(off_by(ReplayedDrive(trial, quiet, "basic", 1.0))).max() < 1e-9
     slower = calibrated(quiet, {"delay": 0.1})
-    assert off_by(Drive(trial, slower, "basic", 1.0))[-1] > 0.5  # the recorded car braked later, and is ahead
+    assert off_by(ReplayedDrive(trial, slower, "basic", 1.0))[-1] > 0.5  # the recorded car braked later, and is ahead
 
 
 def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:

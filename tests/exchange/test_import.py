@@ -19,7 +19,7 @@ from skd_evaluator.bags.mcap_file import complete, typestore
 from skd_evaluator.extensions.exchange.exports import FORMATS
 from skd_evaluator.extensions.exchange.imports import ImportRequest, UnusableError, by_car, read_sources, trajectory_of
 from skd_evaluator.extensions.exchange.tracks import track_of
-from skd_evaluator.extensions.fusion.track import Frame
+from skd_evaluator.extensions.fusion.track import RecordingFrame
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -387,7 +387,7 @@ def test_a_way_that_jumps_is_unusable(tmp_path: Path):
     (tmp_path / "a.csv").write_text("t,x,y\n0,0,0\n1,1,0\n2,900,0\n3,901,0\n")
     (source,) = read_sources(tmp_path / "a.csv", ImportRequest())
     with pytest.raises(UnusableError, match="moves 899 m in 1 s"):
-        trajectory_of(source, Frame(), 0.5, None)
+        trajectory_of(source, RecordingFrame(), 0.5, None)
 
 
 def test_what_the_commands_refuse(result: Path, skd_here, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.controllers import make_controller
 from skd_sim.errors import UsageError
-from skd_sim.simulators.metadrive.pedals import Measured, Pedals
+from skd_sim.simulators.metadrive.pedals import MeasuredPedal, Pedals
 from skd_sim.simulators.simulator import make_simulator, repeats_itself
 
 PEDALS = Pedals(
-    tuple(Measured(one, -20.0 * min(one, 0.4) - 5.0 * max(0.0, one - 0.4)) for one in Pedals.BRAKES),
-    tuple(Measured(one, 2.5 * one) for one in Pedals.THROTTLES),
+    tuple(MeasuredPedal(one, -20.0 * min(one, 0.4) - 5.0 * max(0.0, one - 0.4)) for one in Pedals.BRAKES),
+    tuple(MeasuredPedal(one, 2.5 * one) for one in Pedals.THROTTLES),
     -0.3,
 )
 
@@ -39,7 +39,7 @@ def test_a_pedal_comes_back(pedal: float) -> None:
 
 
 def test_more_brake_that_does_less_is_level() -> None:
-    less = Pedals((Measured(0.5, -8.0), Measured(1.0, -7.0)), (Measured(1.0, 2.0),), -0.3)
+    less = Pedals((MeasuredPedal(0.5, -8.0), MeasuredPedal(1.0, -7.0)), (MeasuredPedal(1.0, 2.0),), -0.3)
     assert less.limits.least == -8.0
     assert less.pedal(-8.0) >= -1.0
     assert less.acceleration(-1.0) == -8.0

@@ -19,7 +19,7 @@ from skd_sim.inputs.yaml_file import short
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS, trials_for_width
-from skd_evaluator.extensions.fusion.trial import FIGURES, Figure
+from skd_evaluator.extensions.fusion.trial import FIGURES, TrialFigure
 from skd_evaluator.extensions.fusion.trial_sources import read_simulated
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
@@ -159,7 +159,7 @@ def _fused_source(folder: Path, key: str) -> _Source:
     )
 
 
-def _positive(deviation: float, path: Path, figure: Figure) -> float:
+def _positive(deviation: float, path: Path, figure: TrialFigure) -> float:
     if not deviation > 0.0:
         raise UsageError(f"{path}: {figure.text} is the same on every φ, so nothing can be planned with it")
     return deviation

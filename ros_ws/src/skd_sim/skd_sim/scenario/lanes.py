@@ -28,7 +28,7 @@ class _Whole(Frozen):
 
 
 @dataclass(frozen=True)
-class _Place(_Whole):
+class _LanePlace(_Whole):
     """A place on a lane; see `Road.place`."""
 
     along: Annotated[float, limits(-500.0, 500.0, "m along the lane")]
@@ -36,7 +36,7 @@ class _Place(_Whole):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _TimedPlace(_Place):
+class _TimedPlace(_LanePlace):
     """Where somebody is on a lane, and when."""
 
     time: Annotated[float, limits(0.0, 600.0, "s since the start")]
@@ -100,7 +100,7 @@ class _Lanes:
         """
         if not _on_lane(section):
             return section
-        place = self._place(_Place, section, path, names[:2])
+        place = self._place(_LanePlace, section, path, names[:2])
         rest = {key: value for key, value in section.items() if key not in ON_LANE}
         return dict(zip(names, self._road.place(place.lane, place.along, place.aside), strict=True)) | rest
 

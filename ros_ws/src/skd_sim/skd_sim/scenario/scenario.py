@@ -87,7 +87,7 @@ class Collision(Frozen):
 
 
 @dataclass(frozen=True)
-class Sensor(Frozen):
+class LaserSensor(Frozen):
     """Planar laser scanner on the car's axis, looking ahead; beams are spread evenly over the field of view."""
 
     mount_ahead: Annotated[float, limits(-20.0, 20.0, "m ahead of the reference point")]
@@ -198,7 +198,7 @@ class Scenario(Frozen):
     collision: Collision
     eta_max: Annotated[float, limits(0.01, 1000.0, "m")] = 5.0
     control_period: Annotated[float, limits(*CONTROL_PERIODS, "s")] | None = None
-    sensor: Sensor | None = None
+    sensor: LaserSensor | None = None
     obstacles: tuple[Obstacle, ...] = ()
     others: tuple[Other, ...] = ()
     ending: Endings | None = None

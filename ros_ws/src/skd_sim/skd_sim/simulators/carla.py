@@ -66,7 +66,7 @@ def _wrapped(angle: float) -> float:
     return math.remainder(angle, math.tau)
 
 
-class Pedals(NamedTuple):
+class CarlaPedals(NamedTuple):
     """Positions of the pedals, each in [0, 1]; at most one of them is above 0."""
 
     throttle: float
@@ -117,7 +117,7 @@ def box_from_odometry(message: Any, placement: Placement, velocity: tuple[float,
     return AdversaryState(*place, *velocity, float(on_grid(heading)))
 
 
-def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Pedals:
+def pedals(acceleration: float, full_throttle: float, full_brake: float) -> CarlaPedals:
     """Return the pedals for an acceleration command (m/s²), linear up to what a full pedal gives.
 
     Args:
@@ -125,7 +125,7 @@ def pedals(acceleration: float, full_throttle: float, full_brake: float) -> Peda
         full_throttle: acceleration at full throttle, m/s², > 0.
         full_brake: deceleration at full brake, m/s², > 0.
     """
-    return Pedals(
+    return CarlaPedals(
         min(1.0, max(0.0, acceleration / full_throttle)),
         min(1.0, max(0.0, -acceleration / full_brake)),
     )

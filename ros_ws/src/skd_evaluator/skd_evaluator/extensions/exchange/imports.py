@@ -36,7 +36,7 @@ from skd_evaluator.extensions.exchange.tracks import (
     track_of,
 )
 from skd_evaluator.extensions.fusion.recording import TABLE_CAR, TABLE_OTHER, BagTrack, bag_tracks
-from skd_evaluator.extensions.fusion.track import FASTEST, Frame, Track
+from skd_evaluator.extensions.fusion.track import FASTEST, RecordingFrame, Track
 
 _SUFFIXES = (".xosc", ".xml", ".csv", ".mcap")
 _OSI_NAME = re.compile(r"\d{8}T\d{6}Z?_[a-z]+_\d+_\d+_\d+_")
@@ -287,7 +287,7 @@ class ImportedTrajectory:
 
 
 def trajectory_of(
-    source: TrackSource, frame: Frame | None, longest_gap: float, scenario: Scenario | None
+    source: TrackSource, frame: RecordingFrame | None, longest_gap: float, scenario: Scenario | None
 ) -> ImportedTrajectory:
     """Return a source's way in the frame `map`.
 
@@ -333,11 +333,11 @@ def trajectory_of(
     return ImportedTrajectory(source, times - times[0], placed[begin:end], look)
 
 
-def _in_map(source: TrackSource, frame: Frame | None, crossing: float) -> tuple[FloatArray, str]:
+def _in_map(source: TrackSource, frame: RecordingFrame | None, crossing: float) -> tuple[FloatArray, str]:
     """Return positions in the frame `map`, n × 2, m, and what was done."""
     track = source.found.track
     if frame is not None:
-        if frame == Frame():
+        if frame == RecordingFrame():
             return track.places, "in the file's own frame"
         turned = math.degrees(frame.turned)
         return track.placed(frame).places, f"map lies at ({frame.x:g}, {frame.y:g}) m, turned by {turned:g}°"

@@ -44,7 +44,7 @@ TYRES = "multi_body"
 
 
 @dataclass(frozen=True)
-class Parameter:
+class WorldParameter:
     """A parameter of the simulator.
 
     Attributes:
@@ -82,8 +82,10 @@ class Parameter:
 PARAMETERS = {
     one.name: one
     for one in (
-        Parameter("delay", ("car", "brake_delay"), "brake's delay", "s", (0.0, 1.0), (0.0, 0.1, 0.2, 0.35, 0.55), 0.03),
-        Parameter(
+        WorldParameter(
+            "delay", ("car", "brake_delay"), "brake's delay", "s", (0.0, 1.0), (0.0, 0.1, 0.2, 0.35, 0.55), 0.03
+        ),
+        WorldParameter(
             "deceleration",
             ("car", "brake_limit"),
             "brake's greatest deceleration",
@@ -93,7 +95,7 @@ PARAMETERS = {
             0.15,
             is_limit=True,
         ),
-        Parameter(
+        WorldParameter(
             "friction",
             ("road", "friction"),
             "friction, relative to a dry road",
@@ -103,7 +105,7 @@ PARAMETERS = {
             0.02,
             is_limit=True,
         ),
-        Parameter(
+        WorldParameter(
             "sensor_range",
             ("sensor", "maximum_range"),
             "sensor's range",
@@ -152,7 +154,7 @@ class Recorded:
 
 
 @dataclass(frozen=True)
-class Drive:
+class ReplayedDrive:
     """A trial that is to be driven again.
 
     Attributes:
@@ -224,7 +226,7 @@ def recorded(scenario: Scenario, scene: Scene, phi: str, where: str) -> Recorded
     return Recorded(phi, places, states, where)
 
 
-def off_by(drive: Drive) -> FloatArray:
+def off_by(drive: ReplayedDrive) -> FloatArray:
     """Return how far the recorded car is ahead of the simulated one along the road, at each tick, m.
 
     Raises:
@@ -277,7 +279,7 @@ _SHOWN = 0.01
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A parameter as the trials have it.
 
     Attributes:
@@ -288,7 +290,7 @@ class Estimate:
         reason: why the trials say nothing; else empty.
     """
 
-    parameter: Parameter
+    parameter: WorldParameter
     value: float
     interval: Interval | None
     error: float | None
@@ -296,7 +298,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class SimulatorCalibration:
     """All parameters.
 
     Attributes:
@@ -308,7 +310,7 @@ class Calibration:
         by_trial: of each trial, after.
     """
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     covariance: FloatArray
     freedom: float
     before: float
@@ -316,7 +318,7 @@ class Calibration:
     by_trial: FloatArray
 
     @property
-    def told(self) -> tuple[Estimate, ...]:
+    def told(self) -> tuple[ParameterEstimate, ...]:
         """Those that have an interval."""
         return tuple(one for one in self.estimates if one.interval is not None)
 
@@ -344,7 +346,7 @@ class Calibration:
 
 def estimated(
     off: Off, start: Mapping[str, float], free: Sequence[str], groups: Sequence[int], confidence: float = 0.95
-) -> Calibration:
+) -> SimulatorCalibration:
     """Return parameters by trials.
 
     Args:
@@ -385,11 +387,13 @@ def estimated(
     for name in (one for one in PARAMETERS if one in values):
         if name in names:
             error = math.sqrt(spread[names.index(name), names.index(name)])
-            found.append(Estimate(PARAMETERS[name], values[name], intervals[name], error))
+            found.append(ParameterEstimate(PARAMETERS[name], values[name], intervals[name], error))
         else:
-            found.append(Estimate(PARAMETERS[name], values[name], None, None, reasons.get(name) or "not asked for"))
+            found.append(
+                ParameterEstimate(PARAMETERS[name], values[name], None, None, reasons.get(name) or "not asked for")
+            )
     order = [names.index(one.parameter.name) for one in found if one.interval is not None]
-    return Calibration(
+    return SimulatorCalibration(
         tuple(found),
         spread[np.ix_(order, order)],
         freedom,

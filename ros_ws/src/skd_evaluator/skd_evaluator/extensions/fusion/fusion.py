@@ -32,14 +32,14 @@ from skd_evaluator.extensions.fusion.estimate import (
     stand_for_all,
     trials_saved,
 )
-from skd_evaluator.extensions.fusion.trial import FIGURES, GAP_TOLERANCE, Figure, Pairs, PhysicalTrial, paired
+from skd_evaluator.extensions.fusion.trial import FIGURES, GAP_TOLERANCE, Pairs, PhysicalTrial, TrialFigure, paired
 from skd_evaluator.metrics.statistics.clustered import student_quantile
 from skd_evaluator.metrics.statistics.sequential import nominal_confidence
 from skd_evaluator.metrics.statistics.statistics import Interval
 
 
 @dataclass(frozen=True)
-class Trend:
+class GapTrend:
     """How a gap changes with something.
 
     Attributes:
@@ -68,8 +68,8 @@ class Gap:
     by_phi: FloatArray
     mean: float
     interval: Interval | None
-    by_simulated: Trend | None
-    by_order: Trend | None
+    by_simulated: GapTrend | None
+    by_order: GapTrend | None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of fusion.json."""
@@ -98,7 +98,7 @@ def gap_of(y: FloatArray, x: FloatArray, trials: FloatArray, predicted: FloatArr
     return Gap(gaps, centre, interval, trend(x, gaps, confidence), order)
 
 
-def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> Trend | None:
+def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> GapTrend | None:
     """Return the line of least squares of values over places; None where the places or the values are all the same."""
     off, up = places - places.mean(), values - values.mean()
     spread, freedom = float(off @ off), places.size - 2.0
@@ -109,7 +109,7 @@ def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> T
     error = math.sqrt(float(left @ left) / freedom / spread)
     half = student_quantile(freedom, confidence) * error
     chance = 0.0 if error == 0.0 else float(2.0 * scipy.special.stdtr(freedom, -abs(slope) / error))
-    return Trend(slope, (slope - half, slope + half), chance)
+    return GapTrend(slope, (slope - half, slope + half), chance)
 
 
 _MANY = 5
@@ -142,7 +142,7 @@ class FusedFigure:
         notes: what a reader should know, a sentence each.
     """
 
-    figure: Figure
+    figure: TrialFigure
     pairs: Pairs
     confidence: float
     alone: Mean
@@ -257,7 +257,7 @@ def fuse(
     return Fusion(tuple(found), tuple(left_out))
 
 
-def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure:
+def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedFigure:
     """Return a figure of the physical car by its pairs.
 
     Raises:
@@ -308,7 +308,7 @@ def fused_figure(figure: Figure, pairs: Pairs, confidence: float) -> FusedFigure
     )
 
 
-def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> tuple[Mean | None, str]:
+def _with_simulator(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float) -> tuple[Mean | None, str]:
     """Return the figure by both, or why there is none."""
     y, x, population = pairs.physical, pairs.simulated, pairs.population
     if line.slope is None:
@@ -323,7 +323,7 @@ def _with_simulator(figure: Figure, pairs: Pairs, line: Line, confidence: float)
     return fused(y, x, population, line, confidence, wrong=figure.wrong, reach=reach), ""
 
 
-def _by_itself(figure: Figure, pairs: Pairs, line: Line, confidence: float) -> Mean:
+def _by_itself(figure: TrialFigure, pairs: Pairs, line: Line, confidence: float) -> Mean:
     if figure.is_rate:
         return alone_rate(pairs.groups, confidence)
     reach = _reach(pairs, line, confidence, by_line=False)
@@ -348,7 +348,7 @@ def _reach(pairs: Pairs, line: Line, confidence: float, *, by_line: bool) -> Rea
     )
 
 
-def _check_shape(figure: Figure, pairs: Pairs) -> None:
+def _check_shape(figure: TrialFigure, pairs: Pairs) -> None:
     """Refuse few trials of a figure that a few φ decide: none of them need be among these."""
     if not figure.is_rate and len(pairs.names) < _FEW and kurtosis(pairs.shape) > _RARE:
         raise NotSaidError(
@@ -358,7 +358,7 @@ def _check_shape(figure: Figure, pairs: Pairs) -> None:
         )
 
 
-def _check_reach(figure: Figure, pairs: Pairs, reach: Reach) -> None:
+def _check_reach(figure: TrialFigure, pairs: Pairs, reach: Reach) -> None:
     if reach.further > _MOST_REACH:
         raise NotSaidError(
             f"{figure.text}: nothing is said, for the simulated figures are so skewed over φ that {len(pairs.names)} "

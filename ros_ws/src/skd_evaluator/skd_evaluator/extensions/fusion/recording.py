@@ -32,7 +32,7 @@ _MOST = 2_000_000  # positions
 _LATE = 1.0  # s by which a message may be recorded behind a later one
 
 
-class Row(NamedTuple):
+class TrackRow(NamedTuple):
     """A position: s, m, m, and where they are said heading (rad) and speed (m/s); else nan."""
 
     time: float
@@ -57,7 +57,7 @@ class Sighting(NamedTuple):
 class BagTrack:
     """One object of a bag: positions, and the frame that they are in."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[TrackRow] = field(default_factory=list)
     frame: str = ""
 
 
@@ -181,7 +181,7 @@ def _frame_track(path: Path, transforms: Transforms, frame: str, map_frame: str 
     times = transforms.stamps(frame)
     poses = transforms.poses(frame, within, times)
     rows = zip(times.tolist(), poses.places[:, :2].tolist(), poses.headings.tolist(), strict=True)
-    return BagTrack([Row(time, x, y, heading, np.nan) for time, (x, y), heading in rows], within)
+    return BagTrack([TrackRow(time, x, y, heading, np.nan) for time, (x, y), heading in rows], within)
 
 
 def _known_frame(path: Path, transforms: Transforms, frame: str) -> str:
@@ -228,7 +228,7 @@ def _placed(
         places, headings = placed.places, np.where(np.isfinite(headings), placed.headings, np.nan)
     rows = zip(times.tolist(), places[:, :2].tolist(), headings.tolist(), seen, strict=True)
     within = frames[0] if map_frame is None else map_frame
-    return BagTrack([Row(time, x, y, heading, one.speed) for time, (x, y), heading, one in rows], within)
+    return BagTrack([TrackRow(time, x, y, heading, one.speed) for time, (x, y), heading, one in rows], within)
 
 
 TABLE_CAR, TABLE_OTHER = "car", "other"
@@ -262,13 +262,13 @@ def read_tracks(path: Path, car: str | None, other: str | None) -> tuple[Track, 
     return first, second
 
 
-def _track(rows: list[Row], where: str) -> Track:
+def _track(rows: list[TrackRow], where: str) -> Track:
     values = np.array(sorted(dict.fromkeys(rows)), np.float64).reshape(-1, 5)
     said: list[FloatArray | None] = [None if np.isnan(column).any() else column for column in values[:, 3:].T]
     return Track(values[:, 0], values[:, 1:3], said[0], said[1], where).checked()
 
 
-def _rows_of_bag(path: Path, names: tuple[str, str]) -> dict[str, list[Row]]:
+def _rows_of_bag(path: Path, names: tuple[str, str]) -> dict[str, list[TrackRow]]:
     found = bag_tracks(path, names)
     _check_frames(path, {name: one.frame for name, one in found.items()}, names)
     return {name: one.rows for name, one in found.items()}
@@ -280,8 +280,8 @@ def _check_frames(path: Path, frames: dict[str, str], topics: tuple[str, str]) -
         raise UsageError(f"{path}: {said}: two frames, and nothing says how they lie; record both in one")
 
 
-def _rows_of_table(path: Path, ids: tuple[str, str]) -> dict[str, list[Row]]:
-    rows: dict[str, list[Row]] = {name: [] for name in ids}
+def _rows_of_table(path: Path, ids: tuple[str, str]) -> dict[str, list[TrackRow]]:
+    rows: dict[str, list[TrackRow]] = {name: [] for name in ids}
     known: set[str] = set()
     try:
         for line, row in _lines(path):
@@ -290,7 +290,7 @@ def _rows_of_table(path: Path, ids: tuple[str, str]) -> dict[str, list[Row]]:
                 values = (
                     _number(row.get(name, ""), f"{path}, line {line}: {name}", name) for name in (*"txy", *_FURTHER)
                 )
-                rows[row["id"]].append(Row(*values))
+                rows[row["id"]].append(TrackRow(*values))
     except csv.Error as error:
         raise UsageError(f"{path}: not csv: {error}") from error
     for name in ids:

@@ -180,7 +180,7 @@ _FARTHEST = 1e8  # m; UTM's coordinates stay below a tenth of it
 
 
 @dataclass(frozen=True)
-class Frame:
+class RecordingFrame:
     """Where the frame `map` of the scenario lies in a recording's frame.
 
     Attributes:
@@ -304,7 +304,7 @@ class Track:
                 f"positions {seen[worst]:.2g} m/s"
             )
 
-    def placed(self, frame: Frame) -> Track:
+    def placed(self, frame: RecordingFrame) -> Track:
         """Return it in the frame `map`."""
         cos, sin = math.cos(frame.turned), math.sin(frame.turned)
         x, y = (self.places - np.array([frame.x, frame.y])).T

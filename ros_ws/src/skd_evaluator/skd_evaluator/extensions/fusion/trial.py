@@ -21,7 +21,7 @@ from skd_evaluator.metrics.surrogate.scenes import Scenes
 
 
 @dataclass(frozen=True)
-class Figure:
+class TrialFigure:
     """A figure of a trial.
 
     Attributes:
@@ -46,15 +46,15 @@ class Figure:
 FIGURES = {
     one.key: one
     for one in (
-        Figure("clearance", "least clearance", "m", 100.0),
-        Figure("required_deceleration", "greatest required deceleration", "m/s²", MOST, wrong=1.0),
-        Figure("hit", "nominal collision rate", "", 1.0, is_rate=True),
-        Figure("margin", "margin", "m", 100.0),
+        TrialFigure("clearance", "least clearance", "m", 100.0),
+        TrialFigure("required_deceleration", "greatest required deceleration", "m/s²", MOST, wrong=1.0),
+        TrialFigure("hit", "nominal collision rate", "", 1.0, is_rate=True),
+        TrialFigure("margin", "margin", "m", 100.0),
     )
 }
 
 
-def checked_value(figure: Figure, value: float, where: str) -> float:
+def checked_value(figure: TrialFigure, value: float, where: str) -> float:
     """Return a value of a figure.
 
     Args:
@@ -153,7 +153,7 @@ class Pairs:
 
 
 def paired(
-    figure: Figure,
+    figure: TrialFigure,
     physical: Sequence[PhysicalTrial],
     simulated: Mapping[str, Sequence[PhysicalTrial]],
     tolerance: float = GAP_TOLERANCE,

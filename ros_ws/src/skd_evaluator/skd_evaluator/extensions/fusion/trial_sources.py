@@ -28,7 +28,7 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes
 from skd_evaluator.assessment.files.results import read_both
 from skd_evaluator.extensions.fusion.recording import read_tracks
-from skd_evaluator.extensions.fusion.track import Frame, Track
+from skd_evaluator.extensions.fusion.track import RecordingFrame, Track
 from skd_evaluator.extensions.fusion.trial import (
     FIGURES,
     GAP_TOLERANCE,
@@ -248,7 +248,7 @@ _END = 0.5  # s that a recording may end before φ does, and over which is looke
 
 
 @dataclass(frozen=True)
-class Recorder:
+class TrialRecorder:
     """How recordings of trials are read.
 
     Attributes:
@@ -266,7 +266,7 @@ class Recorder:
     safe: Mapping[str, FloatArray]
     car: str | None = None
     other: str | None = None
-    frame: Frame = field(default_factory=Frame)
+    frame: RecordingFrame = field(default_factory=RecordingFrame)
     reference: float = 0.0
     tolerance: float = PATH_TOLERANCE
     gap_tolerance: float = GAP_TOLERANCE

@@ -49,7 +49,7 @@ LEAST_SPEED: Final = 0.5
 _TOUCH = 1e-6  # of a pedal: the car rolls freely
 
 
-class Measured(NamedTuple):
+class MeasuredPedal(NamedTuple):
     """A pedal's position in [0, 1], and the acceleration that it gave, m/s²."""
 
     pedal: float
@@ -71,8 +71,8 @@ class Pedals:
     BRAKES: ClassVar = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
     THROTTLES: ClassVar = (0.25, 0.5, 0.75, 1.0)
 
-    brakes: tuple[Measured, ...]
-    throttles: tuple[Measured, ...]
+    brakes: tuple[MeasuredPedal, ...]
+    throttles: tuple[MeasuredPedal, ...]
     coasting: float
 
     @cached_property
@@ -116,7 +116,7 @@ class _Line(NamedTuple):
     accelerations: list[float]
 
     @classmethod
-    def through(cls, points: tuple[Measured, ...]) -> _Line:
+    def through(cls, points: tuple[MeasuredPedal, ...]) -> _Line:
         """Return the line through what was measured; where more pedal did less, it stays level."""
         sizes = np.maximum.accumulate([0.0, *(abs(one.acceleration) for one in points)])
         return cls([0.0, *(one.pedal for one in points)], sizes.tolist())

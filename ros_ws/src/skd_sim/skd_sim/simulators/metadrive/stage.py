@@ -24,7 +24,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH, SAME, Road
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.framed_simulator import States
-from skd_sim.simulators.metadrive.pedals import FULL_SPEED, LEAST_SPEED, Measured, Pedals
+from skd_sim.simulators.metadrive.pedals import FULL_SPEED, LEAST_SPEED, MeasuredPedal, Pedals
 from skd_sim.simulators.metadrive.vehicle import Cast, Placed, VehicleSpec
 from skd_sim.simulators.simulator import SimulatorError
 from skd_sim.world.dynamics.basic import CommandLimits
@@ -142,7 +142,7 @@ def without_assets() -> Iterator[None]:
         BaseEngine.try_pull_asset = fetches
 
 
-class Stage:
+class MetaDriveStage:
     """MetaDrive with one car on one road.
 
     Attributes:
@@ -266,8 +266,8 @@ class Stage:
         """
         speed = max(start_speed, FULL_SPEED)
         return Pedals(
-            tuple(Measured(pedal, self._braked(pedal, speed)) for pedal in Pedals.BRAKES),
-            tuple(Measured(pedal, self._pushed(pedal)) for pedal in Pedals.THROTTLES),
+            tuple(MeasuredPedal(pedal, self._braked(pedal, speed)) for pedal in Pedals.BRAKES),
+            tuple(MeasuredPedal(pedal, self._pushed(pedal)) for pedal in Pedals.THROTTLES),
             self._pushed(0.0),
         )
 
@@ -293,17 +293,17 @@ class Stage:
 class _Running:
     """What this process has: its stage, and what pedals were found to do, by car, step and start speed."""
 
-    stage: Stage | None = None
+    stage: MetaDriveStage | None = None
     pedals: ClassVar[dict[tuple[StageSpec, float, float], Pedals]] = {}
 
 
-def running() -> Stage | None:
+def running() -> MetaDriveStage | None:
     """Return the stage that this process has, if any."""
     stage = _Running.stage
     return stage if stage is not None and stage.owner == os.getpid() else None
 
 
-def stage_for(scenario: Scenario, step: float) -> Stage:
+def stage_for(scenario: Scenario, step: float) -> MetaDriveStage:
     """Return the stage of this process, for a scenario and a step of the physics (s); started if need be.
 
     Raises:
@@ -319,7 +319,7 @@ def stage_for(scenario: Scenario, step: float) -> Stage:
         if stage is not None:
             _Running.stage = None
             stage.close()
-        _Running.stage = stage = Stage(spec)
+        _Running.stage = stage = MetaDriveStage(spec)
     stage.step = step
     return stage
 
@@ -337,7 +337,7 @@ def step_of(scenario: Scenario) -> float:
     return duration / math.ceil(duration / PHYSICS_STEP - 1e-9)
 
 
-def pedals_of(stage: Stage, scenario: Scenario) -> Pedals:
+def pedals_of(stage: MetaDriveStage, scenario: Scenario) -> Pedals:
     """Return what the pedals of a stage's car do, measured once in this process, before an episode begins."""
     what = stage.spec, stage.step, scenario.car.start_speed
     if what not in _Running.pedals:
@@ -364,7 +364,7 @@ class MetaDriveFrames:
         Raises:
             UsageError: MetaDrive cannot run in this process.
         """
-        self._stage: Stage = stage_for(scenario, step_of(scenario))
+        self._stage: MetaDriveStage = stage_for(scenario, step_of(scenario))
         self._pedals = pedals_of(self._stage, scenario)
         self.frame_step: float = self._stage.step
         self.limits: CommandLimits = self._pedals.limits

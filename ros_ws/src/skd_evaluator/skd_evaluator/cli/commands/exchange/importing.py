@@ -32,7 +32,7 @@ from skd_evaluator.extensions.exchange.imports import (
     trajectory_of,
 )
 from skd_evaluator.extensions.exchange.scene import IMPORT
-from skd_evaluator.extensions.fusion.track import Frame
+from skd_evaluator.extensions.fusion.track import RecordingFrame
 from skd_evaluator.version import version
 
 SAFE = "safe"
@@ -83,12 +83,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if problem else 0
 
 
-def _frame(x: float, y: float, degrees: float) -> Frame:
-    return Frame(x, y, math.radians(degrees))
+def _frame(x: float, y: float, degrees: float) -> RecordingFrame:
+    return RecordingFrame(x, y, math.radians(degrees))
 
 
 def _taken(
-    arguments: argparse.Namespace, asked: ImportRequest, frame: Frame | None, scenario: Scenario | None
+    arguments: argparse.Namespace, asked: ImportRequest, frame: RecordingFrame | None, scenario: Scenario | None
 ) -> tuple[list[ImportedTrajectory], list[tuple[Path, str, str]]]:
     """Return the ways that can be used, and of the others file, name and why they cannot."""
     ways: list[ImportedTrajectory] = []

@@ -16,11 +16,11 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.estimate import Mean
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
-from skd_evaluator.extensions.fusion.track import Frame
+from skd_evaluator.extensions.fusion.track import RecordingFrame
 from skd_evaluator.extensions.fusion.trial import GAP_TOLERANCE
 from skd_evaluator.extensions.fusion.trial_sources import (
-    Recorder,
     Simulated,
+    TrialRecorder,
     by_phi,
     overruled,
     read_simulated,
@@ -84,11 +84,11 @@ def _simulated(path: Path) -> Simulated:
 
 def recorder_of(
     simulated: Simulated, arguments: argparse.Namespace, gap_tolerance: float = GAP_TOLERANCE
-) -> Recorder | None:
+) -> TrialRecorder | None:
     """Return what reads recordings of trials on simulated φ; None where road and shapes are not known."""
     if simulated.scenario is None or simulated.safe is None:
         return None
-    return Recorder(
+    return TrialRecorder(
         simulated.scenario,
         simulated.safe,
         arguments.car,
@@ -100,9 +100,9 @@ def recorder_of(
     )
 
 
-def _frame(given: tuple[float, float, float] | None) -> Frame:
+def _frame(given: tuple[float, float, float] | None) -> RecordingFrame:
     x, y, degrees = given or (0.0, 0.0, 0.0)
-    return Frame(x, y, math.radians(degrees))
+    return RecordingFrame(x, y, math.radians(degrees))
 
 
 def fusion_table(figures: Sequence[FusedFigure]) -> Table:

@@ -27,9 +27,9 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
-    Calibration,
-    Drive,
     Recorded,
+    ReplayedDrive,
+    SimulatorCalibration,
     calibrated,
     estimated,
     off_by,
@@ -152,7 +152,7 @@ def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: arg
 
 def _calibrated(
     world: Scenario, car: CarUnderTest, trials: Sequence[Recorded], names: Sequence[str] | None, workers: int
-) -> Calibration:
+) -> SimulatorCalibration:
     known = [name for name, one in PARAMETERS.items() if not one.sensing or world.sensor is not None]
     if names and (absent := [one for one in names if one not in known]):
         raise UsageError(f"{absent[0]} cannot be calibrated: scenario {world.name} has no sensor")
@@ -162,7 +162,9 @@ def _calibrated(
 
         def off(values: Mapping[str, float]) -> list[np.ndarray]:
             scenario = calibrated(world, values)
-            return list(runner.map(off_by, [Drive(one, scenario, car.controller, car.multiplier) for one in trials]))
+            return list(
+                runner.map(off_by, [ReplayedDrive(one, scenario, car.controller, car.multiplier) for one in trials])
+            )
 
         numbers = list(dict.fromkeys(one.phi for one in trials))
         free = [name for name in known if not names or name in names]
@@ -191,7 +193,7 @@ def _with_draws(
     return [one for one in every if one is not None], draw_warnings(found, MAXIMUM_ABORTED)
 
 
-def warnings_of(calibration: Calibration) -> list[str]:
+def warnings_of(calibration: SimulatorCalibration) -> list[str]:
     """Return what a reader should know before believing a calibration."""
     found = []
     found += [
@@ -206,7 +208,7 @@ def warnings_of(calibration: Calibration) -> list[str]:
     return found
 
 
-def sentences(calibration: Calibration, found: Sequence[Propagated]) -> list[str]:
+def sentences(calibration: SimulatorCalibration, found: Sequence[Propagated]) -> list[str]:
     """Return what may be said, a sentence each."""
     said = [
         f"The {one.parameter.text} is {one.parameter.shown(one.value)}, with a 95 % interval from "
@@ -229,7 +231,7 @@ def sentences(calibration: Calibration, found: Sequence[Propagated]) -> list[str
     return said
 
 
-def parameter_table(calibration: Calibration, world: Scenario) -> Table:
+def parameter_table(calibration: SimulatorCalibration, world: Scenario) -> Table:
     """Return the table of all parameters."""
     table = narrow_table("The simulator by the physical trials")
     for name in ("", "scenario", "estimate", "95 %\ninterval"):
