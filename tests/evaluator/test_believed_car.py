@@ -11,7 +11,7 @@ from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.cli.commands.show import shown_episode
+from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.report.believed_car import DEVIATIONS, believed_car
 from skd_evaluator.report.episode_picture import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects

@@ -25,8 +25,8 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import pipeline
-from skd_evaluator.cli.commands import campaign as command
 from skd_evaluator.errors import AssessmentError, OutOfReachError
+from skd_evaluator.extensions.campaign import command
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME, EpisodeStore
 from skd_evaluator.ros import session as session_module
 from skd_sim.world.episode import Mode

@@ -47,6 +47,9 @@ def test_the_least_number_of_trials():
     assert trials_for_width(9.0, 1.0) == 5
 
 
+PLAN = ("fuse", "--figure", "clearance", "--width", "0.1")
+
+
 @pytest.fixture(scope="module")
 def fused(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, rng = tmp_path_factory.mktemp("plan"), np.random.default_rng(0)
@@ -61,7 +64,7 @@ def fused(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.CaptureFixture[str]):
-    words = ("plan", "--physical", "--figure", "clearance", "--width", "0.1", fused)
+    words = (*PLAN, fused)
     assert run_skd(*words, "--json") == 0
     said = json.loads(capsys.readouterr().out)
     found = json.loads((fused / "fusion.json").read_text("utf-8"))["figures"]["clearance"]
@@ -72,9 +75,6 @@ def test_the_command_plans_with_what_was_fused(fused: Path, capsys: pytest.Captu
     assert said["physical_alone"] > 2 * known["trials"]
     assert run_skd(*words, "--correlation", "0.6") == 0
     assert "where ρ = 0.60" in capsys.readouterr().out
-
-
-PLAN = ("plan", "--physical", "--figure", "clearance", "--width", "0.1")
 
 
 def edited_fusion(fused: Path, folder: Path, manifest: bool, figure: dict[str, object], **top: object) -> Path:
@@ -122,14 +122,10 @@ def test_entries_that_a_fusion_cannot_have(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--physical", "--difference", "0.1"), "--physical goes with --width"),
-        (("--physical", "--width", "0.1"), "needs one folder"),
-        (("--figure", "hit", "--width", "0.1"), "--figure hit is for --physical"),
-        (("--correlation", "0.5", "--width", "0.1"), "--correlation is for --physical"),
-        (("--physical", "--width", "0.1", "--figure", "skd", "FUSED"), "knows --figure clearance"),
-        (("--physical", "--width", "0.1", "FUSED"), "has no margin but clearance"),
+        (("FUSED",), "give PHYSICAL, the table of trials, or --width"),
+        (("--width", "0.1", "FUSED"), "has no margin but clearance"),
     ],
 )
 def test_plans_that_cannot_be(fused: Path, capsys: pytest.CaptureFixture[str], words, says):
-    assert run_skd("plan", *(fused if word == "FUSED" else word for word in words)) == 2
+    assert run_skd("fuse", *(fused if word == "FUSED" else word for word in words)) == 2
     assert says in capsys.readouterr().err

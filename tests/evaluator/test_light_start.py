@@ -11,7 +11,7 @@ import pytest
 @pytest.mark.parametrize(
     ("program", "without"),
     [
-        ("import skd_evaluator.cli.commands.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
+        ("import skd_evaluator.cli.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
         ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "matplotlib"),
         ("from skd_evaluator.cli.main import main; main(['completion', 'bash'])", "numpy numba rich"),
     ],

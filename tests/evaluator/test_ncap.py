@@ -12,7 +12,7 @@ import pytest
 from cli_support import names, one_line, skd
 from matplotlib.image import imread
 from skd_evaluator.assessment.stages.library import assess
-from skd_evaluator.cli.commands import ncap
+from skd_evaluator.extensions.ncap import command as ncap
 from skd_evaluator.extensions.ncap import points
 from skd_evaluator.extensions.ncap.layout import headline
 from skd_evaluator.extensions.ncap.of_results import views_of

@@ -15,8 +15,8 @@ from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.stages.asked import plan_of
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.cli import arguments as cli
-from skd_evaluator.cli.commands.assess import graph_options
-from skd_evaluator.cli.options import add_commands
+from skd_evaluator.cli.assess import graph_options
+from skd_evaluator.cli.parser import make_parser
 from skd_sim.errors import UsageError
 from skd_sim.options import options as table
 from skd_sim.options.adversary import BOTH, Knowledge, Objective
@@ -140,8 +140,7 @@ PAPER = {("sweep", "safe_count"): 5, ("sweep", "kamikaze_count"): 100}
 
 @pytest.mark.parametrize("command", ["assess", "sweep", "episode", "probe"])
 def test_each_command_has_its_options_once(command: str):
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    add_commands(parser, argparse.ArgumentParser)
+    parser = make_parser()
     values = vars(parser.parse_args([command]))
     for one in options_of(CampaignOptions):
         if command in one.commands:
@@ -154,8 +153,7 @@ def test_each_command_has_its_options_once(command: str):
 
 @pytest.mark.parametrize("command", ["assess", "episode", "probe"])
 def test_what_is_said_of_the_graph_reaches_it(command: str):
-    parser = argparse.ArgumentParser(exit_on_error=False)
-    add_commands(parser, argparse.ArgumentParser)
+    parser = make_parser()
     assert graph_options(parser.parse_args([command])) == GraphOptions()
     said = ["--pacing", "real_time", "--rate-factor", "20", "--startup-timeout", "7", "--controller-command", "a b"]
     chosen = graph_options(parser.parse_args([command, *said]))
@@ -167,8 +165,7 @@ def test_what_is_said_of_the_graph_reaches_it(command: str):
 
 def test_a_plan_of_parameters_and_one_of_the_command_line_are_the_same():
     parameters = {one.name: one.plain_default for one in options_of(CampaignOptions)}
-    parser = argparse.ArgumentParser()
-    add_commands(parser, argparse.ArgumentParser)
+    parser = make_parser()
     line = vars(parser.parse_args(["assess"]))
     assert plan_of(parameters, CROSSING) == plan_of(line, CROSSING)
     assert plan_of(line, CROSSING).maximum_distance is None

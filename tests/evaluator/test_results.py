@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-import skd_evaluator.cli.commands
 from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
 from skd_evaluator.assessment.stages.written import write_with_scratch
 from skd_evaluator.errors import AssessmentError
@@ -41,51 +38,6 @@ def content(folder: Path) -> dict[str, str]:
         for path in folder.rglob("*")
         if path.is_file() and path.name != MANIFEST
     }
-
-
-RESULTS_OF = {
-    "assess": "assessment.json",
-    "compare": "comparison.json",
-    "scenarios": "scenarios.json",
-    "episode": "episode.json",
-    "exchange.export": "export.json",
-    "exchange.importing": "import.json",
-    "models.behaviour": "behaviour.yaml",
-    "models.fit": "car_model.yaml",
-    "models.fuse": "fusion.json",
-    "models.probe": "probe.json",
-    "models.simulator": "simulator.json",
-    "ncap": "ncap.json",
-    "overview.trend": "trend.json",
-    "reference": "reference.json",
-    "replay": "assessment.json",
-    "show": "show.json",
-    "sweep": "sweep.json",
-}
-"""The file of each command's results by which they are known."""
-BY_ANOTHER_MODULE = ("assess", "episode", "replay")
-"""What these write has its name in `assessing.written`, and in `campaign.store.results`."""
-
-
-def test_the_results_of_every_command_can_be_replaced(tmp_path: Path):
-    commands = Path(skd_evaluator.cli.commands.__file__).parent
-    taking = {
-        ".".join(path.relative_to(commands).with_suffix("").parts)
-        for path in commands.rglob("*.py")
-        if re.search(r"out = (result_folder|ResultFolder)\(", path.read_text("utf-8"))
-    }
-    assert taking == set(RESULTS_OF)
-    for command, name in RESULTS_OF.items():
-        module = importlib.import_module(f"skd_evaluator.cli.commands.{command}")
-        source = Path(str(module.__file__)).read_text("utf-8")
-        assert command in BY_ANOTHER_MODULE or name in vars(module).values() or f'"{name}"' in source, command
-        folder = tmp_path / command
-        folder.mkdir()
-        (folder / name).write_text("old")
-        with pytest.raises(UsageError, match="already holds results; add --overwrite"):
-            ResultFolder(folder)
-        ResultFolder(folder, overwrite=True).write(fill)
-        assert not (folder / name).exists() or name == "assessment.json"
 
 
 def test_new_folder_appears_with_its_parents(tmp_path):

@@ -14,7 +14,7 @@ from common import run_skd
 from report_support import edited
 from scipy import special, stats
 from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
-from skd_evaluator.cli.commands.models.simulator import warnings_of
+from skd_evaluator.extensions.fusion.calibrate_command import warnings_of
 from skd_evaluator.extensions.fusion.calibration import (
     Recorded,
     ReplayedDrive,
@@ -182,7 +182,7 @@ def test_a_car_that_has_no_multiplier_is_said_in_a_line(
 ) -> None:
     own = edited(sweep / "synthetic" / "C_0.5", tmp_path / "own", controller=controller, multiplier=None)
     (tmp_path / "trials.csv").write_text("phi,clearance\nsynthetic/0,1.0\n", "utf-8")
-    assert run_skd("fit", "--simulator", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
+    assert run_skd("calibrate", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
 

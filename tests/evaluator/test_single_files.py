@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 from cli_support import SMALL, names, one_line
-from skd_evaluator.cli.commands import report
+from skd_evaluator.cli import report
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells

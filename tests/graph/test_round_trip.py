@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from skd_evaluator.cli.commands.overview import doctor
+from skd_evaluator.cli import doctor
 
 
 def test_a_message_arrives(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import ast
 import importlib
 import re
@@ -12,7 +11,7 @@ from typing import Any
 
 import yaml
 from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.cli.options import add_commands
+from skd_evaluator.cli.parser import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -84,11 +83,9 @@ def check_command(line: str) -> None:
                 rf'Argument\(\s*"{argument.split(":=")[0]}"', source
             ), argument
     elif words[0] in ("scripts/skd", "scripts/assess-controller", "scripts/replay-logs") and words[1:] != ["--version"]:
-        parser = argparse.ArgumentParser(exit_on_error=False)
-        add_commands(parser, argparse.ArgumentParser)
         command = {"scripts/assess-controller": ["assess"], "scripts/replay-logs": ["replay"]}.get(words[0], [])
         options = words[1 : words.index("--")] if "--" in words else words[1:]
-        parser.parse_args([*command, *(word for word in options if word != "--help")])
+        make_parser().parse_args([*command, *(word for word in options if word != "--help")])
     for word in words:
         if re.match(r"(scripts|examples|docker|docs)/", word):
             assert (ROOT / word).exists(), word

@@ -54,6 +54,20 @@ setup(
         "console_scripts": [
             "evaluator = skd_evaluator.start:evaluator",
             "skd = skd_evaluator.start:skd",
-        ]
+        ],
+        "skd.commands": [
+            "campaign = skd_evaluator.extensions.campaign.options:add_campaign",
+            "ncap = skd_evaluator.extensions.ncap.options:add_ncap",
+            "fuse = skd_evaluator.extensions.fusion.options:add_fuse",
+            "calibrate = skd_evaluator.extensions.fusion.options:add_calibrate",
+            "export = skd_evaluator.extensions.exchange.options:add_export",
+            "import = skd_evaluator.extensions.exchange.options:add_import",
+        ],
+        "skd.checks": [
+            "ncap = skd_evaluator.extensions.ncap.verification:with_regulator",
+        ],
+        "skd.report_sections": [
+            "ncap = skd_evaluator.extensions.ncap.page:section_of",
+        ],
     },
 )

@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if as_json:
             keep_for_json()
         # Imported only now: `skd --help` must not wait for numba and matplotlib.
-        command = import_lasting(f"skd_evaluator.cli.commands.{getattr(arguments, 'module', arguments.command)}")
+        command = import_lasting(getattr(arguments, "module", f"skd_evaluator.cli.{arguments.command}"))
         with ExitStack() as stack:
             if getattr(arguments, "quiet", False) and not as_json:
                 stack.enter_context(redirect_stdout(stack.enter_context(open(os.devnull, "w"))))  # noqa: PTH123
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parsed(words: list[str]) -> argparse.Namespace:
     """Return what is asked for; --help and --version end the program when they are written, as wrong usage does."""
     try:
-        return parse(make_parser(), words)
+        return parse(make_parser(words), words)
     except SystemExit:
         sys.stdout.flush()
         raise

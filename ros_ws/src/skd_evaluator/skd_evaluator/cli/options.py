@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from skd_sim.options.adversary import OBJECTIVES
 
@@ -21,20 +22,20 @@ from skd_evaluator.cli.arguments import (
     add_output_arguments,
     add_pictures_argument,
     add_runner_arguments,
+    add_workers_argument,
     positive_number,
     real_number,
     steps_of,
     whole_number,
 )
-from skd_evaluator.cli.exchange_options import add_exchange_commands
 from skd_evaluator.cli.gate import add_gate_arguments
-from skd_evaluator.cli.model_options import add_model_commands
-from skd_evaluator.cli.overview_options import add_overview_commands
-from skd_evaluator.cli.regulator_options import add_reference_arguments, add_regulator_command
+
+_DEFAULT_FOLDER = Path("skd_results")
+_REFERENCE_TRIALS = 10
 
 
-def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> None:
-    """Add every command to `parser`."""
+def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentParser]) -> Any:
+    """Add SKD's own commands to `parser`, and return argparse's action that holds them."""
     parser.add_argument("--version", action=_Version, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=kind)
 
@@ -86,37 +87,6 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     )
     add_options(sweep, "sweep", CAR_GROUP)
     add_campaign_arguments(sweep, "sweep")
-
-    campaign = commands.add_parser(
-        "campaign",
-        help="rate many cars in many scenarios from one file; can be resumed",
-        description="Rate many cars, in many scenarios, with many seeds and values of any key, all described in one "
-        "YAML file. Every episode is stored as soon as it has run: whatever ends a campaign, --resume goes on with it.",
-    )
-    campaign.add_argument(
-        "path", type=Path, metavar="FILE", help="YAML file that says what to rate (see docs/campaigns.md)"
-    )
-    campaign.add_argument(
-        "--resume", action="store_true", help="go on with the campaign in --out, or begin it if there is none"
-    )
-    campaign.add_argument(
-        "--dry-run", action="store_true", help="only say which assessments there would be, and of how many episodes"
-    )
-    add_runner_arguments(campaign)
-    shared = (
-        "how many assessments share the processes at a time (default: 2; with a single process 1; with --scheduler 8)"
-    )
-    add_count(campaign, "--at-once", 1, 256, shared)
-    side_by_side = "how many node graphs run side by side, for assessments that say graph: true"
-    add_count(campaign, "--graphs", 1, 16, side_by_side, default=1)
-    add_max_aborted_argument(campaign)
-    campaign.add_argument(
-        "--live",
-        action="store_true",
-        help="show the figures of each cell as soon as it has ended: on a terminal as a table that grows, elsewhere as "
-        "a line on standard error",
-    )
-    add_output_arguments(campaign)
 
     episode = commands.add_parser(
         "episode",
@@ -264,23 +234,10 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
     plan.add_argument("--unpaired", action="store_true", help="the two cars are rated on different safe trajectories")
     plan.add_argument(
         "--figure",
-        choices=("margin", "deviation", "skd", "contact_rate", "clearance", "required_deceleration", "hit"),
+        choices=("margin", "deviation", "skd", "contact_rate"),
         default="margin",
         help="the figure that is asked about: margin, deviation or skd (both of planned kamikazes), or "
-        "contact_rate, for which runs along φ are counted instead of kamikazes; with --physical clearance, "
-        "required_deceleration, hit or margin (default: margin)",
-    )
-    plan.add_argument(
-        "--physical",
-        action="store_true",
-        help="say how many trials on a proving ground the width takes, alone and with the simulator; DIR is the folder "
-        "of skd fuse after the first trials, or of the simulated assessment",
-    )
-    plan.add_argument(
-        "--correlation",
-        type=real_number(0.0, 0.999),
-        metavar="R",
-        help="with --physical, how well the simulator is expected to predict from φ to φ (default: as skd fuse found)",
+        "contact_rate, for which runs along φ are counted instead of kamikazes (default: margin)",
     )
     add_count(plan, "--kamikaze-count", 2, 1_000_000, "say only how many φ it takes with this many kamikazes for each")
     plan.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -350,7 +307,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         metavar="FROM:TO:STEP",
         help="test speeds of the car, km/h, as 10:60:10; with campaign",
     )
-    add_reference_arguments(scenarios)
+    _add_reference_arguments(scenarios)
     add_output_arguments(
         scenarios,
         "PATH",
@@ -358,10 +315,8 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "the file to write (default: standard output)",
     )
 
-    add_regulator_command(commands)
-    add_model_commands(commands)
-    add_exchange_commands(commands)
-    add_overview_commands(commands)
+    _add_model_commands(commands)
+    _add_overview_commands(commands)
 
     completion = commands.add_parser(
         "completion",
@@ -370,6 +325,7 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         'it: eval "$(skd completion bash)", likewise in zsh; in tcsh, skd completion tcsh > FILE and source FILE.',
     )
     completion.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="your shell")
+    return commands
 
 
 class _Version(argparse.Action):
@@ -383,3 +339,170 @@ class _Version(argparse.Action):
 
         print(f"skd {version()}")
         parser.exit()
+
+
+def _add_model_commands(commands: Any) -> None:
+    probe = commands.add_parser(
+        "probe",
+        help="run episodes that show how a car reacts, for skd fit",
+        description="Run varied crossings that show when and how a car brakes, and keep them for skd fit: with --graph "
+        "as bags, otherwise in a file episodes.npz.",
+    )
+    add_car_arguments(probe, "probe")
+    add_count(probe, "--episodes", 1, 1_000_000, "how many episodes to run", default=1000)
+    add_options(probe, "probe", "campaign")
+    add_workers_argument(probe)
+    add_graph_arguments(probe, "probe", optional=True, record=False)
+    add_output_arguments(probe)
+
+    fit = commands.add_parser(
+        "fit",
+        help="learn a model of a car from recorded episodes",
+        description="Estimate by maximum likelihood how a car brakes, from recorded episodes, and write the model to "
+        "car_model.yaml. skd assess --car-model lets the adversary plan with it.",
+    )
+    fit.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="a bag folder, an .mcap file, an episodes.npz, or a folder of them",
+    )
+    add_damage_argument(fit)
+    add_output_arguments(fit)
+
+    behaviour = commands.add_parser(
+        "behaviour",
+        help="learn how people deviate from the way they mean to go, for the risk",
+        description="Fit a behaviour model to people who were tracked, check it on people whom it has not seen, and "
+        "write it to behaviour.yaml. skd assess --behaviour estimates the risk with it.",
+    )
+    behaviour.add_argument("action", choices=("fit",), help="fit: fit a behaviour model to tracks")
+    behaviour.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="the folder of CITR's vci_lat_uni, a csv file with columns t, x, y (x along the way that is intended) "
+        "or a folder of such files, or recorded episodes, whose safe trajectories are taken",
+    )
+    behaviour.add_argument(
+        "--name", default="fitted", metavar="NAME", help="what the model is called (default: fitted)"
+    )
+    behaviour.add_argument(
+        "--kind", default="pedestrian", metavar="KIND", help="the kind of road user (default: pedestrian)"
+    )
+    behaviour.add_argument("--description", default="", metavar="TEXT", help="whom the model is of")
+    add_damage_argument(behaviour)
+    add_output_arguments(behaviour)
+
+
+def _add_overview_commands(commands: Any) -> None:
+    listed = commands.add_parser(
+        "list",
+        help="list the assessments under a folder",
+        description="List the assessments in and under folders, cells of campaigns and sweeps included: car, margin, "
+        "date, and the commit of the car's code. Figures are those that are written; a file that is not what was "
+        "written is marked.",
+    )
+    _add_folders(listed)
+    _add_car(listed)
+    listed.add_argument("--scenario", metavar="TEXT", help="only those whose scenario's name holds this text")
+    listed.add_argument(
+        "--sort",
+        choices=("date", "folder", "car", "margin", "nominal_collision_rate"),
+        default="date",
+        help="in which order (default: date)",
+    )
+    add_count(listed, "--last", 1, 1_000_000, "only so many, the last of the order")
+    listed.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+    trend = commands.add_parser(
+        "trend",
+        help="say how a car has changed from assessment to assessment",
+        description="Follow a figure of each car over its assessments in and under folders, in the order of their "
+        "dates: each with its interval, and whether the car is safer or less safe than in the one before, judged as "
+        "skd compare does. All verdicts of a car together are right with 95 percent.",
+    )
+    _add_folders(trend)
+    _add_car(trend)
+    trend.add_argument(
+        "--figure",
+        choices=("margin", "deviation", "skd", "nominal_collision_rate", "risk_1"),
+        default="margin",
+        help="the figure that is followed (default: margin)",
+    )
+    add_pictures_argument(trend, "draw no picture beside trend.json")
+    add_output_arguments(trend)
+
+    doctor = commands.add_parser(
+        "doctor",
+        help="say what is installed, what is missing, and for what",
+        description="Look at what SKD needs and at what is optional, say what to do about what is missing, and send a "
+        "message between two nodes of ROS 2. Nothing is installed. The exit code is 1 where something does not work.",
+    )
+    doctor.add_argument(
+        "--no-round-trip", dest="round_trip", action="store_false", help="start no nodes: look at files alone"
+    )
+    doctor.add_argument("--json", action="store_true", help="print JSON instead of lines")
+
+    _add_drive(commands)
+
+
+def _add_drive(commands: Any) -> None:
+    drive = commands.add_parser(
+        "drive",
+        help="watch a car drive, and step in front of it with the keyboard",
+        description="Watch a car drive at the pace of the wall clock, in the terminal: as seen from above, with its "
+        "speed, its commands and their age. The adversary goes where your keys send it, or follows a safe trajectory "
+        "φ. The options are those of skd assess, so you can see your controller or node work before you rate it. With "
+        "--graph, RViz and Foxglove can show the drive, too. Nothing is rated, and only a run that fails leaves "
+        "something: its logs. Without a terminal it prints one line a second and ends with the first episode.",
+    )
+    followed = (
+        "let the adversary follow safe trajectories φ instead of the keys: synthetic, own, walkers, regulatory, or a "
+        "path, as skd assess takes them (default: it goes by keys)"
+    )
+    add_car_arguments(drive, "drive", safe={"default": None, "help": followed})
+    add_count(drive, "--safe-number", 0, 65_534, "with --safe, by which φ to begin, counted from 0 (default: 0)")
+    ticks = "end each episode after at most this many ticks, mostly of 0.3 s (default: as the scenario says)"
+    add_count(drive, "--ticks", 1, 100_000, ticks)
+    add_options(drive, "drive", "campaign")
+    rate = "how many simulated seconds pass in a second of the wall clock; 0.5 is slow motion (default: 1)"
+    add_graph_arguments(drive, "drive", optional=True, record=False, rate_factor={"help": rate})
+    group = drive.add_argument_group("output")
+    group.add_argument("--json", action="store_true", help="print how each episode ended as JSON, and no picture")
+    loudness = group.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="report the source of an error")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="print only how each episode ended")
+
+
+def _add_folders(parser: Any) -> None:
+    parser.add_argument(
+        "paths",
+        type=Path,
+        nargs="*",
+        default=[_DEFAULT_FOLDER],
+        metavar="DIR",
+        help=f"folder of results, or one above some (default: {_DEFAULT_FOLDER})",
+    )
+
+
+def _add_car(parser: Any) -> None:
+    parser.add_argument("--car", metavar="TEXT", help="only cars whose name holds this text")
+
+
+def _add_reference_arguments(scenarios: argparse.ArgumentParser) -> None:
+    """Add the options of `skd scenarios reference`."""
+    group = scenarios.add_argument_group("reference")
+    group.add_argument(
+        "--multipliers",
+        type=real_number(0.0, 100.0),
+        nargs="+",
+        metavar="C",
+        help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
+    )
+    add_count(group, "--trials", 1, 10_000, "trials on each φ of a scenario", default=_REFERENCE_TRIALS)
+    add_options(group, "reference", table=AssessmentOptions)
+    add_options(group, "reference")
+    add_runner_arguments(group)

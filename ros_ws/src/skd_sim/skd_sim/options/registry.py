@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
 import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -67,6 +68,13 @@ def _installed(group: str) -> Mapping[str, tuple[EntryPoint, ...]]:
     return found
 
 
+def _exists(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # of a package that it is in
+        return False
+
+
 class Registry:
     """The things of one kind that can be chosen by name.
 
@@ -111,6 +119,12 @@ class Registry:
                 "letters, digits, _ and -"
             )
         return entries[0].value
+
+    def registered(self) -> Iterator[str]:
+        """Yield the names of installed packages' own, by the alphabet; none whose module was deleted."""
+        for name in self.names()[len(self.own) :]:
+            if _exists(self.target(name).partition(":")[0]):
+                yield name
 
     def find(self, name: str) -> Any:
         """Import and return the thing with a name.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from skd_evaluator.extensions.ncap.colours import ROOM
 from skd_evaluator.extensions.ncap.layout import (
     COLOURS,
     LEGEND,
@@ -16,9 +19,11 @@ from skd_evaluator.extensions.ncap.layout import (
     reasons,
     row_name,
 )
+from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.extensions.ncap.result import Cell, Ncap
 from skd_evaluator.report.formats import bounded, counted
-from skd_evaluator.report.html.template import filled
+from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.template import Section, filled
 
 
 def render(found: Ncap) -> str:
@@ -38,6 +43,27 @@ def render(found: Ncap) -> str:
         same=equivalent_text,
         details=details,
     )
+
+
+def section_of(subjects: Sequence[Subject]) -> Section | None:
+    """Return the regulator's view of results that have static tests, as a section of their page; None without any."""
+    views = views_of(subjects, ROOM)
+    if not views:
+        return None
+    html = filled(
+        "skd_evaluator.extensions.ncap",
+        "section.html.j2",
+        views=views,
+        room=ROOM,
+        colours=COLOURS,
+        light=LIGHT,
+        legend=LEGEND,
+        letter=letter_of,
+        impact=impact_text,
+        margin=margin_text,
+        details=details,
+    )
+    return Section("regulator", "Regulator", html)
 
 
 def details(cell: Cell) -> str:

@@ -15,10 +15,6 @@ from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.extensions.ncap.colours import ROOM
-from skd_evaluator.extensions.ncap.layout import COLOURS, LEGEND, LIGHT, impact_text, letter_of, margin_text
-from skd_evaluator.extensions.ncap.of_results import views_of
-from skd_evaluator.extensions.ncap.page import details
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.metrics.statistics.statistics import mean
@@ -37,7 +33,7 @@ from skd_evaluator.report.html.packing import episode_columns, objective_names, 
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.html.template import filled
+from skd_evaluator.report.html.template import SECTIONS, filled
 from skd_evaluator.report.repeat import (
     BEHAVIOUR_FILE,
     CAR_MODEL_FILE,
@@ -95,15 +91,7 @@ def _render(subjects: Sequence[Subject], order: Sequence[tuple[int, int]], ways:
         listed=[views[place] for place in by_scenario(subjects)],
         matrix=matrix_of(subjects),
         notes=figures.ranking_notes(subjects),
-        views=views_of(subjects, ROOM),
-        room=ROOM,
-        test_colours=COLOURS,
-        light_colours=LIGHT,
-        cell_legend=LEGEND,
-        cell_letter=letter_of,
-        cell_impact=impact_text,
-        cell_margin=margin_text,
-        cell_details=details,
+        sections=[section for name in SECTIONS.registered() if (section := SECTIONS.find(name)(subjects))],
         curves=[heading for heading, _ in vulnerability_charts(subjects)],
         comparisons=len(comparison_charts(subjects)),
         ratings=[heading for heading, _ in rating_charts(subjects)],

@@ -19,8 +19,6 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes
 from skd_evaluator.assessment.files.results import read_checked
-from skd_evaluator.extensions.ncap.colours import ROOM
-from skd_evaluator.extensions.ncap.of_results import views_of
 from skd_evaluator.files import tails
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
@@ -149,7 +147,7 @@ def _read(folder: Path, kind: str) -> Subject:
     with understood(path):
         scenario = scenario_from_dict(figures["scenario"], str(path))
         subject = Subject(folder, car_name(figures), kind, figures, scenario, episodes, remarks)
-        _ = subject.curve, views_of([subject], ROOM)  # it is found here that they cannot be had
+        _ = subject.curve  # it is found here that it cannot be had
     return subject
 
 

@@ -2,7 +2,27 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jinja2
+from skd_sim.options.registry import Registry
+
+SECTIONS = Registry("section of reports", "skd.report_sections", {})
+"""Functions of extensions that are given the results of a page and return a `Section`, or None."""
+
+
+class Section(NamedTuple):
+    """A section that an extension adds to the page of results.
+
+    Attributes:
+        name: anchor of the section, which its HTML has as `id`.
+        title: what the page's navigation calls it.
+        html: its HTML.
+    """
+
+    name: str
+    title: str
+    html: str
 
 
 def filled(package: str, name: str, **values: object) -> str:

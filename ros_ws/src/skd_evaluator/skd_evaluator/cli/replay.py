@@ -14,7 +14,7 @@ from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.read import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands.assess import print_result
+from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.margin.actions import has_exact_margin

@@ -9,11 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
+from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.extensions.fusion import planning_command
 from skd_evaluator.extensions.fusion.estimate import Mean
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
 from skd_evaluator.extensions.fusion.track import RecordingFrame
@@ -35,6 +37,10 @@ _SMALL = 0.05  # p-value of a trend that is said
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
+    if (arguments.physical is None) == (arguments.width is None):
+        raise UsageError("give PHYSICAL, the table of trials, or --width, to plan how many there are to be")
+    if arguments.width is not None:
+        return planning_command.run(arguments)
     out = result_folder(arguments)
     simulated = _simulated(arguments.simulated)
     table = table_in(arguments.physical)

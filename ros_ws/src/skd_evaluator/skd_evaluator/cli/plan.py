@@ -30,7 +30,6 @@ _STATED = {
 and draws (`benchmarks/margin_variances.py`, of the difference what it is at most; `benchmarks/comparison.py`): assumed
 where no result is given."""
 _FEW = 10
-_SIMULATED = ("margin", "deviation", "skd", "contact_rate")
 
 
 @dataclass(frozen=True)
@@ -45,13 +44,6 @@ class _Source:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if arguments.physical:
-        from skd_evaluator.cli.physical_plan import run_physical
-
-        return run_physical(arguments)
-    if arguments.correlation is not None or arguments.figure not in _SIMULATED:
-        what = "--correlation" if arguments.correlation is not None else f"--figure {arguments.figure}"
-        raise UsageError(f"{what} is for --physical")
     if not arguments.paths:  # what reads results takes longer to import than all of this
         return _run(arguments, [])
     from skd_evaluator.assessment.files.assessment_json import understood

@@ -19,7 +19,6 @@ from skd_sim.scenario.scenario import Scenario, load_scenario
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.exchange_options import BY_CAR
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.exchange.imports import (
     ImportedTrajectory,
@@ -31,6 +30,7 @@ from skd_evaluator.extensions.exchange.imports import (
     read_sources,
     trajectory_of,
 )
+from skd_evaluator.extensions.exchange.options import BY_CAR
 from skd_evaluator.extensions.exchange.scene import IMPORT
 from skd_evaluator.extensions.fusion.track import RecordingFrame
 from skd_evaluator.version import version

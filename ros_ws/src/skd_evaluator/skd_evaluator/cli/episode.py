@@ -17,7 +17,7 @@ from skd_evaluator.assessment.stages.findings import episode_line
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, learned_plan
 from skd_evaluator.assessment.stages.written import fill_episode, write_with_scratch
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands.assess import graph_options, say
+from skd_evaluator.cli.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.risk.asked import behaviour_asked
 from skd_evaluator.risk.single import single_crossing

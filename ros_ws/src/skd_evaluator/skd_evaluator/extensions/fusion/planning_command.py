@@ -1,4 +1,4 @@
-"""`skd plan --physical`: how many trials on a proving ground a wanted width takes, alone and with the simulator."""
+"""`skd fuse --width`: how many trials on a proving ground a wanted width takes, alone and with the simulator."""
 
 from __future__ import annotations
 
@@ -52,14 +52,8 @@ class _Fused:
     correlation: Annotated[float, limits(-1.0, 1.0, "no unit")] = 0.0
 
 
-def run_physical(arguments: argparse.Namespace) -> int:
-    """Run the command with --physical; return its exit code."""
-    if arguments.width is None or arguments.kamikaze_count is not None or arguments.unpaired:
-        raise UsageError("--physical goes with --width, and without --difference, --kamikaze-count and --unpaired")
-    if len(arguments.paths) != 1:
-        raise UsageError("--physical needs one folder: of skd fuse, or of the simulated assessment")
-    if arguments.figure not in FIGURES:
-        raise UsageError(f"--physical knows --figure {', '.join(FIGURES)}; got {arguments.figure}")
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command with --width; return its exit code."""
     figure, source = FIGURES[arguments.figure], _source(arguments)
     known = source.correlation if arguments.correlation is None else arguments.correlation
     alone = trials_for_width(arguments.width, source.deviation)
@@ -75,7 +69,7 @@ def run_physical(arguments: argparse.Namespace) -> int:
         "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
     }
     for line in source.warnings:
-        print(f"skd plan: warning: {line}", file=sys.stderr)
+        print(f"skd fuse: warning: {line}", file=sys.stderr)
     if arguments.json:
         print_json(content)
         return 0
@@ -107,7 +101,7 @@ def _shown(known: float | None) -> tuple[float, ...]:
 
 
 def _source(arguments: argparse.Namespace) -> _Source:
-    path: Path = arguments.paths[0]
+    path: Path = arguments.simulated
     key = arguments.figure
     if (path / FUSION).exists():
         return _fused_source(path, key)

@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.action == "campaign":
         return _campaign(arguments)
     if arguments.action == "reference":
-        from skd_evaluator.cli.commands import reference  # only now: margins are slow to import
+        from skd_evaluator.cli import reference  # only now: margins are slow to import
 
         return reference.run(arguments)
     if arguments.speeds:

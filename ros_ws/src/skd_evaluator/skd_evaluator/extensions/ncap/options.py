@@ -1,14 +1,12 @@
-"""The options of `skd ncap` and of `skd scenarios reference`; light, for every command begins with them."""
+"""The options of `skd ncap`; light, for help reads them."""
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from skd_evaluator.assessment.plan.options import AssessmentOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
-    add_count,
     add_options,
     add_output_arguments,
     add_runner_arguments,
@@ -16,14 +14,14 @@ from skd_evaluator.cli.arguments import (
     steps_of,
 )
 from skd_evaluator.extensions.ncap.colours import ROOM
+from skd_evaluator.extensions.ncap.matrices import known_scenarios
 
-REFERENCE_TRIALS = 10
 SCENARIOS = "cpna,cpfa,cpnco"
 TRIALS = 5
 
 
-def add_regulator_command(commands: Any) -> None:
-    """Add it to a parser's commands."""
+def add_ncap(commands: Any) -> None:
+    """Add `skd ncap` to a parser's commands."""
     ncap = commands.add_parser(
         "ncap",
         help="run a regulator's tests: colours of Euro NCAP 2026, and the margin beside each",
@@ -34,12 +32,13 @@ def add_regulator_command(commands: Any) -> None:
     )
     tests = ncap.add_argument_group(CAR_GROUP)
     add_options(tests, "ncap", CAR_GROUP)
-    tests.add_argument(
+    scenarios = tests.add_argument(
         "--scenarios",
         default=SCENARIOS,
         metavar="LIST",
         help="scenarios with impact places, names or files, with commas in between (default: %(default)s)",
     )
+    scenarios.names = known_scenarios  # which a shell completes
     tests.add_argument(
         "--speeds",
         type=steps_of("km/h", 0.0, 200.0),
@@ -71,19 +70,4 @@ def add_regulator_command(commands: Any) -> None:
     )
     add_runner_arguments(ncap)
     add_output_arguments(ncap)
-
-
-def add_reference_arguments(scenarios: argparse.ArgumentParser) -> None:
-    """Add the options of `skd scenarios reference`."""
-    group = scenarios.add_argument_group("reference")
-    group.add_argument(
-        "--multipliers",
-        type=real_number(0.0, 100.0),
-        nargs="+",
-        metavar="C",
-        help="C of the basic cars (default: 0.5 0.75 1 1.25 1.5)",
-    )
-    add_count(group, "--trials", 1, 10_000, "trials on each φ of a scenario", default=REFERENCE_TRIALS)
-    add_options(group, "reference", table=AssessmentOptions)
-    add_options(group, "reference")
-    add_runner_arguments(group)
+    ncap.set_defaults(module="skd_evaluator.extensions.ncap.command")

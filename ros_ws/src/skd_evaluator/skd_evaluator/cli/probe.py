@@ -25,7 +25,7 @@ from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.assessment.stages.written import write_with_scratch
 from skd_evaluator.bags.car_logs import EPISODES, write_logs
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands.assess import EXIT_INTERRUPTED, graph_options, say_aborted
+from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report.progress import progress_bar

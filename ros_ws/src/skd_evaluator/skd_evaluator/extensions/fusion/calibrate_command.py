@@ -1,4 +1,4 @@
-"""`skd fit --simulator`: a simulated world in which simulated cars go as recorded ones, and what follows from it."""
+"""`skd calibrate`: a simulated world in which simulated cars go as recorded ones, and what follows from it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -22,7 +21,6 @@ from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.assessment.stages.propagated import Propagated, assessed_draws, draw_warnings, propagated
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands.models.fuse import recorder_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
@@ -35,9 +33,9 @@ from skd_evaluator.extensions.fusion.calibration import (
     off_by,
     recorded,
 )
+from skd_evaluator.extensions.fusion.fuse_command import recorder_of
 from skd_evaluator.extensions.fusion.trial import PhysicalTrial
 from skd_evaluator.extensions.fusion.trial_sources import (
-    PATH_TOLERANCE,
     Simulated,
     read_simulated,
     read_trials,
@@ -49,16 +47,13 @@ from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
 RESULT, SCENARIO = "simulator.json", "simulator.yaml"
-DRAWS, DRAW_PHI = 10, 20
 _KEYS = ("margin", "risk_1", "risk_2", "risk_3")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     begin = time.perf_counter()
-    if len(arguments.paths) != 2:
-        raise UsageError("--simulator needs two paths: the simulated assessment, and the physical trials")
-    folder, physical = arguments.paths
+    folder, physical = arguments.simulated, arguments.physical
     out = result_folder(arguments)
     simulated = read_simulated(folder)
     figures = simulated.figures
@@ -128,9 +123,9 @@ def run(arguments: argparse.Namespace) -> int:
         seconds = f"{time.perf_counter() - begin:.1f} s"
         print(seconds if problem else f"{seconds}; the calibrated scenario is {out.path / SCENARIO}")
     for line in warnings:
-        print(f"skd fit: warning: {line}", file=sys.stderr)
+        print(f"skd calibrate: warning: {line}", file=sys.stderr)
     if problem:
-        print(f"skd fit: {problem}", file=sys.stderr)
+        print(f"skd calibrate: {problem}", file=sys.stderr)
     return 1 if problem or not_credible(of_draws) else 0
 
 
@@ -245,25 +240,3 @@ def parameter_table(calibration: SimulatorCalibration, world: Scenario) -> Table
         else:
             table.add_row(name, own, f"{one.value:.3g}", f"[{one.interval[0]:.3g}, {one.interval[1]:.3g}]")
     return table
-
-
-def check_only_simulator(arguments: argparse.Namespace) -> None:
-    """Refuse options of --simulator without it.
-
-    Raises:
-        UsageError: one of them is given.
-    """
-    given: dict[str, Any] = {
-        "--car": arguments.car,
-        "--road-user": arguments.road_user,
-        "--frame": arguments.frame,
-        "--reference": arguments.reference or None,
-        "--path-tolerance": None if arguments.path_tolerance == PATH_TOLERANCE else arguments.path_tolerance,
-        "--parameters": arguments.parameters,
-        "--draws": None if arguments.draws == DRAWS else arguments.draws,
-        "--draw-phi": None if arguments.draw_phi == DRAW_PHI else arguments.draw_phi,
-        "--workers": arguments.workers,
-    }
-    for name, value in given.items():
-        if value is not None:
-            raise UsageError(f"{name} goes with --simulator")

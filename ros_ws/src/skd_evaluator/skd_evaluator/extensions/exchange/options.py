@@ -1,4 +1,4 @@
-"""The options of `skd export` and `skd import`; light, for every command begins with them."""
+"""The options of `skd export` and `skd import`; light, for help reads them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ EXPORT_FORMATS = ("openscenario", "osi", "commonroad", "csv")
 LONGEST_GAP = 0.5  # s
 
 
-def add_exchange_commands(commands: Any) -> None:
-    """Add them to a parser's commands; each says in which module of `cli/commands` it is."""
+def add_export(commands: Any) -> None:
+    """Add `skd export` to a parser's commands."""
     export = commands.add_parser(
         "export",
         help="write kamikazes and safe trajectories as OpenSCENARIO, OSI, CommonRoad or csv",
@@ -46,8 +46,11 @@ def add_exchange_commands(commands: Any) -> None:
         help="leave out how the car drove, so that another may drive in its place",
     )
     add_output_arguments(export)
-    export.set_defaults(module="exchange.export")
+    export.set_defaults(module="skd_evaluator.extensions.exchange.export_command")
 
+
+def add_import(commands: Any) -> None:
+    """Add `skd import` to a parser's commands."""
     taken = commands.add_parser(
         "import",
         help="make safe trajectories of files of others: OpenSCENARIO, OSI, CommonRoad, tracked data, bags",
@@ -102,7 +105,7 @@ def add_exchange_commands(commands: Any) -> None:
         help="a longer gap in a track is not filled: the way is left out (default: %(default)s)",
     )
     add_output_arguments(taken)
-    taken.set_defaults(module="exchange.importing")
+    taken.set_defaults(module="skd_evaluator.extensions.exchange.import_command")
 
 
 def _place(text: str) -> tuple[float, float, float] | str:

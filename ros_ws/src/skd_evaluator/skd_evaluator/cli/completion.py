@@ -14,14 +14,12 @@ from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS
 
 from skd_evaluator.assessment.plan.options import GENERATED, NO_BEHAVIOUR
 from skd_evaluator.cli.parser import commands_of, make_parser
-from skd_evaluator.extensions.ncap.matrices import known_scenarios
 from skd_evaluator.metrics.behaviour import WALKERS
 
 _NAMES: Final[Mapping[str, Callable[[], Iterable[str]]]] = {
     "behaviour": lambda: (WALKERS, NO_BEHAVIOUR),
     "car_model": lambda: (),
     "controller": CONTROLLERS.names,
-    "scenarios": known_scenarios,
     "names": SCENARIOS.names,
     "safe": lambda: (*GENERATED, REGULATORY),
     "scenario": SCENARIOS.names,
@@ -36,17 +34,19 @@ def run(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise UsageError("skd completion needs shtab, which is not installed: pip install shtab") from error
     parser = make_parser()
+    names: dict[str, Callable[[], Iterable[str]]] = {}
     for command in commands_of(parser).values():
         for action in command._actions:
             if action.type is Path:
                 action.complete = shtab.FILE  # type: ignore[attr-defined]  # what shtab looks for
-            elif action.dest in _NAMES:
+            elif hasattr(action, "names") or action.dest in _NAMES:
+                names.setdefault(action.dest, getattr(action, "names", None) or _NAMES[action.dest])
                 function = _function(action.dest)
                 action.complete = {"bash": function, "zsh": function, "tcsh": "f"}  # type: ignore[attr-defined]
             if isinstance(action.choices, Registry):
                 action.choices = action.choices.names()
     function_for = {"bash": _for_bash, "zsh": _for_zsh}.get(arguments.shell)
-    functions = "" if function_for is None else "".join(map(function_for, _NAMES))
+    functions = "" if function_for is None else "".join(function_for(one, names[one]()) for one in names)
     print(shtab.complete(parser, arguments.shell, preamble=functions))
     return 0
 
@@ -56,11 +56,9 @@ def _function(option: str) -> str:
     return f"_skd_{option}_or_file"
 
 
-def _for_bash(option: str) -> str:
-    names = " ".join(_NAMES[option]())
-    return f'{_function(option)}() {{\n  compgen -W \'{names}\' -- "$1"\n  compgen -f -- "$1"\n}}\n'
+def _for_bash(option: str, names: Iterable[str]) -> str:
+    return f'{_function(option)}() {{\n  compgen -W \'{" ".join(names)}\' -- "$1"\n  compgen -f -- "$1"\n}}\n'
 
 
-def _for_zsh(option: str) -> str:
-    names = " ".join(_NAMES[option]())
-    return f"{_function(option)}() {{\n  _alternative 'names:name:({names})' 'files:file:_files'\n}}\n"
+def _for_zsh(option: str, names: Iterable[str]) -> str:
+    return f"{_function(option)}() {{\n  _alternative 'names:name:({' '.join(names)})' 'files:file:_files'\n}}\n"

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from skd_sim.inputs.files import one_line
+from skd_sim.options.registry import Registry
 
 from skd_evaluator.assessment.files.verification import Verified, folders_below, verify
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.ncap.verification import with_regulator
 from skd_evaluator.report.terminal import counted
 
 _SHOWN = 20
+_CHECKS = Registry("check of results", "skd.checks", {})
+"""Functions of extensions that are given what is found in a folder and return it with what they find."""
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     folders = [folder for path in arguments.paths for folder in folders_below(path)]
-    found = [with_regulator(verify(folder)) for folder in dict.fromkeys(folders)]
+    found = [_verified(folder) for folder in dict.fromkeys(folders)]
     fine = all(one.fine for one in found)
     if arguments.json:
         print_json({"fine": fine, "results": [one.as_dict() for one in found]})
@@ -26,6 +29,14 @@ def run(arguments: argparse.Namespace) -> int:
         for line in _lines(one):
             print(one_line(line))
     return 0 if fine else 1
+
+
+def _verified(folder: Path) -> Verified:
+    """Return what is found in a folder, by the checks of extensions, too."""
+    found = verify(folder)
+    for name in _CHECKS.registered():
+        found = _CHECKS.find(name)(found)
+    return found
 
 
 def _lines(one: Verified) -> list[str]:

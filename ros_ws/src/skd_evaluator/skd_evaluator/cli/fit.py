@@ -19,7 +19,6 @@ from skd_adversary.car_models.speed_change import LARGEST_NOISE
 from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.commands.models import simulator
 from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import narrow_table, print_table
@@ -35,9 +34,6 @@ FAIR, FAIR_NEAR = 0.03, 0.05
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    if arguments.simulator:
-        return simulator.run(arguments)
-    simulator.check_only_simulator(arguments)
     begin = time.perf_counter()
     out = result_folder(arguments)
     damage = Damage(skip=arguments.skip_damaged)

@@ -1,1 +1,0 @@
-"""Commands that give what SKD has to other tools, and take what they have."""

@@ -1,0 +1,66 @@
+"""Extensions can be deleted: the rest neither imports nor needs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import skd_evaluator
+from cli_support import SMALL
+from common import PATIENCE
+
+PACKAGE = Path(skd_evaluator.__file__).parent
+COMMANDS = {
+    "campaign": ["campaign"],
+    "exchange": ["export", "import"],
+    "fusion": ["calibrate", "fuse"],
+    "ncap": ["ncap"],
+}
+
+
+def copied(folder: Path) -> Path:
+    """A copy of the package, which a process in this folder imports in place of the other."""
+    shutil.copytree(PACKAGE, folder / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder / PACKAGE.name
+
+
+def skd(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "skd_evaluator", *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+
+
+def test_each_folder_is_an_extension():
+    folders = {path.name for path in (PACKAGE / "extensions").iterdir() if path.is_dir() and path.name[0] != "_"}
+    assert folders == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_does_without_an_extension(name: str, tmp_path: Path):
+    package = copied(tmp_path)
+    shutil.rmtree(package / "extensions" / name)
+    done = skd(tmp_path, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    for extension, commands in COMMANDS.items():
+        for command in commands:
+            assert (re.search(rf"^    {command}\b", done.stdout, re.MULTILINE) is not None) == (extension != name)
+
+
+def test_cars_are_assessed_and_reported_without_any_extension(tmp_path: Path):
+    shutil.rmtree(copied(tmp_path) / "extensions")
+    done = skd(tmp_path, "assess", *SMALL, "--out", "result", "--no-pictures")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads((tmp_path / "result" / "assessment.json").read_text("utf-8"))["controller"] == "basic"
+    assert skd(tmp_path, "report", "result", "--out", "page.html").returncode == 0
+    assert "The regulator's view" not in (tmp_path / "page.html").read_text("utf-8")
