@@ -40,14 +40,3 @@ def test_what_is_seen_is_the_truth_and_the_noise_that_the_scenario_says(controll
     assert seen.mean() == pytest.approx(truth, abs=4.5 * noise / np.sqrt(DRAWS))
     assert seen.std() == pytest.approx(noise, rel=4.5 / np.sqrt(2 * DRAWS))
     assert abs(np.corrcoef(seen[1:], seen[:-1])[0, 1]) < 4.5 / np.sqrt(DRAWS)
-
-
-def test_noise_is_that_of_the_seed():
-    def seen(seed: int) -> list[float]:
-        episode = Episode(CROSSING, Mode.KAMIKAZE, seed, 1, safe_trajectory=ACROSS, simulations=1)
-        made = make_adversary(episode)
-        assert isinstance(made, PlanningAdversary)
-        return [float(made._sense(CarState(0.0, -12.0, np.pi / 2, 8.0))[0]) for _ in range(3)]
-
-    assert seen(1) == seen(1)
-    assert seen(1) != seen(2)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from citr_lookalike import FRAME_RATE, LookAlike, Walk
+from citr_lookalike import LookAlike, Walk
 from skd_adversary.safe_trajectories.citr import Clip, read_citr, read_clips, select, touches_cart
 from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.controllers import PAPER_MULTIPLIERS
@@ -29,18 +29,6 @@ def test_walk_is_recovered_from_any_frame(tmp_path: Path, side: int, degrees: fl
     np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=1e-9)
     assert trajectory.name == "yeild_01/1"
     assert trajectory.time_step == SCENARIO.time_step
-
-
-def test_resampling_of_a_curved_walk_is_off_by_the_chord_error_only(tmp_path: Path) -> None:
-    walk = Walk(sway=0.3)
-    clip = LookAlike(walks=[walk])
-    clip.write(tmp_path)
-    (trajectory,) = read_citr(tmp_path, SCENARIO)
-    times = SCENARIO.time_step * np.arange(len(trajectory))
-    # Linear interpolation between frames h apart errs by at most h²/8 · max|y''| = h²/8 · sway · speed².
-    chord = (1.0 / FRAME_RATE) ** 2 / 8.0 * walk.sway * walk.speed**2
-    # y = 0 is set where the chord crosses x = 0, which the same bound covers once more.
-    np.testing.assert_allclose(trajectory.positions, walk.at(times), atol=2.0 * chord + 1e-9)
 
 
 def test_the_whole_track_is_kept(tmp_path: Path) -> None:

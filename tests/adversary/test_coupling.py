@@ -44,13 +44,3 @@ def test_the_least_entry_never_falls(path: list[tuple[float, float]], psi: list[
     """Hence it bounds the distance of every continuation from below."""
     least = [row[BEGIN:].min() for row in _rows(np.array(path), np.array(psi))]
     assert least == sorted(least)
-
-
-def test_a_row_may_be_extended_in_place() -> None:
-    path = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 1.0)])
-    row = np.empty(3)
-    first_row(0.0, 0.5, path, row, 0)
-    apart = np.empty(3)
-    next_row(1.0, 0.5, path, row, apart, 0)
-    next_row(1.0, 0.5, path, row, row, 0)
-    assert (row == apart).all()

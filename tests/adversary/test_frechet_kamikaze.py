@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from similaritymeasures import frechet_dist
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
-from skd_adversary.crossing.model import CAR_S, STATE_DIM, compose
+from skd_adversary.crossing.model import CAR_S, compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
 from skd_adversary.crossing.on_foot import ACTION_COUNT, action_velocity
 from skd_adversary.pomdp.model import Pomdp
@@ -73,18 +73,6 @@ def test_it_ends_once_no_continuation_can_come_within_the_maximum() -> None:
     model.initial(p, state, rng)
     reward, terminal = model.step(p, state, 0, after, rng)  # North by 0.75 m: further than 0.5 m from all of φ
     assert (reward, terminal) == (FRECHET_REWARDS["step_reward"], True)
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_reinvigoration_keeps_the_adversary_and_the_coupling(known: bool) -> None:
-    model = _model(known=known)
-    rng = np.random.default_rng(4)
-    state, redrawn = np.empty(model.state_dim), np.empty(model.state_dim)
-    model.initial(model.parameters, state, rng)
-    state[STATE_DIM:] = rng.random(len(BENT))
-    model.reinvigorate(model.parameters, state, np.array([-9.0 if known else 9.0]), redrawn, rng)
-    assert (redrawn[:2] == state[:2]).all()
-    assert (redrawn[STATE_DIM:] == state[STATE_DIM:]).all()
 
 
 def test_it_comes_nearer_than_the_papers_objective() -> None:

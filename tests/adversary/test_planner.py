@@ -169,12 +169,6 @@ def test_it_gathers_information_from_continuous_observations(p_right: float) -> 
         assert _shares(model, p_right, options, 20)[LISTEN] >= 0.85
 
 
-def test_it_opens_once_it_knows_from_continuous_observations() -> None:
-    q = _tiger_values(200, 1.0)
-    assert int(np.argmax([np.interp(0.999, BELIEFS, row) for row in q])) == OPEN_LEFT
-    assert _shares(tiger(gaussian=True), 0.999, OPTIONS, 20)[OPEN_LEFT] > 0.84
-
-
 def test_same_generator_same_actions() -> None:
     def play(seed: int) -> tuple[list[int], bytes]:
         rng = np.random.default_rng(seed)
@@ -206,15 +200,6 @@ def test_the_subtree_of_what_was_done_and_heard_is_kept(backup: Backup) -> None:
     belief.correct(LISTEN, np.array([1.0]))
     planner.plan(belief)
     assert planner.visits.sum() == kept + 500
-
-
-def test_an_observation_that_was_never_simulated_starts_anew() -> None:
-    planner, belief = _planner(tiger(), 0.5, PlannerOptions(simulations=1, depth=1), 3)
-    planner.plan(belief)
-    untried = int(np.argmin(planner.visits))
-    planner.advance(untried, np.array([1.0]))
-    planner.plan(belief)
-    assert planner.visits.sum() == 1
 
 
 @pytest.mark.parametrize(

@@ -342,12 +342,3 @@ def test_roots_stay_within_the_particles_where_weights_sum_to_less_than_one() ->
     assert planner.plan(belief) == readable.plan(belief)
     assert readable.root is not None
     assert planner.values.tolist() == [float(arm.mean) for arm in readable.root.arms]
-
-
-def test_the_first_of_equal_actions_is_taken_and_the_untried_is_not() -> None:
-    """A planner that has tried one action only knows nothing better."""
-    planner = Planner(tiger(), replace(SMALL, simulations=1), np.random.default_rng(1))
-    belief = ParticleBelief(tiger(), 10, np.random.default_rng(1))
-    action = planner.plan(belief)
-    assert planner.visits[action] == 1
-    assert planner.visits.sum() == 1

@@ -109,17 +109,6 @@ def test_nearest_child_is_the_nearest(nodes: int, seed: int) -> None:
         np.testing.assert_allclose(distances[known.index(child)], min(distances), rtol=1e-5)
 
 
-def test_of_two_children_equally_near_the_newest_is_taken() -> None:
-    """Which one must not be left to chance: a search repeats to the last bit."""
-    tree = empty_tree(3, ACTIONS, DIMENSION)
-    tree.observation[1:] = [[1.0, 0.0], [-1.0, 0.0]]
-    for child in (1, 2):
-        tree.sibling[child] = tree.links[0, 1, FIRST_CHILD]
-        tree.links[0, 1, FIRST_CHILD] = child
-        tree.links[0, 1, CHILDREN] += 1
-    assert nearest_child(tree, 0, 1, np.zeros(DIMENSION, np.float32)) == (2, 1.0)
-
-
 def test_of_children_that_are_equally_alike_the_newest_is_taken() -> None:
     tree = empty_tree(4, 1, 1, references=2, state_dim=1)
     seen = np.zeros(1, np.float32)
