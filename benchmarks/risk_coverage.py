@@ -28,7 +28,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.behaviour.walking import walk
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.metrics.statistics.statistics import wilson_interval
-from skd_evaluator.risk.crossings import Crossings, Ends, Scenario
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
 from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
@@ -113,7 +113,7 @@ def _cross_by_time(
 class CarByTime:
     """Runs crossings in front of a car that goes by time."""
 
-    def __init__(self, scenario: Scenario, law: float) -> None:
+    def __init__(self, scenario: CrossingPlan, law: float) -> None:
         """Take the scenario apart into numbers."""
         self.car_normals = 1 + 2 * scenario.ticks
         self._law, self._values = law, scenario.values
@@ -142,11 +142,11 @@ class Job:
     levels: Levels | None = None
 
 
-def made(job: Job) -> tuple[Scenario, Any]:
+def made(job: Job) -> tuple[CrossingPlan, Any]:
     case = job.case
     multiplier = case.law if case.family == "distance" else 1.0
     plan = Plan(load_scenario("crossing"), safe_count=len(job.safe), multiplier=multiplier, seed=7)
-    scenario = Scenario(plan, job.safe, load_behaviour("walkers").values)
+    scenario = CrossingPlan(plan, job.safe, load_behaviour("walkers").values)
     return scenario, KnownCar(scenario) if case.family == "distance" else CarByTime(scenario, case.law)
 
 

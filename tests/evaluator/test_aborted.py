@@ -25,7 +25,7 @@ from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
-from skd_evaluator.risk.crossings import Crossings, Ends, Scenario
+from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
@@ -272,7 +272,7 @@ class Aborting:
 
 def test_subset_simulation_ends_with_the_first_aborted_crossing() -> None:
     """It had counted as a miss."""
-    here = Scenario(PLAN, (straight(),), np.ones(12) * 0.1)
+    here = CrossingPlan(PLAN, (straight(),), np.ones(12) * 0.1)
     with pytest.raises(AbortedCrossingsError) as told:
         levels_of(here, Aborting(), 1.0, Effort(2, 100, 3))
     assert told.value.count == 1
