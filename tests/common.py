@@ -23,17 +23,20 @@ PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 
 _reserved: deque[socket.socket] = deque()
-_KEPT = 26  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
+_KEPT = 20  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
 _PARTICIPANTS = 8  # of one domain on this machine: each has a port
 
 
 def new_domain() -> int:
-    """A DDS domain that no other test uses, in this process or beside it, and in which nobody is."""
+    """A DDS domain that no other test and no graph of `skd` uses, in this process or beside it, and in which nobody is.
+
+    It is reserved by the name by which `skd` reserves those that it chooses by itself.
+    """
     reason: OSError | None = None
     for domain in random.SystemRandom().sample(range(1, 102), 101):
         guard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            guard.bind(f"\0skd-test-domain-{domain}")
+            guard.bind(f"\0skd-ros-domain-{domain}")
             with contextlib.ExitStack() as probes:
                 for participant in range(_PARTICIPANTS):
                     probe = probes.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))

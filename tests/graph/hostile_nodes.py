@@ -1,4 +1,4 @@
-"""Nodes that do what no node should: controllers, a second simulator, a second evaluator."""
+"""Controllers that do what no node should."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from fake_nodes import run
 from geometry_msgs.msg import AccelStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from skd_msgs.msg import Episode
-from skd_sim.ros.support import LATCHED, STREAM
 
 COMMANDS = "/ego/acceleration_command"
 ANSWERS = {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}  # to a tick, m/s²
@@ -25,11 +22,8 @@ class Hostile(Node):
         super().__init__(f"hostile_{kind}")
         self._kind = kind
         topic = {"elsewhere": "/brake", "patient": "/adversary/velocity_command"}.get(kind, COMMANDS)
-        quality = QoSProfile(depth=10)
-        if kind == "unreliable":
-            quality.reliability = ReliabilityPolicy.BEST_EFFORT
         self._type = TwistStamped if kind == "patient" else AccelStamped
-        self._publisher = self.create_publisher(self._type, topic, quality)
+        self._publisher = self.create_publisher(self._type, topic, 10)
         self._heard = 0
         self._stamps: list[tuple[int, int]] = []
         self.create_subscription(Odometry, "/ego/odometry", self._on_odometry, 10)
@@ -42,11 +36,7 @@ class Hostile(Node):
             for _ in range(2 * (self._heard > 1) if first else 1):
                 self._publisher.publish(TwistStamped(header=odometry.header))
             return
-        if self._kind == "mute":
-            return
-        for value in {"twice": (0.0, -5.0), "echo": (0.0, 0.0), "nan": (math.nan,), "rocket": (50.0,)}.get(
-            self._kind, (0.0,)
-        ):
+        for value in ANSWERS.get(self._kind, (0.0,)):
             message = AccelStamped(header=odometry.header)
             if self._kind == "stamps":
                 message.header.stamp.nanosec += 1
@@ -54,30 +44,9 @@ class Hostile(Node):
             self._publisher.publish(message)
 
 
-class SecondSimulator(Node):
-    """Publishes the car's state as well."""
-
-    def __init__(self, kind: str) -> None:
-        super().__init__(f"hostile_{kind}")
-        self._publisher = self.create_publisher(Odometry, "/ego/odometry", STREAM)
-
-
-class SecondEvaluator(Node):
-    """Publishes on the evaluator's topic as well."""
-
-    def __init__(self, kind: str) -> None:
-        super().__init__(f"hostile_{kind}")
-        self._publisher = self.create_publisher(Episode, "/skd/episode", LATCHED)
-
-
-def make(kind: str) -> Node:
-    """Make the node of a name."""
-    return {"second_simulator": SecondSimulator, "second_evaluator": SecondEvaluator}.get(kind, Hostile)(kind)
-
-
 def main(args: Sequence[str]) -> int:
     """Run the node that the first argument names."""
-    return run(lambda: make(args[0]), args)
+    return run(lambda: Hostile(args[0]), args)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import shutil
 from collections.abc import Callable
@@ -16,7 +15,6 @@ from bag_tools import Item, read_items, shuffled, write_items
 from graph_support import Campaign, assert_same_results, skd_here
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -155,26 +153,11 @@ def test_metadata_and_type_hashes_are_those_that_rosbags_computes(campaign: Camp
             assert reader.message_count == sum(1 for _ in reader.messages())
 
 
-def test_messages_survive_a_second_pair_of_hands(campaign: Campaign, store: Typestore) -> None:
-    """What rosbags reads and writes back, rclpy reads as the same message; padding may differ."""
-    for item in read_items(files_of(campaign)[:2]):
-        package, _, name = item.type_name.split("/")
-        kind = getattr(importlib.import_module(f"{package}.msg"), name)
-        again = bytes(store.serialize_cdr(store.deserialize_cdr(item.data, item.type_name), item.type_name))
-        assert 0 <= len(item.data) - len(again) < 4
-        assert repr(deserialize_message(again, kind)) == repr(deserialize_message(item.data, kind))
-
-
 # --- the same numbers
 
 
 def test_replay_of_the_folder(replays_the_same: Check, campaigns: dict[float, Campaign]) -> None:
     replays_the_same(campaigns[1.0].bags)
-
-
-@pytest.mark.parametrize("multiplier", [0.5, 1.15])
-def test_replay_of_other_cars(replays_the_same: Check, campaigns: dict[float, Campaign], multiplier: float) -> None:
-    replays_the_same(campaigns[multiplier].bags, live=campaigns[multiplier].graph)
 
 
 def test_each_bag_named_and_one_named_twice(replays_the_same: Check, campaign: Campaign) -> None:
@@ -190,7 +173,7 @@ def test_files_copied_elsewhere_without_metadata(replays_the_same: Check, campai
     replays_the_same(flat)
 
 
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD])
 def test_merged_shuffled_compressed_and_mixed(
     replays_the_same: Check, campaign: Campaign, tmp_path: Path, store: Typestore, compression: CompressionType
 ) -> None:
@@ -264,38 +247,43 @@ def test_a_maximum_distance_chosen_afterwards(
 # --- what cannot be replayed
 
 
-def test_empty_folder(refused: Callable[..., str], tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    assert "no .mcap file" in refused(tmp_path / "empty")
-
-
-def test_no_such_path(refused: Callable[..., str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        (".keep", b"", "no .mcap file"),
+        ("x.mcap", b"not a recording", "x.mcap"),
+        ("x.db3", b"SQLite format 3\0", "x.db3"),
+        ("bag_0.mcap.zstd", zstandard.compress(b"an mcap file"), "zstd -d"),
+    ],
+)
+def test_no_recording(refused: Callable[..., str], tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / name).write_bytes(content)
+    assert said in refused(tmp_path / "bag")
     assert "no such file" in refused(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("content", [b"", b"not a recording", b"\x89MCAP0\r\n", bytes(4096)])
-def test_not_an_mcap(refused: Callable[..., str], tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "x.mcap").write_bytes(content)
-    assert "x.mcap" in refused(tmp_path / "x.mcap")
+def _of_clock(item: Item) -> Item:
+    return dataclasses.replace(item, topic="/ego/odometry") if item.topic == "/clock" else item
 
 
-def test_another_kind_of_file(refused: Callable[..., str], tmp_path: Path) -> None:
-    (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0")
-    assert "x.db3" in refused(tmp_path / "x.db3")
-
-
-def test_files_compressed_as_a_whole(refused: Callable[..., str], tmp_path: Path) -> None:
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "bag_0.mcap.zstd").write_bytes(zstandard.compress(b"an mcap file"))
-    assert "zstd -d" in refused(tmp_path / "bag")
-
-
-def test_messages_compressed_one_by_one(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    items = [
-        dataclasses.replace(item, data=zstandard.compress(item.data)) for item in read_items(files_of(campaign)[:1])
-    ]
-    write_items(tmp_path / "x.mcap", items)
-    assert "zstd_fast" in refused(tmp_path / "x.mcap")
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda items: without(items, "/skd/episode"), "/skd/episode"),
+        (lambda items: without(items, "/skd/episode_result"), "no kamikaze or replay episode"),
+        (lambda items: list(map(_of_clock, without(items, "/ego/odometry"))), "expected nav_msgs/msg/Odometry"),
+        (
+            lambda items: [dataclasses.replace(item, data=zstandard.compress(item.data)) for item in items],
+            "zstd_fast",
+        ),
+    ],
+)
+def test_a_recording_that_lacks_something(
+    refused: Callable[..., str], campaign: Campaign, tmp_path: Path, change: Callable[..., list[Item]], said: str
+) -> None:
+    write_items(tmp_path / "x.mcap", change(read_items(files_of(campaign)[:1])))
+    assert said in refused(tmp_path / "x.mcap")
 
 
 def test_cut_or_damaged_anywhere(
@@ -321,18 +309,6 @@ def without(items: list[Item], topic: str) -> list[Item]:
     return [item for item in items if item.topic != topic]
 
 
-def test_without_episodes(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    file = tmp_path / "x.mcap"
-    write_items(file, without(read_items(files_of(campaign)), "/skd/episode"))
-    assert "/skd/episode" in refused(file)
-
-
-def test_without_results(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    file = tmp_path / "x.mcap"
-    write_items(file, without(read_items(files_of(campaign)), "/skd/episode_result"))
-    assert "no kamikaze or replay episode" in refused(file)
-
-
 def test_without_one_result(campaign: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The others count, and a warning names the one that does not."""
     *files, last = files_of(campaign)
@@ -353,32 +329,6 @@ def test_without_states(refused: Callable[..., str], campaign: Campaign, tmp_pat
     line = refused(file)
     assert "states of episode" in line
     assert "recorded" in line
-
-
-def test_a_state_lost(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    items = read_items(files_of(campaign)[:1])
-    lost = [item for item in items if item.topic == "/ego/odometry"][-1]
-    file = tmp_path / "x.mcap"
-    write_items(file, [item for item in items if item is not lost])
-    assert "1 states of episode" in refused(file)
-
-
-def test_states_of_two_recordings_in_one_file(
-    refused: Callable[..., str], campaigns: dict[float, Campaign], tmp_path: Path
-) -> None:
-    file = tmp_path / "x.mcap"
-    write_items(file, read_items([*files_of(campaigns[0.5]), *files_of(campaigns[1.15])]))
-    assert "mixed" in refused(file)
-
-
-def test_wrong_type_on_a_topic(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    def swap(item: Item) -> Item:
-        return dataclasses.replace(item, topic="/ego/odometry") if item.topic == "/clock" else item
-
-    items = without(read_items(files_of(campaign)), "/ego/odometry")
-    file = tmp_path / "x.mcap"
-    write_items(file, [swap(item) for item in items])
-    assert "expected nav_msgs/msg/Odometry" in refused(file)
 
 
 def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:

@@ -8,17 +8,13 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
-import json
 import math
-import subprocess
-import sys
 import sysconfig
 import threading
 import time
 import uuid
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,14 +22,13 @@ import pytest
 import rclpy
 from common import PATIENCE, new_domain
 from geometry_msgs.msg import AccelStamped, Pose, Twist, TwistStamped
-from graph_support import Program, in_domain
+from graph_support import in_domain
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult
-from skd_sim.errors import UsageError
 from skd_sim.ros.from_messages import from_stamp, odometry_to_adversary, odometry_to_car
 from skd_sim.ros.support import (
     ACCELERATION_COMMAND,
@@ -196,12 +191,12 @@ class Others(Node):
 
 
 def run(
-    messages: Any, episode: Episode, acceleration: float, *, carla: bool = True, others_there: tuple[str, ...] = ()
+    messages: Any, episode: Episode, acceleration: float, *, others_there: tuple[str, ...] = ()
 ) -> tuple[Any, Others, StandIn]:
     """Run one episode to its result, with some actors in the map beside car and adversary."""
     x, y, yaw = PLACE
     arguments = ["--ros-args", "-p", f"crossing_x:={x}", "-p", f"crossing_y:={y}", "-p", f"crossing_yaw:={yaw}"]
-    if not carla or (not others_there and episode.scenario.others):
+    if not others_there and episode.scenario.others:
         arguments += ["-p", "startup_timeout:=0.5"]
     with in_domain(new_domain(), uuid.uuid4().hex):
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -211,7 +206,7 @@ def run(
             bridge = importlib.import_module("skd_sim.ros.carla_bridge").CarlaBridge()
             ours.add_node(bridge)
             stand_in, others = StandIn(messages, others_there), Others(episode, acceleration)
-            for node in (others, *((stand_in,) if carla else ())):
+            for node in (others, stand_in):
                 executor.add_node(node)
             # The bridge waits for CARLA, which is another process: here, another thread.
             thread = threading.Thread(target=spin, args=(ours, done))
@@ -349,40 +344,7 @@ def test_the_file_of_actors_has_everybody() -> None:
     assert types["child"].startswith("walker.pedestrian")
 
 
-@pytest.mark.parametrize(("argument", "code"), [("cyclist", 0), ("nothing_such", 2), ("", 2)])
-def test_the_file_is_written_by_one_command(argument: str, code: int) -> None:
-    command = [sys.executable, "-m", "skd_sim.simulators.carla", *([argument] if argument else [])]
-    finished = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert finished.returncode == code
-    if code == 0:
-        assert json.loads(finished.stdout) == objects(load_scenario(argument))
-    else:
-        (line,) = finished.stderr.splitlines()
-        assert line.startswith("carla_objects: error: ")
-
-
-def test_without_carla_the_episode_is_aborted(messages: Any) -> None:
-    result, _, _ = run(messages, _episode(13.0), 0.0, carla=False)
-    assert result.outcome == Outcome.ABORTED
-    assert result.reason == "not started: carla_bridge waited 0.5 s for CARLA to put both actors in place"
-
-
-def test_without_its_messages_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = importlib.import_module("skd_sim.ros.carla_bridge")
-
-    def missing(name: str) -> Any:
-        raise ImportError(name)
-
-    monkeypatch.setattr(module.importlib, "import_module", missing)
-    with pytest.raises(UsageError, match="carla_bridge needs the package carla_msgs") as caught:
-        module.carla_messages()
-    assert "\n" not in str(caught.value)
-
-
-def test_the_script_runs_it() -> None:
-    """As far as it goes without CARLA's messages."""
-    script = Path(__file__).resolve().parents[2] / "scripts" / "run-node"
-    finished = Program([str(script), "carla_bridge"], {"SKD_ENV": str(Path(sys.executable).parent)}).finish()
-    assert finished.code == 2
-    (line,) = finished.lines
-    assert "carla_bridge needs the package carla_msgs" in line
+def test_the_file_is_written_by_one_command() -> None:
+    command = [sys.executable, "-m", "skd_sim.simulators.carla", "cyclist"]
+    finished = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(finished.stdout) == objects(load_scenario("cyclist"))

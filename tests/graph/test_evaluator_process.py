@@ -59,27 +59,21 @@ def test_assessment_is_that_of_the_command_line(tmp_path: Path, graph: int):
 
 
 @pytest.mark.parametrize(
-    ("graph", "begin", "said"),
+    ("graph", "said"),
     [
-        ("remembering:Honest", "", ""),
-        ("remembering:Stands", NOT_CREDIBLE, "drives of 6 s, and a hit begins at"),
-        ("remembering:Counting", NOT_CREDIBLE, "went differently"),
+        ("remembering:Stands", "drives of 6 s, and a hit begins at"),
+        ("remembering:Counting", "went differently"),
     ],
     indirect=["graph"],
 )
-def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph: int, begin: str, said: str) -> None:
+def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph: int, said: str) -> None:
     """Nobody says to this node which car it is: whether it drives, and is the same again, is asked of it."""
     counts = {"safe_count": 1, "kamikaze_count": 3, "collision_runs": 12, "simulations": 50, "seed": 11}
     node_of_it = node("evaluator", graph, **counts, controller="external", knowledge="nothing", out=tmp_path / "out")
     finished = node_of_it.finish()
+    assert finished.code == 1, finished.err
     result = json.loads((tmp_path / "out" / "assessment.json").read_text())
-    against = [line for line in result["warnings"] if line.startswith(NOT_CREDIBLE)]
-    assert finished.code == bool(begin), finished.err
-    if not begin:
-        assert against == []
-        return
-    (line,) = [one for one in against if said in one]
-    assert line.startswith(begin)
+    (line,) = [one for one in result["warnings"] if one.startswith(NOT_CREDIBLE) and said in one]
     assert any(line in printed for printed in finished.lines)
     trials = sum(one["trials"] for one in result["objectives"].values())
     assert len(list((tmp_path / "out" / "bags").iterdir())) == trials + 12  # no drive alone, none that is run again
@@ -102,30 +96,3 @@ def test_interrupted_leaves_nothing(tmp_path: Path):
     assert finished.code == 130
     assert finished.lines[-1] == "evaluator: interrupted; nothing was written"
     assert list(tmp_path.iterdir()) == []
-
-
-FAILS_TO_BEGIN = """
-import os, signal, sys, time
-from skd_sim.ros.support import run_node
-
-def make():
-    try:
-        if sys.argv[1] == "interrupted":
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1000.0)
-    except KeyboardInterrupt:
-        pass  # as numba does while it compiles
-    raise RuntimeError("no compiled object yet")
-
-sys.exit(run_node(make, [], interrupted=130))
-"""
-
-
-def test_interrupt_that_was_lost_in_compilation_is_no_error():
-    finished = Program([sys.executable, "-c", FAILS_TO_BEGIN, "interrupted"]).finish()
-    assert (finished.code, finished.err) == (130, "")
-
-
-def test_error_of_a_node_is_not_hidden():
-    finished = Program([sys.executable, "-c", FAILS_TO_BEGIN, "not"]).finish()
-    assert (finished.code, finished.lines[-1]) == (1, "RuntimeError: no compiled object yet")

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import rclpy
 from common import PATIENCE, new_domain
-from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, SIMULATOR, evaluator, running, start_node, wait_for_end
+from graph_nodes import CONTROLLER, EVALUATOR, SIMULATOR, evaluator, running, start_node, wait_for_end
 from graph_support import HERE, assert_same_log, whole_graph
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
@@ -123,16 +123,10 @@ def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, mo
         (SIMULATOR, "pacing", "warp", "lockstep, real_time"),
         (SIMULATOR, "command_type", "joy", "accel_stamped"),
         (SIMULATOR, "rate_factor", 1e6, "rate_factor"),
-        (SIMULATOR, "command_timeout", "soon", "command_timeout"),
-        (SIMULATOR, "rate_factor", 2, "rate_factor"),
         (CONTROLLER, "controller", "no.such:Thing", "no.such:Thing"),
-        (CONTROLLER, "multiplier", 1e9, "multiplier"),
-        (ADVERSARY, "warm_up", 7, "warm_up"),
         (EVALUATOR, "task", "nothing", "assessment, episode"),
         (EVALUATOR, "safe_count", 0, "safe_count"),
         (EVALUATOR, "scenario", "no_such", "no_such"),
-        (EVALUATOR, "multiplier", 1, "of type 'INTEGER', expecting type 'DOUBLE'"),
-        (EVALUATOR, "controller", "nobody", "unknown controller 'nobody'"),
         (EVALUATOR, "car_model", "nowhere.yaml", "car model nowhere.yaml: cannot be read"),
         (EVALUATOR, "out", "/proc", "give a new folder"),
     ],
@@ -171,9 +165,7 @@ def test_an_unknown_parameter_is_warned_of(
 # --- other people's nodes
 
 
-@pytest.mark.parametrize(
-    ("then", "reason"), [("nan", "commanded nan"), ("inf", "commanded inf"), ("silence", "silent")]
-)
+@pytest.mark.parametrize(("then", "reason"), [("nan", "commanded nan"), ("silence", "silent")])
 def test_an_adversary_that_fails(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, then: str, reason: str
 ) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from common import PATIENCE, new_domain, wait_until
-from graph_nodes import ADVERSARY, CONTROLLER, EVALUATOR, NODES, SIMULATOR, start_node, wait_for_end
+from graph_nodes import CONTROLLER, EVALUATOR, NODES, start_node, wait_for_end
 from graph_support import (
     HERE,
     Finished,
@@ -38,8 +38,6 @@ from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 STAGGER = 0.1  # s between two starts
 AT_ONCE = 4  # graphs
-LATE = float(os.environ.get("SKD_TEST_LATE", "1.5"))
-"""Seconds by which a controller comes late; the acceptance figure is 20."""
 
 
 def end(processes: list[ForkServerProcess]) -> list[int | None]:
@@ -54,9 +52,7 @@ def end(processes: list[ForkServerProcess]) -> list[int | None]:
     return codes
 
 
-def run_order(
-    context: ForkServerContext, folder: Path, plan: Plan, order: tuple[str, ...], late: float = 0.0
-) -> EpisodeLog:
+def run_order(context: ForkServerContext, folder: Path, plan: Plan, order: tuple[str, ...]) -> EpisodeLog:
     """Run one episode with the nodes started in an order, and return what was recorded."""
     domain = new_domain()
     folder.mkdir()
@@ -73,8 +69,6 @@ def run_order(
     codes = []
     try:
         for name in order:
-            if name == CONTROLLER:
-                time.sleep(late)
             started[name] = start_node(context, name, folder / name, domain, **parameters.get(name, {}))
             time.sleep(STAGGER)
         assert wait_for_end(started[EVALUATOR]) == 0, (folder / EVALUATOR).read_text()
@@ -96,13 +90,6 @@ def test_each_node_may_be_the_last(
                 assert_same_log(job.result(), expected)
             except AssertionError as error:
                 raise AssertionError(f"order {order}: {error}") from error
-
-
-def test_a_controller_that_comes_late(
-    context: ForkServerContext, tmp_path: Path, plan: Plan, expected: EpisodeLog
-) -> None:
-    order = (EVALUATOR, SIMULATOR, ADVERSARY, CONTROLLER)
-    assert_same_log(run_order(context, tmp_path / "late", plan, order, late=LATE), expected)
 
 
 # --- a controller that comes and goes
@@ -161,14 +148,14 @@ def test_somebody_elses_controller_comes_and_goes(
                 late = log.outcome == Outcome.ABORTED and "silent" in log.reason  # it was not there within the 3 s
                 return None if late else log
 
-            for number in (signal.SIGTERM, signal.SIGKILL, signal.SIGINT):
+            for number in (signal.SIGTERM, signal.SIGKILL):
                 new_controller()
                 assert_same_log(wait_until(run, "the new controller"), expected)
                 os.kill(controllers[-1].pid or 0, number)
                 wait_for_end(controllers[-1])
     finally:
         codes = end(controllers)
-    assert codes == [0, -signal.SIGKILL, 0]
+    assert codes == [0, -signal.SIGKILL]
 
 
 MISBEHAVIOUR = {
@@ -239,21 +226,14 @@ def test_misbehaviour_during_an_episode(
 
 @pytest.fixture
 def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
-    """A campaign that takes long, with a controller whose command starts processes of its own."""
+    """A campaign that takes long, with a controller whose command starts processes of its own, one deaf to signals."""
     node = f"{shlex.quote(sys.executable)} -m skd_sim.ros.controller_node --ros-args -p controller:=misbehaving:Slow"
+    deaf = tmp_path / "deaf.sh"
+    deaf.write_text("trap '' HUP INT TERM\nwhile :; do sleep 1; done\n")
     program = Program(
         skd_command(
-            "assess",
-            "--graph",
-            "--record",
-            *(
-                "--knowledge",
-                "nothing",
-                "--controller",
-                "external",
-                "--controller-command",
-                f"sh -c '{node} & sleep 600 & wait'",
-            ),
+            *("assess", "--graph", "--record", "--knowledge", "nothing", "--controller", "external"),
+            *("--controller-command", f"sh -c '{node} & sh {deaf} & wait'"),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         ),
         {"PYTHONPATH": str(HERE / "controllers")},
@@ -266,7 +246,7 @@ def endless(tmp_path: Path, safe: Path) -> Iterator[Program]:
     assert_all_gone(program.token)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, number: int) -> None:
     assert endless.popen.poll() is None
     before = set(pids_with(endless.token))
@@ -277,7 +257,7 @@ def test_ending_the_command_ends_everything(endless: Program, tmp_path: Path, nu
         assert finished.code == -signal.SIGKILL
     else:
         assert finished.code == 130
-        assert len(finished.timeless) == 1, finished.err
+        assert finished.timeless[-1] == "skd assess: interrupted; nothing was written", finished.err
         assert not [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(("out", ".skd"))]
     # What SIGKILL leaves is ended by others, the watching shell, and they need a moment.
-    wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 1.0)
+    wait_until(lambda: all(map(is_dead, before)), "their end", PATIENCE if number == signal.SIGKILL else 2.0)

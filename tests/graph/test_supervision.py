@@ -1,18 +1,16 @@
-"""Processes that hang or leave children."""
+"""Processes that cannot start, and those that hang."""
 
 from __future__ import annotations
 
 import os
 import re
 import shlex
-import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from common import wait_until
-from graph_support import Skd, of_node, whole_graph
+from graph_support import of_node, whole_graph
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
 from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
@@ -54,53 +52,3 @@ def test_a_node_that_does_not_answer_is_replaced(tmp_path: Path, episode: Episod
         assert log.outcome == Outcome.ABORTED
         assert kind_of(log.reason) == AbortKind.NO_ANSWER
         assert of_node(token, "'hangs'") != hanging
-
-
-def campaign(folder: Path, safe: Path, command: Sequence[str]) -> Skd:
-    """Start a campaign with a controller, and wait until that runs."""
-    program = Skd(
-        *(
-            "assess",
-            "--graph",
-            "--knowledge",
-            "nothing",
-            "--controller",
-            "external",
-            "--controller-command",
-            shlex.join(command),
-        ),
-        *("--safe", safe, "--safe-count", 1, "--out", folder / "out"),
-    )
-    wait_until(lambda: list(folder.glob("running*")), "the controller")
-    return program
-
-
-def test_a_controller_that_ignores_signals(tmp_path: Path, safe: Path) -> None:
-    code = (
-        "import signal, sys, pathlib; [signal.signal(n, signal.SIG_IGN) for n in (1, 2, 15)];"
-        "pathlib.Path(sys.argv[1]).touch(); [signal.pause() for _ in iter(int, 1)]"
-    )
-    program = campaign(tmp_path, safe, [sys.executable, "-c", code, str(tmp_path / "running")])
-    program.send_signal(signal.SIGINT)
-    finished = program.finish(60.0)
-    assert finished.code == 130
-    assert finished.lines[-1] == "skd assess: interrupted; nothing was written"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["running"]
-
-
-LEAVES = """
-import os, pathlib, signal, sys, time
-if os.fork() == 0:
-    [signal.signal(n, signal.SIG_IGN) for n in (1, 2, 15)]
-    pathlib.Path(sys.argv[1]).touch()
-    while True:
-        time.sleep(1.0)
-signal.pause()
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_child_that_a_controller_leaves(tmp_path: Path, safe: Path, number: int) -> None:
-    program = campaign(tmp_path, safe, [sys.executable, "-c", LEAVES, str(tmp_path / "running")])
-    program.send_signal(number)
-    program.finish()  # which sees that nothing is left

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -30,32 +31,34 @@ RELEASED = {
 }
 
 
-def hash_on_the_wire(name: str) -> str:
+@pytest.fixture(scope="module")
+def on_the_wire() -> Iterator[Callable[[str], str]]:
     """What a publisher of a type says its hash is."""
-    package, _, message = name.split("/")
-    kind = getattr(importlib.import_module(f"{package}.msg"), message)
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=new_domain())
     node = rclpy.create_node("publisher", context=context)
-    try:
-        node.create_publisher(kind, "topic", 1)
-        (info,) = wait_until(lambda: node.get_publishers_info_by_topic("/topic"))
-        digest = bytes(info.topic_type_hash.value).hex()
-        return f"RIHS{info.topic_type_hash.version:02}_{digest}"
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
+
+    def hash_of(name: str) -> str:
+        package, _, message = name.split("/")
+        topic = f"/{package}_{message}"
+        node.create_publisher(getattr(importlib.import_module(f"{package}.msg"), message), topic, 1)
+        (info,) = wait_until(lambda: node.get_publishers_info_by_topic(topic))
+        return f"RIHS{info.topic_type_hash.version:02}_{bytes(info.topic_type_hash.value).hex()}"
+
+    yield hash_of
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
 
 
 @pytest.mark.parametrize("name", [*OURS, *STANDARD])
-def test_hashes_on_the_wire_are_those_of_rosbags(name: str) -> None:
+def test_hashes_on_the_wire_are_those_of_rosbags(on_the_wire: Callable[[str], str], name: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     for file in MESSAGES.glob("*.msg"):
         store.register(get_types_from_msg(file.read_text(), f"skd_msgs/msg/{file.stem}"))
-    assert hash_on_the_wire(name) == store.hash_rihs01(name)
+    assert on_the_wire(name) == store.hash_rihs01(name)
 
 
 @pytest.mark.parametrize("name", RELEASED)
-def test_hashes_on_the_wire_are_those_of_the_released_packages(name: str) -> None:
+def test_hashes_on_the_wire_are_those_of_the_released_packages(on_the_wire: Callable[[str], str], name: str) -> None:
     pytest.importorskip(name.partition("/")[0])
-    assert hash_on_the_wire(name) == f"RIHS01_{RELEASED[name]}"
+    assert on_the_wire(name) == f"RIHS01_{RELEASED[name]}"

@@ -14,7 +14,6 @@ import uuid
 from pathlib import Path
 
 import pytest
-import yaml
 from common import new_domain
 from graph_support import Program, assert_all_gone, in_domain, skd_here
 
@@ -79,27 +78,6 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
         key: results["replayed"][key] for key in ("skd", "skd_ci95_pairs", "skd_prefix", "variance", "contact_rate")
     }
     assert left == {key: results["vendor"][key] for key in left}
-
-
-def test_a_car_that_nobody_has_modelled(checkout):
-    (lines,) = marked("chain")
-    assert [shlex.split(line)[1] for line in lines] == ["probe", "fit", "assess"]
-    for line in lines:
-        shorter = line.replace("--safe own", "--margin-limit 0 --behaviour none --safe own").replace(
-            "--episodes 150", "--episodes 60"
-        )
-        finished = start(shorter, checkout).finish(300.0)  # the planners for a model are compiled first
-        assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
-
-    model = yaml.safe_load((checkout / "skd_results" / "model" / "car_model.yaml").read_text())
-    assert (model["family"]["measure"], model["family"]["gate"]) == ("time", "predicted")
-    assert model["logs"] == 60
-    for name, true in (("trigger", 1.2), ("path_half_width", 1.4), ("deceleration", 5.0)):  # as in the example's file
-        assert model["parameters"][name]["estimate"] == pytest.approx(true, rel=0.03), name
-    result = json.loads((checkout / "skd_results" / "modelled" / "assessment.json").read_text())
-    assert math.isfinite(result["skd"])
-    assert result["aborted"] == 0
-    assert result["car_model"]["family"] == model["family"]
 
 
 def test_an_episode_in_four_terminals(checkout):

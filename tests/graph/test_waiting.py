@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import shlex
 import signal
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -95,27 +93,10 @@ def test_another_topic_and_type(graph: Any) -> None:
     )
 
 
-def test_a_topic_that_is_silent_or_heard_by_others(graph: Any) -> None:
-    _, stack, _ = graph
-    stack.create_publisher(Twist, "/cmd_vel", 10)
-    stack.create_publisher(Twist, "/internal", 10)
-    stack.create_subscription(Twist, "/internal", lambda _: None, 10)
-    line = said(graph)
-    assert "but /stack publishes on /cmd_vel" in line
-    assert "/internal" not in line
-
-
 def test_another_type(graph: Any) -> None:
     publisher = graph[1].create_publisher(Twist, COMMANDS, 10)
     assert said(graph, publisher, Twist()).endswith(
         f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}, awaited is {ACCELERATIONS}: --command-type twist"
-    )
-
-
-def test_a_type_without_a_name_of_its_own(graph: Any) -> None:
-    publisher = graph[1].create_publisher(Odometry, COMMANDS, 10)
-    assert said(graph, publisher, Odometry()).endswith(
-        "--command-type nav_msgs/msg/Odometry --command-field pose.pose.position.x"
     )
 
 
@@ -138,21 +119,6 @@ def test_another_stamp(graph: Any, stamp: int, told: str) -> None:
     publisher = graph[1].create_publisher(AccelStamped, COMMANDS, 10)
     line = said(graph, publisher, stamped(stamp))
     assert f"(0.6 s): commands come, but their stamps are of no use: {told}" in line
-
-
-def test_a_line_that_says_nothing_new_is_said_seldom(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stack_module, "_SAY_EVERY", 0.2)
-    watcher, _, executor = graph
-    lines: list[str] = []
-    commands = FirstCommands(watcher, [Awaited(COMMANDS, ACCELERATIONS)], lines.append)
-    commands.begin(START)
-    latest = time.monotonic() + 1.5
-    while time.monotonic() < latest:
-        executor.spin_once(timeout_sec=0.02)
-        commands.look(state_came=True)
-    reasons = [line.partition(" s): ")[2] for line in lines]
-    changes = 1 + sum(one != other for one, other in itertools.pairwise(reasons))
-    assert len(lines) <= changes + 2  # of seven times at which one is due, the third and the sixth
 
 
 def test_a_stack_that_hears_nothing(graph: Any) -> None:

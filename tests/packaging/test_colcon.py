@@ -151,23 +151,14 @@ def remedy(*names: str) -> str:
     return rf"skd needs {' and '.join(names)}, which \S+ does not have: {do}"
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", ["car_controller", "evaluator"])
 def test_missing_package_is_one_line(workspace, node):
     done = workspace.run(workspace.executable(NODES[node][0], node), **workspace.without("numba"))
     assert done.returncode == 2
     assert re.fullmatch(rf"skd: error: {remedy('numba')}\n", done.stdout)
 
 
-def test_numba_that_is_too_old_is_one_line(workspace):
-    start = (
-        "import sys, numba; numba.__version__ = '0.56.4'; from skd_sim import start; sys.exit(start.car_controller())"
-    )
-    done = workspace.run("python3", "-c", start)
-    assert done.returncode == 2
-    assert re.fullmatch(r"skd: error: skd needs numba 0.61 or newer, and \S+ has 0.56.4: cd .*/activate\n", done.stdout)
-
-
-@pytest.mark.parametrize("module", ["rclpy", "skd_msgs", "nav_msgs"])
+@pytest.mark.parametrize("module", ["rclpy", "skd_msgs"])
 def test_missing_ros_is_one_line(workspace, module):
     done = workspace.run(workspace.executable("skd_sim", "vehicle_simulator"), **workspace.without(module))
     assert done.returncode == 2
@@ -194,11 +185,4 @@ def test_launch_runs_an_episode(workspace, straight, expected, tmp_path):
     arguments = [f"{name}:={value}" for name, value in given.items()]
     done = workspace.run("ros2", "launch", "skd_evaluator", "episode.launch.py", *arguments)
     assert done.returncode == 0, done.stdout
-    assert_episode(tmp_path / "out", expected)
-
-
-@needs_launch
-def test_ros2_run_runs_an_episode(workspace, straight, expected, tmp_path):
-    commands: dict[str, list[object]] = {name: ["ros2", "run", NODES[name][0], name] for name in NODES}
-    episode_by(commands, workspace, straight, tmp_path / "out")
     assert_episode(tmp_path / "out", expected)

@@ -19,7 +19,7 @@ from packaging_support import ROOT, SOURCE, check_command
 TUTORIAL = (ROOT / "docs" / "your_controller.md").read_text(encoding="utf-8")
 COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text(encoding="utf-8"))
 SCRIPTS = ("run-node", "assess-controller", "replay-logs")
-ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3", "--"], "replay-logs": [""]}
+ERRORS = {"run-node": ["", "juggler"], "assess-controller": ["", "--seed 3"], "replay-logs": [""]}
 
 
 def topics() -> set[str]:
@@ -124,11 +124,6 @@ def test_compose_commands_are_those_of_the_tutorial():
     assert services["vehicle_simulator"]["build"] == {"context": "..", "dockerfile": "docker/Dockerfile"}
 
 
-def test_compose_profiles_are_those_of_the_tutorial():
-    profiles = {profile for service in COMPOSE["services"].values() for profile in service.get("profiles", [])}
-    assert profiles == set(re.findall(r"--profile (\w+)", TUTORIAL))
-
-
 def test_dockerfile_uses_what_exists():
     text = (ROOT / "docker" / "Dockerfile").read_text(encoding="utf-8")
     assert text.count("FROM ros:jazzy-ros-base\n") == 1
@@ -149,12 +144,6 @@ def test_dockerfile_uses_what_exists():
     assert text.index("skd_environment") < text.index("colcon build") < text.index("COPY --chown=skd:skd . .")
 
 
-def test_entrypoint():
-    entrypoint = ROOT / "docker" / "entrypoint.sh"
-    assert os.access(entrypoint, os.X_OK)
-    assert "ros_ws/install/setup.bash" in entrypoint.read_text(encoding="utf-8")
-
-
 # --- scripts
 
 
@@ -169,9 +158,8 @@ needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash
 
 @needs_bash
 @pytest.mark.parametrize("name", SCRIPTS)
-@pytest.mark.parametrize("option", ["--help", "-h"])
-def test_help(name, option, tmp_path):
-    done = run_script(name, option, cwd=tmp_path)
+def test_help(name, tmp_path):
+    done = run_script(name, "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert done.stdout.startswith(f"usage: scripts/{name} ")
     assert done.stderr == ""

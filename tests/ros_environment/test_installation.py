@@ -64,13 +64,6 @@ def test_missing_headers_are_named(monkeypatch, tmp_path):
         find_compiler()
 
 
-def test_without_a_compiler_there_is_none(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    monkeypatch.delenv("CXX", raising=False)
-    assert find_compiler() is None
-
-
 def added(times: list[float]) -> None:
     """Stands for the installation: takes a while, and leaves its stamp."""
     times.append(time.monotonic())
@@ -105,17 +98,6 @@ def test_other_messages_are_built_anew(bare, monkeypatch):
     assert not is_ready()
     ensure_ros()
     assert len(times) == 2
-
-
-def test_a_set_up_that_fails_is_tried_again(bare, monkeypatch):
-    def fail() -> None:
-        raise UsageError("no network")
-
-    monkeypatch.setattr(installation, "_add", fail)
-    for _ in range(2):
-        with pytest.raises(UsageError, match="no network"):
-            ensure_ros()
-    assert not is_ready()
 
 
 def test_a_wheel_with_another_hash_is_refused(tmp_path, monkeypatch):
