@@ -8,7 +8,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
+import json
 import math
+import subprocess
+import sys
 import sysconfig
 import threading
 import time
