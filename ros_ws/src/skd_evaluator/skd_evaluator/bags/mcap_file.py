@@ -23,7 +23,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
-from skd_sim.ros_environment.installation import PREFIX, message_package, packages_without_wheel
+from skd_sim.ros_environment.installation import message_package, packages_without_wheel
+from skd_sim.ros_environment.variables import PREFIX
 
 
 def _shared(package: str) -> Iterator[Path]:

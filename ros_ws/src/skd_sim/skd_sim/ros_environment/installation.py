@@ -27,10 +27,8 @@ from pathlib import Path
 
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_text
-from skd_sim.ros_environment.variables import is_sourced, node_variables
+from skd_sim.ros_environment.variables import PREFIX, is_sourced, node_variables
 
-PREFIX = "SKD_MESSAGE_PREFIX"
-"""Variable that says where a user's packages of messages are for this run."""
 _HERE = Path(__file__).resolve().parent
 _WHEELS, _SOURCES, _COMPILER = (_HERE / f"{name}.txt" for name in ("wheels", "sources", "compiler"))
 _ELSEWHERE = (
@@ -275,19 +273,6 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
             if not place.is_dir():
                 _build(rounds, place)
     return place
-
-
-def message_variables(environment: Mapping[str, str], prefix: Path | None) -> dict[str, str]:
-    """Return the environment in which a Python finds the messages in a prefix too, if there is one."""
-    if prefix is None:
-        return dict(environment)
-    changed = {**environment, PREFIX: str(prefix)}
-    modules = sysconfig.get_path("purelib", vars={"base": str(prefix)})
-    for name, folder in (("PYTHONPATH", modules), ("LD_LIBRARY_PATH", str(prefix / "lib"))):
-        parts = [part for part in environment.get(name, "").split(os.pathsep) if part]
-        if folder not in parts:  # else they stay as they are, in whatever order: this program may have begun anew
-            changed[name] = os.pathsep.join([folder, *parts])
-    return changed
 
 
 def is_installed(package: str) -> bool:

@@ -15,6 +15,8 @@ from pathlib import Path
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 """Variable by which the wheels know that LD_LIBRARY_PATH is set."""
 
+PREFIX = "SKD_MESSAGE_PREFIX"
+"""Variable that says where a user's packages of messages are for this run."""
 _PATH = "LD_LIBRARY_PATH"
 
 
@@ -45,6 +47,19 @@ def foreign_variables(environment: Mapping[str, str]) -> dict[str, str]:
     clean = {name: value for name, value in environment.items() if name not in (GUARD, _PATH)}
     others = [part for part in environment.get(_PATH, "").split(os.pathsep) if part and part not in folders]
     return {**clean, _PATH: os.pathsep.join(others)} if others else clean
+
+
+def message_variables(environment: Mapping[str, str], prefix: Path | None) -> dict[str, str]:
+    """Return the environment in which a Python finds the messages in a prefix too, if there is one."""
+    if prefix is None:
+        return dict(environment)
+    changed = {**environment, PREFIX: str(prefix)}
+    modules = sysconfig.get_path("purelib", vars={"base": str(prefix)})
+    for name, folder in (("PYTHONPATH", modules), ("LD_LIBRARY_PATH", str(prefix / "lib"))):
+        parts = [part for part in environment.get(name, "").split(os.pathsep) if part]
+        if folder not in parts:  # else they stay as they are, in whatever order: this program may have begun anew
+            changed[name] = os.pathsep.join([folder, *parts])
+    return changed
 
 
 def enter_ros() -> None:
