@@ -24,7 +24,7 @@ from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.options.car_under_test import CarUnderTest
-from skd_sim.ros.lockstep import End, Limits, Lockstep, Source, Start, Step, frame_stamp
+from skd_sim.ros.lockstep import ControlStep, End, Lockstep, Source, Start, WaitLimits, frame_stamp
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
@@ -111,7 +111,7 @@ def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
     controller.reset(episode.scenario, generator(episode.seed, episode.episode_id, Role.CONTROLLER))
     laser = make_laser(episode)
     lockstep = Lockstep(
-        Source("car", "drive", Alone()), Source("adversary", "walk", Alone()), Limits(1.0, 1.0), real_time=real_time
+        Source("car", "drive", Alone()), Source("adversary", "walk", Alone()), WaitLimits(1.0, 1.0), real_time=real_time
     )
     frame = simulator.reset(episode)
     assert lockstep.begin(start, episode.scenario, frame, 0.0) is None
@@ -128,7 +128,7 @@ def frames_of(episode: Episode, *, real_time: bool) -> Iterator[Frame]:
         if real_time:
             assert action == (Start() if frame.tick == frame.period == 0 else None)
             action = lockstep.go_on()
-        assert isinstance(action, Step)
+        assert isinstance(action, ControlStep)
         frame = simulator.step(action.drive, action.velocity)
         end = lockstep.advance(frame, 0.0)
         yield frame

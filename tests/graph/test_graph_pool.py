@@ -13,7 +13,7 @@ import pytest
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.graph import GraphPool
-from skd_evaluator.ros.processes import Failures
+from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
@@ -43,7 +43,7 @@ class Graphs:
 
 
 def _pool(graphs: Graphs) -> GraphPool:
-    return GraphPool(2, graphs.make, cast(Failures, SimpleNamespace(note=lambda _log: None)), 1.0)
+    return GraphPool(2, graphs.make, cast(AbortedEpisodes, SimpleNamespace(note=lambda _log: None)), 1.0)
 
 
 def test_an_assessment_waits_for_the_graph_in_which_it_is_published() -> None:

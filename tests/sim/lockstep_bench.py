@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Source, Step
+from skd_sim.ros.lockstep import Action, ControlStep, End, Lockstep, Source, WaitLimits
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
@@ -15,7 +15,7 @@ from skd_sim.world.world import Contact
 
 CROSSING = load_scenario("crossing")
 START, TIME_STEP = 5_000_000_000, CROSSING.time_step
-LIMITS = Limits(command=2.0, startup=10.0)
+LIMITS = WaitLimits(command=2.0, startup=10.0)
 CAR, ADVERSARY = CarState(0.0, -15.0, math.pi / 2, 8.0), AdversaryState(-3.5, 0.0, 0.0, 0.0)
 
 
@@ -59,7 +59,7 @@ class Bench:
         """Answer until a tick is there."""
         for before in range(tick):
             assert self.lockstep.drive(stamp(before), 1.0) is None
-            assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), Step)
+            assert isinstance(self.lockstep.walk(stamp(before), (2.0, 0.0)), ControlStep)
             assert self.advance(before + 1) is None
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_bench import LIMITS, START, TIME_STEP, Bench, Message, frame, send, stamp
-from skd_sim.ros.lockstep import Action, End, Repeat, Step
+from skd_sim.ros.lockstep import Action, ControlStep, End, Repeat
 from skd_sim.world.episode import AbortKind, Outcome, kind_of
 from skd_sim.world.world import Contact
 
@@ -49,19 +49,19 @@ def test_messages_in_any_order_give_the_same_episode(
     bench = Bench()
     bench.begin()
     under_way = answers(0, repeats) + strays(0)
-    steps: list[Step] = []
+    steps: list[ControlStep] = []
     end: End | None = None
     while end is None:
         place = order.draw(st.integers(0, len(under_way) - 1))
         action = send(bench.lockstep, under_way.pop(place))
-        if isinstance(action, Step):
+        if isinstance(action, ControlStep):
             steps.append(action)
             tick = len(steps)
             end = bench.advance(tick, Outcome.ARRIVED if tick == ticks else Outcome.RUNNING)
             under_way += answers(tick, repeats) + strays(tick)
         else:
             assert action is None
-    assert steps == [Step(0.5 * tick - 2.0, (0.1 * tick, 1.0)) for tick in range(ticks)]
+    assert steps == [ControlStep(0.5 * tick - 2.0, (0.1 * tick, 1.0)) for tick in range(ticks)]
     assert (end.outcome, end.frame.tick, end.stamp, end.reason) == (Outcome.ARRIVED, ticks, stamp(ticks), "")
     assert all(send(bench.lockstep, late) is None for late in under_way)
 
@@ -85,7 +85,7 @@ def test_two_answers_to_a_tick_abort_in_any_order(order: st.DataObject, tick: in
     end: Action | None = None
     while under_way and not isinstance(end, End):
         end = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
-        if isinstance(end, Step):
+        if isinstance(end, ControlStep):
             assert bench.advance(tick + 1) is None
     assert isinstance(end, End)
     assert end.outcome == Outcome.ABORTED
@@ -131,7 +131,7 @@ def test_a_command_without_a_stamp_is_for_now(bench: Bench) -> None:
     for tick in range(3):
         assert bench.lockstep.drive(None, 4.0) is None
         assert bench.lockstep.drive(None, 5.0) is None
-        assert bench.lockstep.walk(stamp(tick), (1.0, 0.0)) == Step(5.0, (1.0, 0.0))
+        assert bench.lockstep.walk(stamp(tick), (1.0, 0.0)) == ControlStep(5.0, (1.0, 0.0))
         assert bench.advance(tick + 1) is None
 
 
@@ -271,7 +271,7 @@ def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:
     assert end.reason.startswith("no answer: the car controller")
     bench.begin()
     assert bench.lockstep.drive(stamp(0), 3.0) is None
-    assert bench.lockstep.walk(stamp(0), (0.0, 1.0)) == Step(3.0, (0.0, 1.0))
+    assert bench.lockstep.walk(stamp(0), (0.0, 1.0)) == ControlStep(3.0, (0.0, 1.0))
 
 
 # --- how old commands are

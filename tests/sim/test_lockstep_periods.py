@@ -7,7 +7,7 @@ import dataclasses
 from hypothesis import given
 from hypothesis import strategies as st
 from lockstep_bench import ADVERSARY, CAR, CROSSING, START, TIME_STEP, Bench, Message, frame, send, stamp
-from skd_sim.ros.lockstep import Action, End, Start, Step
+from skd_sim.ros.lockstep import Action, ControlStep, End, Start
 from skd_sim.simulators.simulator import Frame
 from skd_sim.world.episode import Outcome
 from skd_sim.world.timing import period_stamp
@@ -24,7 +24,7 @@ def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats:
     """In any order of messages, also of an adversary that answers every state: what it says at a tick is held."""
     bench = Bench()
     bench.lockstep.begin(START, THRICE, frame(0), bench.now)
-    steps: list[Step] = []
+    steps: list[ControlStep] = []
     under_way: list[Message] = []
     end: End | None = None
     while end is None:
@@ -35,12 +35,12 @@ def test_between_ticks_only_the_car_is_waited_for(order: st.DataObject, repeats:
         action: Action | None = None
         while action is None:
             action = send(bench.lockstep, under_way.pop(order.draw(st.integers(0, len(under_way) - 1))))
-        assert isinstance(action, Step)
+        assert isinstance(action, ControlStep)
         steps.append(action)
         tick, period = divmod(len(steps), 3)
         outcome = Outcome.ARRIVED if tick == 3 else Outcome.RUNNING
         end = bench.lockstep.advance(Frame(tick, CAR, ADVERSARY, None, outcome, period), bench.now)
-    assert steps == [Step(float(index), (float(3 * (index // 3)), 1.0)) for index in range(9)]
+    assert steps == [ControlStep(float(index), (float(3 * (index // 3)), 1.0)) for index in range(9)]
     assert end.stamp == stamp(3)
 
 
@@ -48,7 +48,7 @@ def test_between_ticks_only_the_car_can_be_silent() -> None:
     bench = Bench()
     bench.lockstep.begin(START, THRICE, frame(0), bench.now)
     bench.lockstep.drive(moment(0), 1.0)
-    assert bench.lockstep.walk(moment(0), (2.0, 0.0)) == Step(1.0, (2.0, 0.0))
+    assert bench.lockstep.walk(moment(0), (2.0, 0.0)) == ControlStep(1.0, (2.0, 0.0))
     bench.lockstep.advance(Frame(0, CAR, ADVERSARY, period=1), bench.now)
     assert bench.lockstep.watch(bench.now + 1.0) is None  # no repetition: it has begun
     end = bench.lockstep.watch(bench.now + 2.1)
@@ -69,4 +69,4 @@ def test_real_time_takes_the_adversary_at_ticks_and_the_car_always() -> None:
         taken.append(lockstep.go_on())
         tick, period = divmod(index + 1, 3)
         lockstep.advance(Frame(tick, CAR, ADVERSARY, period=period), bench.now)
-    assert taken == [Step(float(index), (float(3 * (index // 3)), 0.0)) for index in range(6)]
+    assert taken == [ControlStep(float(index), (float(3 * (index // 3)), 0.0)) for index in range(6)]

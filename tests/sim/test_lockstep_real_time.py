@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from lockstep_bench import LIMITS, START, Bench, stamp
-from skd_sim.ros.lockstep import LEAD, End, Repeat, Start, Step
+from skd_sim.ros.lockstep import LEAD, ControlStep, End, Repeat, Start
 
 
 @pytest.fixture
@@ -21,18 +21,18 @@ def test_real_time_starts_once_and_holds_what_came_last(real_time: Bench) -> Non
     assert lockstep.drive(stamp(0), 2.0) is None  # no contradiction: the last one counts
     assert lockstep.walk(stamp(5) + 1, (1.0, 0.0)) == Start()
     for tick in range(1, 4):
-        assert lockstep.go_on() == Step(2.0, (1.0, 0.0))
+        assert lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
         assert real_time.advance(tick) is None
     assert lockstep.walk(stamp(2), (0.0, 1.0)) is None
     assert lockstep.drive(START - 1, 9.0) is None
-    assert lockstep.go_on() == Step(2.0, (0.0, 1.0))
+    assert lockstep.go_on() == ControlStep(2.0, (0.0, 1.0))
 
 
 def test_in_real_time_a_stamp_that_nobody_set_means_now(real_time: Bench) -> None:
     real_time.lockstep.walk(stamp(0), (1.0, 0.0))
     assert real_time.lockstep.drive(1, 1.0) is None  # one that somebody set, long ago
     assert real_time.lockstep.drive(0, 2.0) == Start()
-    assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+    assert real_time.lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
 
 
 def test_the_clock_begins_before_the_episode(real_time: Bench) -> None:
@@ -45,7 +45,7 @@ def test_the_clock_begins_before_the_episode(real_time: Bench) -> None:
     real_time.lockstep.walk(stamp(0), (1.0, 0.0))
     assert real_time.lockstep.drive(START - LEAD - 1, 9.0) is None  # of the episode before
     assert real_time.lockstep.drive(START - LEAD, 2.0) == Start()
-    assert real_time.lockstep.go_on() == Step(2.0, (1.0, 0.0))
+    assert real_time.lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
     assert real_time.advance(1) is None
     assert real_time.lockstep.lead == 0
 

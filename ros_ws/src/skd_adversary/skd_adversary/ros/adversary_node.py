@@ -19,7 +19,7 @@ from skd_sim.ros.support import (
     VELOCITY_COMMAND,
     EpisodeFollower,
     GraphNode,
-    Setting,
+    NodeParameter,
     declare,
     run_node,
 )
@@ -31,7 +31,7 @@ from skd_sim.world.state import CarState
 from skd_adversary.adversary import Adversary, BelievedCar, PlanningAdversary, make_adversary
 from skd_adversary.warm_up import warm_up_episodes
 
-_SETTINGS = (Setting("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
+_SETTINGS = (NodeParameter("warm_up", True, "load the compiled planner at the start rather than in the first episode"),)
 
 
 class GraphAdversary:

@@ -62,7 +62,7 @@ from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.processes import Failures
+from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder
 from skd_evaluator.ros.stack import Awaited, FirstCommands
 from skd_evaluator.ros.visualization import LiveFigures, episode_markers
@@ -266,7 +266,7 @@ class Evaluator(GraphNode):
             log_folder: folder with the output of the graph's processes, to be named in errors that one of them caused.
         """
         say = say or self._warn
-        self.failures = Failures(say, log_folder)
+        self.failures = AbortedEpisodes(say, log_folder)
         driven = car_commands(commands)
         self._drive_topic, walk_topic = map(self.resolve_topic_name, (commands.command_topic, VELOCITY_COMMAND))
         awaited = (Awaited(self._drive_topic, kind_name(driven.kind)), Awaited(walk_topic, kind_name(TwistStamped)))

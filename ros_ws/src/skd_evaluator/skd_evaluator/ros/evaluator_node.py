@@ -17,7 +17,7 @@ from rclpy.executors import ExternalShutdownException
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.adversary import objectives_named
 from skd_sim.options.options import CommandOptions, options_of, values_of
-from skd_sim.ros.support import Setting, declare, run_node, settings_of
+from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder
@@ -39,29 +39,31 @@ from skd_evaluator.ros.stack import resetting
 
 _INTERRUPTED = 130
 _SETTINGS = (
-    Setting("task", "assessment", "what to do before the node ends", choices=("assessment", "episode")),
-    Setting("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
-    Setting("trial", 0, "which trial of the campaign to run (task episode)", 0, 2**32 - 1),
+    NodeParameter("task", "assessment", "what to do before the node ends", choices=("assessment", "episode")),
+    NodeParameter("mode", "kamikaze", "what the adversary does (task episode)", choices=("safe", "kamikaze", "replay")),
+    NodeParameter("trial", 0, "which trial of the campaign to run (task episode)", 0, 2**32 - 1),
     *settings_of(CampaignOptions),
     *settings_of(EvaluatorOptions),  # of its commands: the same as the simulator's, for the record
-    Setting("scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"),
-    Setting(
+    NodeParameter(
+        "scenario", "", "name of a scenario, or a YAML file; empty: the one that suits the safe trajectories"
+    ),
+    NodeParameter(
         "max_aborted",
         5.0,
         "percentage of the episodes that may be aborted before the assessment counts as failed",
         0.0,
         100.0,
     ),
-    Setting(
+    NodeParameter(
         "silence_limit",
         120.0,
         "an episode ends after this many seconds of the wall clock without a message of the simulator",
         1.0,
         3600.0,
     ),
-    Setting("record", True, "keep a recording (a bag) of every episode"),
-    Setting("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
-    Setting("overwrite", False, "replace the results in out"),
+    NodeParameter("record", True, "keep a recording (a bag) of every episode"),
+    NodeParameter("out", "", "folder for the results; empty: skd_results/<task>-<time> in the working folder"),
+    NodeParameter("overwrite", False, "replace the results in out"),
 )
 
 

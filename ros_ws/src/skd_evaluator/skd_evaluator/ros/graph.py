@@ -41,7 +41,7 @@ from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import (
     ADVERSARY,
     CONTROLLER,
-    Failures,
+    AbortedEpisodes,
     GraphSetting,
     Supervisor,
     concerned,
@@ -157,7 +157,7 @@ def without_echo(say: Callable[[str], None]) -> Callable[[str], None]:
 class GraphPool:
     """Runs episodes in as many graphs as it has; an `EpisodeRunner`."""
 
-    def __init__(self, count: int, make: MakeGraph, failures: Failures, patience: float) -> None:
+    def __init__(self, count: int, make: MakeGraph, failures: AbortedEpisodes, patience: float) -> None:
         """Start nothing yet.
 
         Args:
@@ -338,7 +338,7 @@ def _in_use(domain: int) -> bool:
 
 
 @dataclass
-class _Place:
+class _DomainContext:
     """A context, the node that keeps its participant, and nodes that have done their work."""
 
     context: Context
@@ -355,7 +355,7 @@ class _Place:
         rclpy.try_shutdown(context=self.context)
 
 
-_idle: dict[int, _Place] = {}
+_idle: dict[int, _DomainContext] = {}
 _lock = threading.Lock()  # of these
 
 
@@ -368,7 +368,7 @@ def context_of(domain: int) -> Iterator[tuple[Context, list[Node]]]:
         context = Context()
         rclpy.init(args=[], context=context, domain_id=domain)
         keeper = Node("_skd_context", context=context, start_parameter_services=False, enable_rosout=False)
-        place = _Place(context, keeper)
+        place = _DomainContext(context, keeper)
     place.clear()
     try:
         yield place.context, place.done

@@ -2,7 +2,7 @@
 
 Each is the first of a process group, which ends with it. A shell beside it waits for the end of this process, by
 whatever death, and kills the group then. Aborted episodes are said once of each kind, and too many in a row end the
-campaign (`Failures`).
+campaign (`AbortedEpisodes`).
 """
 
 from __future__ import annotations
@@ -337,7 +337,7 @@ def _last_lines(process: _Process) -> list[str]:
     return lines[-_LAST_LINES:] or ["(it has printed nothing)"]
 
 
-class Failures:
+class AbortedEpisodes:
     """Takes note of every episode of a campaign, in their order.
 
     Attributes:

@@ -25,7 +25,7 @@ from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.ros.processes import Failures, GraphSetting, log_of
+from skd_evaluator.ros.processes import AbortedEpisodes, GraphSetting, log_of
 
 if TYPE_CHECKING:
     from skd_evaluator.ros.driving import Watched
@@ -95,7 +95,7 @@ def _pool(setting: GraphSetting) -> Iterator[GraphPool]:
     domains = [choose_domain()]
     while len(domains) < setting.options.graphs:
         domains.append(free_domain(domains))
-    failures = Failures(setting.say, setting.log_folder)
+    failures = AbortedEpisodes(setting.say, setting.log_folder)
     setting = replace(setting, say=without_echo(setting.say))
 
     def make(number: int, refuse_to_go_on: Callable[[], None]) -> AbstractContextManager[Evaluator]:
@@ -112,7 +112,7 @@ def _pool(setting: GraphSetting) -> Iterator[GraphPool]:
 
 
 @contextmanager
-def _telling_of_logs(log_folder: Path, failures: Failures) -> Iterator[None]:
+def _telling_of_logs(log_folder: Path, failures: AbortedEpisodes) -> Iterator[None]:
     """Say of an error that ends a campaign what was aborted before, and where the logs are."""
     try:
         yield

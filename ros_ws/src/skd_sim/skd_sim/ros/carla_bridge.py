@@ -21,7 +21,7 @@ from rclpy.node import Node
 from skd_sim.errors import UsageError
 from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.simulator_node import SIMULATOR_SETTINGS, GraphSimulator
-from skd_sim.ros.support import STREAM, Setting, declare, run_node
+from skd_sim.ros.support import STREAM, NodeParameter, declare, run_node
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.simulators.carla import (
     ADVERSARY,
@@ -47,20 +47,30 @@ from skd_sim.world.state import AdversaryState, CarState, RoadUserState, on_grid
 
 _SETTINGS = (
     *SIMULATOR_SETTINGS,
-    Setting("ego_role", EGO, "role name of the car under test in CARLA"),
-    Setting("adversary_role", ADVERSARY, "role name of the adversary in CARLA"),
-    Setting("odometry_id", ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both"),
-    Setting("control_id", CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"),
-    Setting("obstacles_on_map", False, "whether the map has the scenario's obstacles; if not, actors are put there"),
-    Setting("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
-    Setting("crossing_y", 0.0, "the same, m", -1e5, 1e5),
-    Setting("crossing_z", 0.5, "height at which actors are put on the road, m", -1e3, 1e4),
-    Setting("crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0),
-    Setting("frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1),
-    Setting("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
-    Setting("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
-    Setting("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
-    Setting("settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0),
+    NodeParameter("ego_role", EGO, "role name of the car under test in CARLA"),
+    NodeParameter("adversary_role", ADVERSARY, "role name of the adversary in CARLA"),
+    NodeParameter("odometry_id", ODOMETRY, "id of the pseudo sensor sensor.pseudo.odom of both"),
+    NodeParameter(
+        "control_id", CONTROL, "id of the pseudo actor actor.pseudo.control of all, which puts them in place"
+    ),
+    NodeParameter(
+        "obstacles_on_map", False, "whether the map has the scenario's obstacles; if not, actors are put there"
+    ),
+    NodeParameter("crossing_x", 0.0, "origin of the crossing in CARLA's map as ROS sees it, m", -1e5, 1e5),
+    NodeParameter("crossing_y", 0.0, "the same, m", -1e5, 1e5),
+    NodeParameter("crossing_z", 0.5, "height at which actors are put on the road, m", -1e3, 1e4),
+    NodeParameter(
+        "crossing_yaw", 0.0, "direction in which the adversary crosses, the crossing's x axis, rad", -7.0, 7.0
+    ),
+    NodeParameter(
+        "frame_step", 0.05, "fixed_delta_seconds of CARLA; it has to divide the scenario's time step", 0.001, 0.1
+    ),
+    NodeParameter("full_throttle", 4.0, "acceleration of the car at full throttle, m/s²", 0.1, 20.0),
+    NodeParameter("full_brake", 8.0, "deceleration of the car at full brake, m/s²", 0.1, 20.0),
+    NodeParameter("placing_tolerance", 0.5, "distance from its start at which an actor counts as placed, m", 0.01, 5.0),
+    NodeParameter(
+        "settling_time", 0.02, "wall seconds from controls to the first frame that is to feel them", 0.001, 5.0
+    ),
 )
 _STEP_ONCE = 2  # carla_msgs/CarlaControl.STEP_ONCE
 _LONGEST_WAIT = 0.05  # s; a signal is then seen

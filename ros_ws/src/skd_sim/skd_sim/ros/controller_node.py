@@ -37,15 +37,19 @@ from skd_sim.ros.support import (
     STREAM,
     EpisodeFollower,
     GraphNode,
-    Setting,
+    NodeParameter,
     declare,
     run_node,
 )
 from skd_sim.ros.to_messages import acceleration_command
 
 _SETTINGS = (
-    Setting("controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"),
-    Setting("multiplier", -1.0, "C of the basic controller; negative: the one that the episode names", -1.0, 100.0),
+    NodeParameter(
+        "controller", "", "basic, cal, carla, or package.module:Class; empty: the one that the episode names"
+    ),
+    NodeParameter(
+        "multiplier", -1.0, "C of the basic controller; negative: the one that the episode names", -1.0, 100.0
+    ),
 )
 
 

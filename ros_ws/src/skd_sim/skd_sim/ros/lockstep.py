@@ -1,9 +1,9 @@
 """The rules of an episode in lockstep and in real time: whose command is awaited, without ROS and without a clock.
 
-A simulator's node hands in what arrives, with the time where it matters, and does what comes back: `Step`, `Start`,
-`Repeat` or `End`. In lockstep a control period is over when the command of the car with its stamp is there, and at a
-tick, which is the first period of several or the only one, that of the adversary, too; in real time commands of the
-episode are held, and the node goes on by itself from `Start` on.
+A simulator's node hands in what arrives, with the time where it matters, and does what comes back: `ControlStep`,
+`Start`, `Repeat` or `End`. In lockstep a control period is over when the command of the car with its stamp is there,
+and at a tick, which is the first period of several or the only one, that of the adversary, too; in real time commands
+of the episode are held, and the node goes on by itself from `Start` on.
 
 A car that only follows `/clock` answers when it likes. Lockstep *with a quiet time* waits for it as well, but not for
 long: a control period is over when the car has said something since its state was published, or when the quiet time is
@@ -148,7 +148,7 @@ repetition of tick 0 the clock comes nearer. Episodes are a second apart, so tha
 """
 
 
-class Step(NamedTuple):
+class ControlStep(NamedTuple):
     """The simulator is to hold these commands for one control period; its frame is handed in next.
 
     Attributes:
@@ -188,10 +188,10 @@ class End(NamedTuple):
     reason: str
 
 
-Action = Step | Start | Repeat | End
+Action = ControlStep | Start | Repeat | End
 
 
-class Limits(NamedTuple):
+class WaitLimits(NamedTuple):
     """How long a command may be waited for, s of wall time: in general, and at tick 0, while nodes start."""
 
     command: float
@@ -201,7 +201,7 @@ class Limits(NamedTuple):
 class Lockstep:
     """The state of one episode after another; idle before `begin` and after an `End`.
 
-    After a `Step` its frame, or what failed, has to be handed in before anything else.
+    After a `ControlStep` its frame, or what failed, has to be handed in before anything else.
 
     Attributes:
         ages: ages of the car's commands in this episode.
@@ -209,7 +209,7 @@ class Lockstep:
     """
 
     def __init__(
-        self, car: Source, adversary: Source, limits: Limits, *, real_time: bool = False, quiet_time: float = 0.0
+        self, car: Source, adversary: Source, limits: WaitLimits, *, real_time: bool = False, quiet_time: float = 0.0
     ) -> None:
         """Wait for an episode.
 
@@ -278,11 +278,11 @@ class Lockstep:
         """Take a command of the adversary, (East, North), m/s, with its stamp, ns, at a monotonic time, s."""
         return self._answer(self._adversary, stamp, velocity, now)
 
-    def go_on(self, now: float = math.nan) -> Step | None:
+    def go_on(self, now: float = math.nan) -> ControlStep | None:
         """Return the commands that are held at a monotonic time (s); real time only."""
         return self._take(now) if self._frame is not None and self._began else None
 
-    def quiet(self, now: float = math.nan) -> Step | None:
+    def quiet(self, now: float = math.nan) -> ControlStep | None:
         """Take note that the quiet time since the last state is over, at a monotonic time (s)."""
         if self._frame is None or self._car.command is None:
             return None
@@ -290,7 +290,7 @@ class Lockstep:
         return None if self._waits_for(self._adversary) else self._take(now)
 
     def advance(self, frame: Frame, now: float) -> End | None:
-        """Take the frame that came of a `Step`, at a monotonic time (s); it is to be published before an `End`."""
+        """Take the frame of a `ControlStep`, at a monotonic time (s); it is to be published before an `End`."""
         self._frame = frame
         self._progress = self._published = now
         self._car.go_on()
@@ -393,7 +393,7 @@ class Lockstep:
             return not self._spoken
         return source.command is None and (source is self._car or self._velocity is None)
 
-    def _take(self, now: float) -> Step:
+    def _take(self, now: float) -> ControlStep:
         drive = self._car.command
         assert drive is not None
         self.ages.use(now)
@@ -406,7 +406,7 @@ class Lockstep:
             if not self._quiet_time:
                 self._car.command = None
         self._spoken = False
-        return Step(drive[0], self._velocity, *drive[1:])
+        return ControlStep(drive[0], self._velocity, *drive[1:])
 
     def _refuse_crowds(self) -> End | None:
         """End where more than one node sends one kind of command; to be asked now and then, not at each tick."""

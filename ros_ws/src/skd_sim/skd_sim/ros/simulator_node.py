@@ -24,7 +24,18 @@ from skd_sim.options.options import MAP_FRAME, REAL_TIME, CommandOptions, Simula
 from skd_sim.ros.commands import Quantity, car_commands, follow_speed
 from skd_sim.ros.discovery import kind_name, living_publishers, publisher_names, why_no_command
 from skd_sim.ros.from_messages import from_stamp, message_to_episode
-from skd_sim.ros.lockstep import Action, End, Limits, Lockstep, Repeat, Senders, Source, Start, Step, frame_stamp
+from skd_sim.ros.lockstep import (
+    Action,
+    ControlStep,
+    End,
+    Lockstep,
+    Repeat,
+    Senders,
+    Source,
+    Start,
+    WaitLimits,
+    frame_stamp,
+)
 from skd_sim.ros.state_publisher import InitialPose, StatePublisher
 from skd_sim.ros.support import (
     EPISODE,
@@ -158,7 +169,7 @@ class GraphSimulator:
         return Lockstep(
             Source("the car controller", topic, drives),
             Source("the adversary", VELOCITY_COMMAND, walks),
-            Limits(values["command_timeout"], values["startup_timeout"]),
+            WaitLimits(values["command_timeout"], values["startup_timeout"]),
             real_time=real_time,
             quiet_time=values["quiet_time"],
         )
@@ -230,7 +241,7 @@ class GraphSimulator:
     # --- what comes of it
 
     def _do(self, action: Action | None) -> None:
-        if isinstance(action, Step):
+        if isinstance(action, ControlStep):
             self._step(action)
         elif isinstance(action, Start):
             period = self._episode.scenario.control_duration / self._values["rate_factor"]
@@ -241,7 +252,7 @@ class GraphSimulator:
         elif isinstance(action, End):
             self._end(action)
 
-    def _step(self, commands: Step) -> None:
+    def _step(self, commands: ControlStep) -> None:
         try:
             self._frame = self._simulator.step(self._acceleration(commands), commands.velocity)
         except SimulatorError as fault:
@@ -251,7 +262,7 @@ class GraphSimulator:
         self._publish_state()
         self._do(end)
 
-    def _acceleration(self, commands: Step) -> float:
+    def _acceleration(self, commands: ControlStep) -> float:
         """Return the acceleration (m/s²) that a command of the car means now."""
         if self._follows is None:
             return commands.drive

@@ -82,7 +82,7 @@ class GraphNode(Node):
 
 
 @dataclass(frozen=True)
-class Setting:
+class NodeParameter:
     """A node parameter.
 
     Attributes:
@@ -118,10 +118,10 @@ class Setting:
         return descriptor
 
 
-def settings_of(table: Callable[..., Any]) -> tuple[Setting, ...]:
+def settings_of(table: Callable[..., Any]) -> tuple[NodeParameter, ...]:
     """Return the parameters by which the options of a table are given to a node."""
     return tuple(
-        Setting(
+        NodeParameter(
             one.name,
             one.plain_default,
             f"{one.text}; {one.absent or 'empty'}: {one.unset}" if one.unset else one.text,
@@ -133,7 +133,7 @@ def settings_of(table: Callable[..., Any]) -> tuple[Setting, ...]:
     )
 
 
-def declare(node: Node, settings: Sequence[Setting]) -> dict[str, Any]:
+def declare(node: Node, settings: Sequence[NodeParameter]) -> dict[str, Any]:
     """Declare parameters and return their values.
 
     Raises:
