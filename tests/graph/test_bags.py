@@ -252,7 +252,7 @@ def test_a_maximum_distance_chosen_afterwards(
     [
         (".keep", b"", "no .mcap file"),
         ("x.mcap", b"not a recording", "x.mcap"),
-        ("x.db3", b"SQLite format 3\0", "x.db3"),
+        ("x.db3", b"SQLite format 3\0", "record with the MCAP storage"),
         ("bag_0.mcap.zstd", zstandard.compress(b"an mcap file"), "zstd -d"),
     ],
 )
