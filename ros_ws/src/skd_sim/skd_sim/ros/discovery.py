@@ -60,7 +60,8 @@ def living_publishers(node: Node, topic: str) -> list[Publisher]:
     endpoints = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     publishers = sorted(map(_publisher, endpoints))
     processes = {int(entry.name) & 0xFFFF for entry in Path("/proc").iterdir() if entry.name.isdecimal()}
-    nodes = [(endpoint_name(one), bytes(one.endpoint_gid)) for one in node.get_publishers_info_by_topic(_OF_EVERY_NODE[1])]
+    of_nodes = node.get_publishers_info_by_topic(_PARAMETER_EVENTS)
+    nodes = [(endpoint_name(one), bytes(one.endpoint_gid)) for one in of_nodes]
     ours = next((gid for name, gid in nodes if name == node.get_fully_qualified_name()), None)
     if ours is None or tuple(ours[:2]) != _FAST_DDS:
         return publishers
@@ -114,8 +115,9 @@ _NAMES = {one.type: name for name, one in NAMED_FORMATS.items()}
 _WORDS = ("cmd", "command", "control", "accel", "brake", "throttle", "drive", "speed", "twist", "ackermann")
 _MOST = 3  # topics that one line names
 _HIDDEN = "_"  # names of nodes that do not count as part of a graph begin so, those of ROS 2's command line too
-_OF_EVERY_NODE = ("/rosout", "/parameter_events")
-"""Topics of ROS 2's own; on the first a node has no publisher where another of this process has its name."""
+_PARAMETER_EVENTS = "/parameter_events"
+"""Every node publishes on it; not so on /rosout, where another node of its process has its name."""
+_OF_EVERY_NODE = ("/rosout", _PARAMETER_EVENTS)
 
 
 def why_no_command(node: Node, topic: str, kind: str, arrives: Callable[[str], bool] | None = None) -> str:
