@@ -70,13 +70,13 @@ def add_commands(parser: argparse.ArgumentParser, kind: type[argparse.ArgumentPa
         "sweep",
         help="the paper's experiment: rate the basic car with nine multipliers C",
         description="Repeat the paper's experiment: compute margin, SKD and contact rate of the basic car with each "
-        "multiplier C, on synthetic safe trajectories and, if --safe gives a path, on recorded ones.",
+        "multiplier C, on synthetic safe trajectories and, if --safe gives them, on recorded ones or walkers.",
     )
     sweep.add_argument(
         "--safe",
-        metavar="PATH",
-        help="where recorded safe trajectories are: the folder of CITR's vci_lat_uni, a csv file with columns t, x, y, "
-        "or a folder of such files",
+        metavar="SOURCE",
+        help="walkers, or where recorded safe trajectories are: the folder of CITR's vci_lat_uni, a csv file with "
+        "columns t, x, y, or a folder of such files",
     )
     sweep.add_argument(
         "--multipliers",

@@ -17,7 +17,7 @@ from skd_sim.options.adversary import objectives_named
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.judge.figure_table import columns
 from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.assessment.plan.plan import safe_trajectories
 from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
 from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
@@ -35,6 +35,7 @@ from skd_evaluator.report.terminal import print_table
 from skd_evaluator.risk.asked import risk_asked
 from skd_evaluator.risk.assessment_risk import warm_up_risk
 
+_RECORDED = "recorded"
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))
 _SPEARMAN = {
     "margin": "margin",
@@ -83,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--safe own goes with skd assess, for one car; give a path to recorded safe trajectories")
     kinds = {"synthetic": SYNTHETIC}
     if arguments.safe not in (None, SYNTHETIC):
-        kinds["recorded"] = arguments.safe
+        kinds[WALKERS if arguments.safe == WALKERS else _RECORDED] = arguments.safe
     plans = {
         kind: plan_of(vars(arguments), scenario_for(None, safe), safe=safe, multiplier=multipliers[0])
         for kind, safe in kinds.items()
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
-            safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind != "synthetic"}
+            safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind == _RECORDED}
             with margins_compiled_beside(wanted=arguments.margin_limit > 0) as load_margins:
                 if risk.behaviour is not None:
                     warm_up_risk(asked)
@@ -160,7 +161,7 @@ def run(arguments: argparse.Namespace) -> int:
             known = [f"{name} {rho[key]:.3f}" for key, name in _SPEARMAN.items() if rho[key] is not None]
             if known:
                 print(f"{kind}: Spearman's ρ with C: {', '.join(known)}")
-        if "recorded" not in kinds:
+        if _RECORDED not in kinds:
             print("Recorded safe trajectories were not asked for: add --safe PATH (docs/start/research.md).")
         taken = f"{seconds:.1f} s"
         print(taken if problem else f"{taken}; results in {out.path}")
