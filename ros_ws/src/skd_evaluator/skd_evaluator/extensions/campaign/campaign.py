@@ -38,7 +38,6 @@ from skd_evaluator.extensions.campaign.cells import (
 )
 from skd_evaluator.extensions.campaign.episode_store import (
     FILE_NAME,
-    CellStore,
     EpisodeStore,
     StoppedError,
     StoreError,
@@ -267,7 +266,7 @@ class Campaign:
 
     def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
         assert self._store is not None
-        self._runs[cell.name] = StoringRunner(runner, CellStore(self._store, cell.key), self._stop)
+        self._runs[cell.name] = StoringRunner(runner, self._store, cell.key, self._stop)
         return self._runs[cell.name]
 
     def _provenance(self, cell: Cell) -> dict[str, Any]:

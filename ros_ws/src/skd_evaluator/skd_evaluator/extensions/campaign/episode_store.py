@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-import struct
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import open_regular
 from skd_sim.options.options import options_of
@@ -32,11 +30,6 @@ from skd_evaluator.assessment.plan.plan import EpisodeRunner
 from skd_evaluator.errors import AssessmentError
 
 DIGEST_BYTES = 16
-_HEAD = struct.Struct("<BddqqqdIIII")
-"""Outcome, impact (time, speed), depletions, clipped, held, delay; lengths of states, belief, ages and reason."""
-_OWN_CONTACT, _STRAYED = struct.Struct("<d"), struct.Struct("<dd")
-_NOTHING_SAID = -1.0  # no time of a contact
-"""Last, where the simulator said it: the time of the contact by its own shapes."""
 
 
 def digest(*parts: bytes) -> bytes:
@@ -89,22 +82,16 @@ def digest_of_trajectory(one: Trajectory) -> bytes:
 
 def to_bytes(log: EpisodeLog) -> bytes:
     """Return what happened in an episode; its specification is not part of it."""
-    adversary, car = _floats(log.adversary, 2), _floats(log.car, 3)
-    if len(adversary) != len(car):
-        raise ValueError(f"{len(adversary)} places of the adversary and {len(car)} of the car")
-    belief = np.empty((0, 4), "<f8") if log.belief is None else _floats(log.belief, 4)
-    if log.belief is not None and len(belief) != len(adversary):
-        raise ValueError(f"{len(adversary)} states and {len(belief)} rows of what was believed at them")
-    ages = np.array(log.timing.ages, "<f8")
-    reason = log.reason.encode("utf-8", "surrogatepass")
-    head = _HEAD.pack(
-        int(log.outcome), log.impact_time, log.impact_speed, log.depletions, log.clipped, log.timing.held,
-        log.timing.delay, len(adversary), len(belief), len(ages), len(reason),
-    )  # fmt: skip
-    own = b"" if log.own_contact is None else _OWN_CONTACT.pack(log.own_contact)
-    if log.strayed:
-        own = _STRAYED.pack(_NOTHING_SAID if log.own_contact is None else log.own_contact, log.strayed)
-    return b"".join((head, *(one.tobytes() for one in (adversary, car, belief, ages)), reason, own))
+    timing, states = log.timing, len(log.adversary)
+    head = json.dumps([
+        int(log.outcome), log.depletions, log.reason, log.clipped, timing.held, len(timing.ages), states,
+        log.belief is not None, log.own_contact is not None,
+    ]).encode()  # fmt: skip
+    own = 0.0 if log.own_contact is None else log.own_contact
+    single = (log.impact_time, log.impact_speed, timing.delay, own, log.strayed)
+    tables = [log.adversary, log.car, *([] if log.belief is None else [log.belief])]
+    numbers = np.concatenate([single, timing.ages, *(table.ravel() for table in tables)])
+    return len(head).to_bytes(4, "little") + head + numbers.astype("<f8").tobytes()
 
 
 def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
@@ -113,44 +100,26 @@ def from_bytes(data: bytes, episode: Episode) -> EpisodeLog:
     Raises:
         ValueError: it is none.
     """
-    try:
-        outcome, time, speed, depletions, clipped, held, delay, states, believed, ages, reason = _HEAD.unpack_from(data)
-    except struct.error as error:
-        raise ValueError("it is too short") from error
-    end = _HEAD.size + 8 * (5 * states + 4 * believed + ages) + reason
-    if len(data) not in (end, end + _OWN_CONTACT.size, end + _STRAYED.size) or believed not in (0, states):
-        raise ValueError("it is of another length than it says")
-    own: float | None = None
-    strayed = 0.0
-    if len(data) == end + _STRAYED.size:
-        own, strayed = _STRAYED.unpack_from(data, end)
-        own = None if own == _NOTHING_SAID else own
-    elif len(data) > end:
-        (own,) = _OWN_CONTACT.unpack_from(data, end)
-    sizes = np.cumsum([2 * states, 3 * states, 4 * believed])
-    numbers = np.frombuffer(data, "<f8", int(sizes[-1]) + ages, _HEAD.size).astype(np.float64)
-    adversary, car, belief, aged = np.split(numbers, sizes)
+    begin = 4 + int.from_bytes(data[:4], "little")
+    outcome, depletions, reason, clipped, held, ages, states, believed, said = json.loads(data[4:begin])
+    numbers = np.frombuffer(data, "<f8", offset=begin).astype(np.float64)
+    single, aged, adversary, car, belief = np.split(numbers, np.cumsum([5, ages, 2 * states, 3 * states]))
+    time, speed, delay, own, strayed = single.tolist()
     return EpisodeLog(
         episode,
         Outcome(outcome),
-        adversary.reshape(states, 2).copy(),
-        car.reshape(states, 3).copy(),
+        adversary.reshape(states, 2),
+        car.reshape(states, 3),
         time,
         speed,
         depletions,
-        data[end - reason : end].decode("utf-8", "surrogatepass"),
+        reason,
         clipped,
         Timing(tuple(aged.tolist()), held, delay),
-        belief.reshape(believed, 4).copy() if believed else None,
-        own,
+        belief.reshape(states, 4) if believed else None,
+        own if said else None,
         strayed,
     )
-
-
-def _floats(array: npt.NDArray[np.float64], columns: int) -> npt.NDArray[np.float64]:
-    if array.dtype != np.float64 or array.ndim != 2 or array.shape[1] != columns:
-        raise ValueError(f"states must be n × {columns} floats, got {array.dtype} of shape {array.shape}")
-    return np.ascontiguousarray(array, "<f8")
 
 
 def flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -178,8 +147,6 @@ CREATE TABLE episodes (
     PRIMARY KEY (cell, specification)
 )
 """
-_SCHEMA = [" ".join(_TABLE.split()), "None"]  # the table, and the index of its key
-"""What SQLite says of a database of ours."""
 
 
 class StoreError(AssessmentError):
@@ -216,13 +183,9 @@ class EpisodeStore:
                 ask(f"PRAGMA {setting}")
             (version,) = ask("PRAGMA user_version").fetchone()
             (tables,) = ask("SELECT count(*) FROM sqlite_master").fetchone()
-            if tables:
-                # A view in the place of the table may never end, and a trigger do anything.
-                if [" ".join(str(sql).split()) for (sql,) in ask("SELECT sql FROM sqlite_master")] != _SCHEMA:
-                    raise sqlite3.DatabaseError("it holds something else than episodes")
-                (verdict,) = ask("PRAGMA quick_check(1)").fetchone()
-                if verdict != "ok":
-                    raise sqlite3.DatabaseError(" ".join(str(verdict).split()))
+            (verdict,) = ask("PRAGMA quick_check(1)").fetchone()
+            if verdict != "ok":
+                raise sqlite3.DatabaseError(" ".join(str(verdict).split()))
             if not tables and not version:
                 ask("BEGIN IMMEDIATE")
                 ask(_TABLE)
@@ -337,36 +300,6 @@ def remove_files(path: Path) -> None:
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
-class CellStore:
-    """The part of the store that belongs to one cell."""
-
-    def __init__(self, store: EpisodeStore, cell: bytes) -> None:
-        """Use a store.
-
-        Args:
-            store: the store of the whole campaign.
-            cell: digest of all that determines an episode beside its specification.
-        """
-        self._store, self._cell = store, cell
-        self._specifications = Specifications()
-
-    def specifications(self, episodes: Sequence[Episode]) -> list[bytes]:
-        """Return the digest of each episode's specification."""
-        return [self._specifications.digest(one) for one in episodes]
-
-    def known(self, specifications: Sequence[bytes]) -> set[bytes]:
-        """Return which of some specifications there are episodes of."""
-        return self._store.known(self._cell, specifications)
-
-    def get(self, specification: bytes, episode: Episode) -> EpisodeLog:
-        """Return what happened in an episode that there is."""
-        return self._store.get(self._cell, specification, episode)
-
-    def put(self, specification: bytes, log: EpisodeLog) -> None:
-        """Keep what happened in an episode."""
-        self._store.put(self._cell, specification, log)
-
-
 class StoppedError(RuntimeError):
     """The campaign is to end; no episode is worth waiting for any more."""
 
@@ -383,9 +316,17 @@ class StoringRunner:
         read: how many of them had been stored before.
     """
 
-    def __init__(self, runner: EpisodeRunner, store: CellStore, stop: threading.Event) -> None:
-        """Let `runner` do what is missing in `store`, until `stop` is set."""
-        self._runner, self._store, self._stop = runner, store, stop
+    def __init__(self, runner: EpisodeRunner, store: EpisodeStore, cell: bytes, stop: threading.Event) -> None:
+        """Let `runner` do what is missing in a store, until `stop` is set.
+
+        Args:
+            runner: runs episodes.
+            store: the store of the whole campaign.
+            cell: digest of all that determines an episode beside its specification.
+            stop: set when the campaign is to end.
+        """
+        self._runner, self._store, self._cell, self._stop = runner, store, cell, stop
+        self._specifications = Specifications()
         self.given = self.read = 0
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
@@ -395,8 +336,8 @@ class StoringRunner:
             StoppedError: the campaign is to end.
             StoreError: the store is damaged, or cannot be written.
         """
-        keys = self._store.specifications(episodes)
-        known = self._store.known(keys)
+        keys = [self._specifications.digest(one) for one in episodes]
+        known = self._store.known(self._cell, keys)
         pairs = list(zip(keys, episodes, strict=True))
         missing = [episode for key, episode in pairs if key not in known]
         fresh = self._runner.run(missing) if missing else iter(())
@@ -404,11 +345,11 @@ class StoringRunner:
             if self._stop.is_set():
                 raise StoppedError
             if key in known:
-                log = self._store.get(key, episode)
+                log = self._store.get(self._cell, key, episode)
                 self.read += 1
             else:
                 log = next(fresh)
                 if log.outcome != Outcome.ABORTED:
-                    self._store.put(key, log)
+                    self._store.put(self._cell, key, log)
             self.given += 1
             yield log
