@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from pathlib import Path
 
 import pytest
-from cli_support import one_line, skd
+from cli_support import one_line
 from edited_results import edit
 from skd_evaluator.assessment.files.verification import verify
 
@@ -65,15 +64,6 @@ def test_cells_that_are_not_what_was_written_are_refused(campaign, skd_here):
     one_line(skd_here(*RESUME), 2, "is the result of another cell")
     shutil.rmtree(cells[0])
     assert skd_here(*RESUME).returncode == 0
-
-
-@pytest.mark.parametrize("name", ["cells.json", "episodes.sqlite"])
-def test_a_pipe_in_a_campaign_does_not_hold_it_up(campaign, name):
-    if name == "episodes.sqlite":
-        shutil.rmtree(next(campaign.glob("*/assessment.json")).parent)  # or nothing is to be stored
-    (campaign / name).unlink(missing_ok=True)
-    os.mkfifo(campaign / name)
-    one_line(skd(*RESUME, cwd=campaign.parent), 2, f"{name}: is no regular file")
 
 
 def test_a_cell_in_another_folder_is_no_cell(campaign, skd_here):

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from cli_support import SMALL, one_line
+from cli_support import one_line
 from skd_adversary.car_models.car_model_file import LawCalibration, car_model_for_scenario, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
-from skd_evaluator.assessment.files.verification import folders_below, verify
+from skd_evaluator.assessment.files.verification import folders_below
 from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.report.history.runs import find_runs
@@ -55,15 +55,6 @@ def change_arrays(folder: Path, **changes: Callable[[np.ndarray], np.ndarray]) -
     for name, edit in changes.items():
         arrays[name] = edit(arrays[name])
     np.savez(path, **arrays)
-
-
-def test_a_pipe_as_safe_trajectory_or_scenario_does_not_hold_it_up(here, skd_here):
-    os.mkfifo(here / "x.csv")
-    os.mkfifo(here / "x.yaml")
-    done = skd_here("assess", *SMALL, "--safe", "x.csv", "--out", "out")
-    one_line(done, 2, "x.csv: is no regular file")
-    done = skd_here("assess", *SMALL, "--scenario", "x.yaml", "--out", "out")
-    one_line(done, 2, "x.yaml")
 
 
 # --- values that cannot be where they are
@@ -143,15 +134,6 @@ def test_a_folder_that_nobody_may_look_into_is_not_left_out_without_a_word(close
     for read in (folders_below, lambda folder: read_recordings([folder])):
         with pytest.raises(UsageError, match=r"closed: cannot be looked into \(Permission denied\)"):
             read(closed)
-
-
-def test_a_result_that_is_a_link_to_nowhere_is_not_left_out_without_a_word(tmp_path):
-    for name, leads in (("round", "assessment.json"), ("away", "nowhere")):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "assessment.json").symlink_to(leads)
-    found = [verify(folder) for folder in folders_below(tmp_path)]
-    assert [(one.folder.name, one.fine) for one in found] == [("away", False), ("round", False)]
-    assert all("assessment.json: cannot be read" in one.problems[0] for one in found)
 
 
 def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):

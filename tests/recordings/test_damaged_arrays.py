@@ -164,16 +164,6 @@ def test_what_is_damaged_can_be_left_out(copy: Path, tmp_path: Path, capsys: pyt
         assert json.loads(said.out)["logs"] == int((arrays["mode"] != 0).sum()) - 1
 
 
-@pytest.mark.parametrize("value", ["x", None])
-@pytest.mark.parametrize("key", ["seed", "multiplier", "controller", "scenario"])
-def test_a_summary_with_another_kind_of_value(copy: Path, refused: Refused, key: str, value: object) -> None:
-    summary = copy / ("probe.json" if (copy / "probe.json").exists() else "assessment.json")
-    content = json.loads(summary.read_text())
-    content[key] = value
-    summary.write_text(json.dumps(content))
-    assert str(copy) in refused(copy)
-
-
 def test_bags_are_examined_too(
     sent: list[list[Sent]], recorded: Callable[..., Path], refused: Refused, tmp_path: Path
 ) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, changed, forged, write_mcap
+from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, changed, forged
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_sim.controllers import make_controller
@@ -191,23 +189,6 @@ def test_two_recordings_that_tell_different_things(
     assert done.result["kamikaze_trials"] == len(logs) - 5
 
 
-def test_a_result_from_another_namespace_does_not_count(
-    logs: list[EpisodeLog], sent: list[list[Sent]], recorded: Write, refused: Refused
-) -> None:
-    """A controller in a namespace of its own says how the episode ended."""
-    hit = index_of(logs, Outcome.COLLISION)
-    said = sent[hit][place(sent[hit], RESULT)]
-    rogue = replace(said, topic=f"/controller{RESULT}", content=changed(said.content, "impact_speed", 1.0))
-    assert "has the result of episode" in refused(recorded([*sent, [rogue]]))
-
-
-def test_two_publishers_of_results_are_named(sent: list[list[Sent]], recorded: Write, replay: Replay) -> None:
-    offered = "- history: 1\n  reliability: 1\n" * 2
-    done = replay(recorded(sent, metadata={"offered_qos_profiles": offered}))
-    assert done.code == 0
-    assert any("2 nodes published /skd/episode_result" in line for line in done.result["warnings"])
-
-
 # --- what is there twice, or not at all
 
 
@@ -248,22 +229,6 @@ def test_what_the_end_of_a_campaign_lacks_is_named(
     assert any("last runs along φ were not recorded" in line for line in done.result["warnings"])
     second = [one for one, log in zip(sent, logs, strict=True) if log.episode.episode_id >> 32 & 0xFFFF == 1]
     assert any("episode of safe trajectory 0" in line for line in replay(recorded(second)).result["warnings"])
-
-
-def test_the_assessment_beside_tells_what_is_missing(
-    logs: list[EpisodeLog], sent: list[list[Sent]], replay: Replay, tmp_path: Path
-) -> None:
-    """Nothing else can: of each φ as many are gone."""
-    night = tmp_path / "night"
-    for number, one in enumerate(sent):
-        write_mcap(night / "bags" / f"{number}" / f"{number}.mcap", one)
-    (night / "assessment.json").write_text(json.dumps(replay(night / "bags").result))
-    assert replay(night / "bags").err == ""
-    for number, log in enumerate(logs):
-        if log.episode.mode == 2 and log.episode.episode_id & 0xFFFF == 1:
-            shutil.rmtree(night / "bags" / f"{number}")
-    (line,) = replay(night / "bags").result["warnings"]
-    assert "tells of 7 kamikaze trials and 4 runs along φ, the recordings of 7 and 2" in line
 
 
 def test_what_is_left_out_is_counted(

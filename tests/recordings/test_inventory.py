@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bag_forge import Sent, campaign_messages, forged, write_mcap
+from bag_forge import Sent, campaign_messages, write_mcap
 from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result
@@ -52,18 +52,6 @@ def test_bags_behind_links_are_read(bags: Path, whole: bytes, replay: Replay, tm
     (bags / "06" / "06.mcap").symlink_to(tmp_path / "elsewhere" / "06.mcap")
     done = replay(bags)
     assert (done.episodes, done.err) == (whole, "")
-
-
-def test_links_in_a_circle_end(bags: Path, whole: bytes, replay: Replay) -> None:
-    (bags / "00" / "up").symlink_to(bags)
-    assert replay(bags).episodes == whole
-
-
-def test_endings_in_capitals_are_endings(bags: Path, whole: bytes, replay: Replay) -> None:
-    (bags / "02" / "02.mcap").rename(bags / "02" / "02.MCAP")
-    (bags / "02" / "metadata.yaml").unlink()
-    assert replay(bags).episodes == whole
-    assert replay(bags / "02" / "02.MCAP", bags).episodes == whole
 
 
 @pytest.mark.parametrize("name", ["04.mcap.zstd", "04.db3"])
@@ -155,12 +143,3 @@ def test_results_of_incomplete_recordings_follow_from_what_there_was(
         assert done.code == 0, done.err
         own = [f"{done.path}: {line}" for line in done.result["warnings"]]
         assert list(read_result(done.path).remarks) == own
-
-
-def test_an_episode_that_calls_its_safe_trajectory_otherwise_is_named(
-    sent: list[list[Sent]], recorded: Callable[..., Path], replay: Replay
-) -> None:
-    other = forged(sent[0], 0, "safe_trajectory_name", "another")
-    done = replay(recorded([other, *sent[1:]]))
-    assert done.code == 0
-    assert "safe trajectory 0 is called 'another' by an episode and 'brisk' by another" in done.result["warnings"]

@@ -14,7 +14,7 @@ from skd_evaluator.assessment.learning.trials import own_trials
 from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.ros.recording import bag_name
-from skd_sim.options.adversary import Knowledge, Objective
+from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog
 
@@ -49,17 +49,3 @@ def test_they_are_no_contradiction(
     learned = replay(recorded(campaign_messages([*map(run_episode, _trials(logs[0])), *logs])))
     assert (alone.code, learned.code) == (0, 0), learned.err
     assert learned.episodes == alone.episodes
-    # The kamikazes of this campaign carry no model that came of them.
-    (line,) = learned.result["warnings"]
-    assert line.startswith("4 of 15 episodes belong to no figure")
-
-
-def test_those_of_a_campaign_that_learned_belong_there(
-    logs: list[EpisodeLog], replay: Callable[..., Replayed], recorded: Callable[[Sequence[Sequence[Sent]]], Path]
-) -> None:
-    trials = _trials(logs[0])
-    learned = {"car_model": trials[0].car_model, "knowledge": Knowledge.LEARNED}
-    episodes = [*trials, *(replace(log.episode, **learned) for log in logs)]
-    done = replay(recorded(campaign_messages([*map(run_episode, episodes)])))
-    assert done.code == 0, done.err
-    assert not done.result["warnings"]

@@ -14,14 +14,6 @@ def _told(announced: list[int]) -> list[str]:
     return missing_episodes(announced, {}, wanted=1, left_out=False)
 
 
-def test_the_greatest_number_of_a_trial_takes_no_time_and_no_memory() -> None:
-    """What is missing before it is counted, not listed: it would take some hundred gigabytes."""
-    (line,) = _told([episode_id(Stage.KAMIKAZE, 0, 2**32 - 1)])
-    assert line == (
-        "no recording has kamikaze trials 0, 1, 2, 3, 4, … (4294967295 in all) of safe trajectory 0"
-    )  # fmt: skip
-
-
 @given(_numbered)
 def test_runs_are_missing_where_a_full_campaign_would_have_them(runs: set[tuple[int, int]]) -> None:
     """Said just where the runs are not all that some campaign has, which deals them out in turns."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -163,15 +162,6 @@ def test_a_cut_recording_is_salvaged_up_to_its_last_whole_chunk(
         assert done.episodes == expected.episodes
         assert "cut short" in done.result["left_out"][0]
         assert "messages of it count" in done.err
-
-
-@pytest.mark.parametrize("option", [(), ("--skip-damaged",)])
-def test_a_pipe_is_no_recording(tmp_path: Path, refused: Refused, option: tuple[str, ...]) -> None:
-    os.mkfifo(tmp_path / "pipe.mcap")
-    (tmp_path / "zero.mcap").symlink_to("/dev/zero")
-    for name in ("pipe.mcap", "zero.mcap"):
-        done = refused(tmp_path / name)
-        assert "no regular file" in done
 
 
 def test_a_folder_named_as_a_file_is_looked_into(

@@ -140,21 +140,14 @@ def digest_of(files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for file in files:
         with suppress(OSError, UsageError):  # whoever has removed it meanwhile
-            state = file.stat()
             digest.update(os.fsencode(os.path.relpath(file, top)) + b"\0")
-            digest.update(_sha256(file, state.st_size, state.st_mtime_ns).encode())
+            digest.update(sha256_of(file).encode())
     return digest.hexdigest()
 
 
 def in_words(path: Path) -> str:
     """Return a path as a text that can be written: names of files may have bytes that are no UTF-8."""
     return os.fsencode(path).decode("utf-8", "backslashreplace")
-
-
-@functools.lru_cache(maxsize=2 * MOST_FILES)
-def _sha256(file: Path, _size: int, _changed: int) -> str:
-    """Return the SHA-256 of a file, read once as long as its size and time stay as they are."""
-    return sha256_of(file)
 
 
 def _path_of_module(module: str) -> Path | None:

@@ -194,33 +194,6 @@ def aborted_episodes(logs: Iterable[EpisodeLog]) -> list[str]:
     return [f"{what} for nothing, aborted ({counts_in_words(reasons)})"]
 
 
-def fewer_than_said(announced: Iterable[int], files: Iterable[Path]) -> list[str]:
-    """Return which episodes are missing in recordings, according to the assessments beside them, a line each.
-
-    `skd assess --graph --record` leaves its bags in the folder `bags` beside its assessment.json.
-
-    Args:
-        announced: ids of the episodes of which the recordings know.
-        files: the files with recordings.
-    """
-    numbers = [split_episode_id(number)[0] for number in announced]
-    found = (numbers.count(Stage.KAMIKAZE), numbers.count(Stage.NOMINAL))
-    lines = []
-    for folder in _folders_of_results(files):
-        try:
-            said = read_json(folder / "assessment.json")
-            rows = [row for one in said["objectives"].values() for row in one["per_safe_trajectory"]]
-            trials, runs = sum(int(row["trials"]) for row in rows), int(said["collision_runs"])
-        except (UsageError, ValueError, TypeError, KeyError, AttributeError):
-            continue
-        if found[0] < trials or found[1] < runs:
-            lines.append(
-                f"{folder / 'assessment.json'} tells of {trials} kamikaze trials and {runs} runs along φ, the "
-                f"recordings of {found[0]} and {found[1]}"
-            )
-    return lines
-
-
 def not_credible_beside(files: Iterable[Path]) -> list[str]:
     """Return why assessments and probes beside recordings say that they are not credible, a line each."""
     found: list[str] = []

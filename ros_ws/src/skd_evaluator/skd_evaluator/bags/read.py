@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Channel
 from skd_sim.errors import UsageError
 from skd_sim.options.options import shared_options
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
@@ -290,7 +289,6 @@ def _read_file(file: Path, graphs: dict[str, GraphRecording], damage: Damage) ->
         UsageError: it is no recording of this version's messages, or something must not be left out.
     """
     count, condition = 0, Condition()
-    senders: set[str] = set()
     for message in read_messages(file, lambda topic: _namespace_and_role(topic) is not None, condition):
         topic = message.channel.topic
         namespace, role = _namespace_and_role(topic) or ("", "")
@@ -307,11 +305,6 @@ def _read_file(file: Path, graphs: dict[str, GraphRecording], damage: Damage) ->
         except ValueError as error:
             damage.leave_out(f"{file}: a message on {topic} is not valid ({shortened(str(error))})")
         count += 1
-        if role == RESULT and topic not in senders and _publishers(message.channel) > 1:
-            senders.add(topic)
-            damage.warn(
-                f"{file}: {_publishers(message.channel)} nodes published {topic}, which is the simulator's alone"
-            )
     if condition.refuted:
         raise UsageError(f"{file}: {condition.damage[-1]}, and it has no other: leave the file out")
     if condition.unchecked:
@@ -325,11 +318,6 @@ def _namespace_and_role(topic: str) -> tuple[str, str] | None:
     """Return the namespace of a topic of SKD's, and which of them it is."""
     name = next((name for name in _TOPICS if topic.endswith(name)), None)
     return None if name is None else (topic.removesuffix(name), name)
-
-
-def _publishers(channel: Channel) -> int:
-    """Return how many publishers of a topic the recorder saw: it keeps what each offered, as a list in YAML."""
-    return str(channel.metadata.get("offered_qos_profiles", "")).count("reliability:")
 
 
 def _check_type(message: Received, role: str, file: Path) -> None:

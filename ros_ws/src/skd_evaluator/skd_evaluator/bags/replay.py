@@ -26,7 +26,6 @@ from skd_evaluator.assessment.plan.plan import (
 from skd_evaluator.bags.checks import (
     Damage,
     aborted_episodes,
-    fewer_than_said,
     missing_episodes,
     not_credible_beside,
     unfinished_episodes,
@@ -61,14 +60,6 @@ def _counts(spec: Episode) -> bool:
     """Whether an episode belongs to an assessment: those that made φ, probed a car or tried a way do not."""
     stage = split_episode_id(spec.episode_id)[0]
     return spec.mode != Mode.SAFE and stage not in (Stage.PROBE, Stage.LEARNING) and not walks_a_way(spec)
-
-
-def _strays(specs: Sequence[Episode]) -> int:
-    """Return how many episodes stand beside an assessment whose kamikazes were planned without what such ones show."""
-    counted = [spec for spec in specs if _counts(spec)]
-    learned = any(spec.car_model for spec in counted)
-    left = [spec for spec in specs if not _counts(spec) and spec.mode != Mode.SAFE]
-    return sum(walks_a_way(spec) or not learned for spec in left)
 
 
 def _kamikaze_count(sets: Iterable[Sequence[KamikazeSet]]) -> int:
@@ -106,12 +97,6 @@ def rating_from(
     if not chosen:
         raise UsageError("the bags hold no kamikaze or replay episode that ended; those of skd probe are for skd fit")
     first = chosen[0].log.episode
-    specs = [episode.log.episode for episode in selected]
-    if damage is not None and (strays := _strays(specs)):
-        damage.warn(
-            f"{strays} of {len(specs)} episodes belong to no figure: they are probes of a car, or ways that a search "
-            "tried, and whoever recorded an assessment would not have them here"
-        )
     groups: dict[int, _Group] = {}
     for episode in chosen:
         spec = episode.log.episode
@@ -129,9 +114,6 @@ def rating_from(
             raise UsageError(
                 f"episodes {spec.episode_id} and others of safe trajectory {index} differ in its positions"
             )
-        one, other = group.safe_trajectory.name, spec.safe_trajectory.name
-        if one != other and damage is not None:
-            damage.warn(f"safe trajectory {index} is called {one!r:.60} by an episode and {other!r:.60} by another")
         if stage == Stage.KAMIKAZE:
             group.kamikaze.setdefault(spec.objective, []).append(episode.log)
         else:
@@ -175,7 +157,6 @@ def rating_from(
         lines += missing_episodes(own, by_index, wanted=wanted, left_out=bool(damage.left_out), which=which)
     lines += aborted_episodes([episode.log for episode in chosen])
     lines += lost
-    lines += fewer_than_said([name.episode_id for name in announced], recorded.files)
     lines += not_credible_beside(recorded.files)
     for line in dict.fromkeys(lines):  # of the runs along φ each objective says the same
         damage.warn(line)

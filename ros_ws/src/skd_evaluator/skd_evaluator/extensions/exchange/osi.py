@@ -68,7 +68,6 @@ def _found(name: str) -> Any:
 
 SCHEMA = "osi3.GroundTruth"
 _NANOSECONDS = 1e-9
-_MOST_ROWS = 5_000_000
 
 
 def read_osi(path: Path) -> list[TrackedObject]:
@@ -79,7 +78,7 @@ def read_osi(path: Path) -> list[TrackedObject]:
             topics have some, whose ids need not be of the same objects.
     """
     kind = osi_messages().GroundTruth
-    condition, count = Condition(), 0
+    condition = Condition()
     rows: dict[int, list[tuple[float, float, float]]] = {}
     roles: dict[int, str] = {}
     kinds: dict[int, str] = {}
@@ -94,9 +93,6 @@ def read_osi(path: Path) -> list[TrackedObject]:
         time = message.timestamp.seconds + _NANOSECONDS * message.timestamp.nanos
         for one in message.moving_object:
             number = int(one.id.value)
-            count += 1
-            if count > _MOST_ROWS:
-                raise UsageError(f"{path}: has more than {_MOST_ROWS} states of objects; cut it to what is wanted")
             rows.setdefault(number, []).append((time, one.base.position.x, one.base.position.y))
             if number not in roles:
                 roles[number] = _role(one) or (EGO if message.host_vehicle_id.value == number else str(number))

@@ -24,10 +24,6 @@ _TRACKS, _META, _RECORDING = "_tracks.csv", "_tracksMeta.csv", "_recordingMeta.c
 _LEVELX = "levelxdata"
 """Whose words for kinds these are (`called` of a kind of road user)."""
 _TIMED, _NAMED, _FRAMED = ("t", "x", "y"), ("t", "id", "x", "y"), ("trackId", "frame", "xCenter", "yCenter")
-_MOST_ROWS = 50_000_000
-_MOST_KEPT = 5_000_000  # positions of those that are wanted
-_MOST_WAYS = 100_000
-_LONGEST_LINE = 100_000
 _Kept = dict[str, list[tuple[float, float, float]]]
 
 
@@ -71,7 +67,7 @@ def _objects(path: Path, names: Collection[str]) -> list[TrackedObject]:
     others: dict[str, None] = {}
     for (name,), (time, x, y) in _rows(path, _TIMED, ("id",)):
         if not names or name in names:
-            _keep(kept, name, (time, x, y), path)
+            kept.setdefault(name, []).append((time, x, y))
         elif len(others) < 100:
             others[name] = None
     if not kept:
@@ -94,17 +90,11 @@ def _levelx(path: Path, names: Collection[str], kind: str) -> list[TrackedObject
     kept: _Kept = {}
     for (name,), (frame, x, y) in _rows(path, ("frame", "xCenter", "yCenter"), ("trackId",)):
         if name in wanted:
-            _keep(kept, name, (frame / rate, x, y), path)
+            kept.setdefault(name, []).append((frame / rate, x, y))
     found = [_found(path, name, rows, classes[name]) for name, rows in kept.items() if len(rows) > 1]
     if not found:
         raise UsageError(f"{path}: has no row of track {listed(sorted(wanted))}")
     return found
-
-
-def _keep(kept: _Kept, name: str, row: tuple[float, float, float], path: Path) -> None:
-    kept.setdefault(name, []).append(row)
-    if len(kept[name]) > _MOST_KEPT or len(kept) > _MOST_WAYS:
-        raise UsageError(f"{path}: has more than {_MOST_KEPT} positions of one object, or too many objects; cut it")
 
 
 def _rate(path: Path) -> float:
@@ -155,13 +145,11 @@ def _rows(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Iterator[
             raise UsageError(f"{path}, line 1: {'two columns' if name in header else 'no column'} {name!r}")
     number_places, text_places = [header.index(name) for name in numbers], [header.index(name) for name in texts]
     least = max([*number_places, *text_places]) + 1
-    for count, (line, row) in enumerate(lines):
+    for line, row in lines:
         if not any(row):
             continue
         if len(row) < least or any(row[len(header) :]):
             raise UsageError(f"{path}, line {line}: {len(row)} values where the header names {len(header)}")
-        if count > _MOST_ROWS:
-            raise UsageError(f"{path}: more than {_MOST_ROWS} rows; cut it to what is wanted")
         values = [
             finite_number(row[place], f"{path}, line {line}: {name}")
             for place, name in zip(number_places, numbers, strict=True)
@@ -170,12 +158,12 @@ def _rows(path: Path, numbers: Sequence[str], texts: Sequence[str]) -> Iterator[
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line, the header first; the file may be of any size, a line not."""
+    """Yield number and cells of each line, the header first."""
     if path.is_dir():
         raise UsageError(f"{path}: is a folder")
     with open_regular(path) as stream:
         text = io.TextIOWrapper(stream, "utf-8-sig", newline="")
-        rows = csv.reader(_short(text, path), strict=True)
+        rows = csv.reader(text, strict=True)
         try:
             for row in rows:
                 yield rows.line_num, [cell.strip() for cell in row]
@@ -183,10 +171,3 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
             raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
         except UnicodeDecodeError as error:
             raise UsageError(f"{path}: not a text file in UTF-8") from error
-
-
-def _short(text: io.TextIOWrapper, path: Path) -> Iterator[str]:
-    while line := text.readline(_LONGEST_LINE + 1):
-        if len(line) > _LONGEST_LINE:
-            raise UsageError(f"{path}: has a line of more than {_LONGEST_LINE} characters")
-        yield line
