@@ -166,7 +166,7 @@ def test_a_wrong_file_is_refused_in_one_line(change, said, walkers, tmp_path):
 
 
 def test_a_name_that_is_none_is_refused():
-    with pytest.raises(UsageError, match=r"behaviour 'walker': cannot be read .*did you mean 'walkers'"):
+    with pytest.raises(UsageError, match=r"behaviour 'walker': cannot be read.*did you mean 'walkers'"):
         load_behaviour("walker")
     with pytest.raises(UsageError, match=r"cannot be read"):
         load_behaviour(Path("/nowhere/at.all"))

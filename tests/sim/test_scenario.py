@@ -342,6 +342,6 @@ def test_no_such_scenario(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"scenario absent: .* crossing"):
         load_scenario("absent")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe")
-    for source in (tmp_path / "binary.yaml", tmp_path):
-        with pytest.raises(UsageError, match="not a readable file"):
+    for source, said in ((tmp_path / "binary.yaml", "not a text file in UTF-8"), (tmp_path, "is no regular file")):
+        with pytest.raises(UsageError, match=said):
             load_scenario(str(source))

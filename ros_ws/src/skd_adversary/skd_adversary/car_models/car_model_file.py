@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import parse_json, read_bytes
+from skd_sim.inputs.files import is_there, parse_json, read_bytes
 from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
-from skd_sim.inputs.yaml_file import parse_yaml, read_text, short, to_yaml
+from skd_sim.inputs.yaml_file import read_yaml, short, to_yaml
 from skd_sim.scenario.scenario import Scenario
 
 from skd_adversary.car_models.forest import CarForest
@@ -291,11 +291,9 @@ def read_car_model(source: Path) -> FittedCar:
         UsageError: it cannot be read, or is no car model.
     """
     path = file_of(source)
-    try:
-        text = read_text(path)
-    except OSError as error:
-        raise UsageError(f"car model {path}: cannot be read ({error.strerror}); skd fit writes one") from error
-    return car_model_from(_with_forest(parse_yaml(text, str(path)), path), str(path))
+    if not is_there(path):
+        raise UsageError(f"car model {path}: cannot be read (No such file or directory); skd fit writes one")
+    return car_model_from(_with_forest(read_yaml(path), path), str(path))
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 import reprlib
 import sys
@@ -13,7 +11,7 @@ from typing import Any
 import yaml
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import LARGEST_WHOLE, open_regular
+from skd_sim.inputs.files import LARGEST_WHOLE, read_text
 
 LARGEST = 256 * 1024
 """Bytes: a scenario has two thousand, a car model ten thousand; PyYAML reads about 100,000 a second."""
@@ -80,26 +78,13 @@ for _name, (_pattern, _first) in _SCALARS.items():
         )
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a file of at most `LARGEST` bytes.
+def read_yaml(path: Path) -> Any:
+    """Return the plain data of a YAML file of at most `LARGEST` bytes; see `parse_yaml`.
 
     Raises:
-        OSError: it cannot be read, or is no file or no text in UTF-8.
-        UsageError: it is longer.
+        UsageError: it cannot be read, is too large, or is no YAML.
     """
-    if not path.exists():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-    try:
-        with open_regular(path) as file:
-            content = file.read(LARGEST + 1)
-    except UsageError as error:
-        raise OSError(0, "not a file") from error  # a pipe would have us wait
-    if len(content) > LARGEST:
-        raise UsageError(f"{path}: longer than {LARGEST // 1024} KiB, which no such file needs")
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise OSError(0, "not a text in UTF-8") from error
+    return parse_yaml(read_text(path, LARGEST), str(path))
 
 
 def parse_yaml(text: str, where: str) -> Any:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
-from skd_sim.inputs.yaml_file import parse_yaml, read_text
+from skd_sim.inputs.files import did_you_mean, is_there
+from skd_sim.inputs.yaml_file import parse_yaml, read_yaml
 from skd_sim.options.registry import Registry
 
 _FOLDER = resources.files("skd_sim") / "scenarios"
@@ -108,8 +108,8 @@ def _own_data(source: str, before: tuple[str, ...]) -> Any:
         found = SCENARIOS.find(source)
         if isinstance(found, Mapping):
             return found
-        return parse_yaml(_read(Path(str(found)), f"scenario {source} ({SCENARIOS.target(source)})"), source)
-    return parse_yaml(_read(Path(source), f"scenario {source}"), source)
+        return _read(Path(str(found)), f"scenario {source} ({SCENARIOS.target(source)})")
+    return _read(Path(source), f"scenario {source}")
 
 
 def _at_place(data: Any, source: str, name: str, place: int) -> Any:
@@ -124,12 +124,10 @@ def _at_place(data: Any, source: str, name: str, place: int) -> Any:
     return {**content, "name": source, "protocol": {**protocol, "impact_places": [place]}}
 
 
-def _read(path: Path, what: str) -> str:
-    try:
-        return read_text(path)
-    except (OSError, ValueError) as error:
-        if isinstance(error, UsageError):
-            raise
-        known = SCENARIOS.names()
-        near = did_you_mean(str(path), known)
-        raise UsageError(f"{what}: not a readable file, nor one of: {', '.join(known)}{near}") from error
+def _read(path: Path, what: str) -> Any:
+    """Return the content of a scenario's file."""
+    if is_there(path):
+        return read_yaml(path)
+    known = SCENARIOS.names()
+    near = did_you_mean(str(path), known)
+    raise UsageError(f"{what}: not a readable file, nor one of: {', '.join(known)}{near}")

@@ -28,7 +28,7 @@ from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Frozen, read_model
-from skd_sim.inputs.yaml_file import parse_yaml, read_text, short
+from skd_sim.inputs.yaml_file import read_yaml, short
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option, options_of, read_options
 from skd_sim.scenario.scenario_file import SCENARIOS, is_named
@@ -124,12 +124,8 @@ def read_campaign(path: Path) -> list[Combination]:
     Raises:
         UsageError: it cannot be read, or something in it is wrong; says where.
     """
-    try:
-        text = read_text(path)
-    except OSError as error:
-        raise UsageError(f"campaign {path}: cannot be read ({error.strerror or error})") from error
     reader = _Reader(path)
-    file = read_model(_CampaignFile, parse_yaml(text, str(path)), str(path))
+    file = read_model(_CampaignFile, read_yaml(path), str(path))
     defaults = reader.values(file.defaults, "defaults")
     cars = reader.entries(file.cars, "cars")
     scenarios = [_Part({})] if file.scenarios is None else reader.entries(file.scenarios, "scenarios")

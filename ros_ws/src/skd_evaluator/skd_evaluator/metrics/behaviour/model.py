@@ -13,9 +13,9 @@ from typing import Annotated, Any, Final
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import did_you_mean
+from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Finite, Frozen, OneOf, read_model
-from skd_sim.inputs.yaml_file import parse_yaml, read_text, to_yaml
+from skd_sim.inputs.yaml_file import read_yaml, to_yaml
 from skd_sim.scenario.road_user import ROAD_USERS
 
 from skd_evaluator.metrics.behaviour import NO_BEHAVIOUR, WALKERS
@@ -144,16 +144,13 @@ def load_behaviour(name: str | Path) -> Behaviour:
         UsageError: there is none, or the file is no behaviour model; says which key, and what would be right.
     """
     path = file_of(name)
-    try:
-        text = read_text(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
+    if not is_there(path):
         near = did_you_mean(str(name), tuple(_SHIPPED))
         raise UsageError(
-            f"behaviour {str(name)!r}: cannot be read ({reason}); give {WALKERS}, {NO_BEHAVIOUR}, or a file that skd "
-            f"behaviour fit has written{near}"
-        ) from None
-    return behaviour_from(parse_yaml(text, str(path)), str(path))
+            f"behaviour {str(name)!r}: cannot be read; give {WALKERS}, {NO_BEHAVIOUR}, or a file that skd behaviour "
+            f"fit has written{near}"
+        )
+    return behaviour_from(read_yaml(path), str(path))
 
 
 def behaviour_from(data: Any, where: str) -> Behaviour:
