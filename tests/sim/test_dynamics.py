@@ -106,15 +106,6 @@ def test_wet_stopping_distance_is_the_published_one() -> None:
     assert established_distance(WET, START) == pytest.approx(published, rel=0.1)
 
 
-@pytest.mark.parametrize("friction", [1.0, WET, 0.3])
-@pytest.mark.parametrize("antilock", [True, False])
-@pytest.mark.parametrize("command", [FULL, -3.5])
-def test_half_the_step_hardly_changes_the_stop(friction: float, antilock: bool, command: float) -> None:
-    setting = scenario(friction, antilock=antilock)
-    whole = stopping_distance(setting, START, command)
-    assert stopping_distance(setting, START, command, step=0.0005) == pytest.approx(whole, rel=0.01)
-
-
 def test_total_stopping_distance_adds_delay_and_build_up() -> None:
     """A gentle stop is within the tyres' grip, and then the textbook's: v·(delay + ramp/2) + v²/2a − a·ramp²/24."""
     command, delay, rate = 3.5, 0.2, 20.0
@@ -172,18 +163,6 @@ def test_load_transfer(deceleration: float) -> None:
     assert front == pytest.approx(v.m * deceleration * v.h_cg / wheelbase, rel=0.05)
     assert rear == pytest.approx(-front, rel=0.01)
     assert car.state[PITCH] < rest[PITCH]  # nose down
-
-
-def test_at_rest_nothing_moves() -> None:
-    """The rest state is an equilibrium: closed form of springs, tyres and weights."""
-    state = rest_state(BMW_320I)
-    state[SPEED] = 10.0
-    state[WHEELS : WHEELS + 4] = 10.0 / BMW_320I.R_w
-    out = np.empty(STATES)
-    full_derivative(state, WheelInput(0.0, 0.0, 0.0, 0.0, 0.0, 2.0, 3.0), BMW_320I, TYRE, 1.0, out)
-    np.testing.assert_allclose(out[1:], 0.0, atol=1e-9)
-    weight = 2.0 * BMW_320I.K_zt * (state[FRONT + 3] + state[REAR + 3])
-    assert weight == pytest.approx(BMW_320I.m * GRAVITY)
 
 
 def test_straight_equations_are_the_full_ones() -> None:

@@ -43,9 +43,3 @@ def test_a_circle(speed, radius, left, start):
     for inertia in measured(*cars)[1:]:
         assert inertia.yaw_rate == pytest.approx(rate, rel=1e-9)
         assert inertia.acceleration == pytest.approx((0.0, speed * rate, GRAVITY), rel=1e-9)
-
-
-def test_a_state_that_is_seen_again_is_measured_as_before():
-    before, after = CarState(0.0, 0.0, 0.0, 8.0), CarState(0.8, 0.0, 0.1, 7.0)
-    first, second, again = measured((0, before), (100 * MILLISECOND, after), (100 * MILLISECOND, after))
-    assert second == again != first

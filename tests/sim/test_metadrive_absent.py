@@ -20,10 +20,6 @@ PEDALS = Pedals(
 )
 
 
-def test_limits_are_what_full_pedals_did() -> None:
-    assert tuple(PEDALS.limits) == pytest.approx((-11.0, 2.5))
-
-
 @given(st.floats(-11.0, 2.5))
 def test_an_acceleration_comes_back(acceleration: float) -> None:
     pedal = PEDALS.pedal(acceleration)

@@ -70,13 +70,6 @@ def test_who_runs_into_one_has_missed_but_a_replay_goes_on() -> None:
         assert episode.outcome(1, inside, collided=True) == Outcome.COLLISION
 
 
-def test_a_fast_step_does_not_jump_over_a_thin_one() -> None:
-    fence = with_obstacles(Obstacle(-2.5, 0.0, math.pi / 2, 4.0, 0.1))
-    beyond = AdversaryState(-1.8, 0.0, 10.0, 0.0)
-    assert fence.ran_into_obstacle(beyond)
-    assert not fence.ran_into_obstacle(beyond._replace(vx=0.0))
-
-
 def test_of_a_box_the_largest_disc_within_it_cannot_pass() -> None:
     cyclist = load_scenario("cyclist")
     assert cyclist.adversary.width is not None

@@ -97,16 +97,6 @@ def test_a_point_beside_the_line_has_the_coordinates_that_it_was_made_from(
 
 
 @given(parts=some_parts, origin=fraction)
-def test_the_pose_is_continuous_and_moves_at_unit_speed(parts: list[tuple[float, float]], origin: float) -> None:
-    line = centre_line(parts, origin * sum(length for length, _ in parts))
-    joints = [*line[:, 0], line[-1, 0] + line[-1, 5]]
-    for s in joints:
-        before, after = np.array(road_pose(line, s - 1e-7)), np.array(road_pose(line, s + 1e-7))
-        assert math.hypot(*(after - before)[:2]) == pytest.approx(2e-7, rel=1e-3)
-        assert after[2] == pytest.approx(before[2], abs=1e-6)
-
-
-@given(parts=some_parts, origin=fraction)
 def test_the_crossing_point_is_the_origin_and_the_lane_leads_north_there(
     parts: list[tuple[float, float]], origin: float
 ) -> None:

@@ -314,12 +314,6 @@ def test_overlap_anywhere_in_the_start_range() -> None:
     scenario_from_dict(changed({"adversary.start_x": 0.0, "adversary.start_y": rear - 0.01}))
 
 
-def test_whole_numbers_are_fine_and_null_is_not_given() -> None:
-    scenario = scenario_from_dict(changed({"horizon": 12, "sensor": None, "car.mass": None}))
-    assert isinstance(scenario.horizon, float)
-    assert (scenario.sensor, scenario.car.mass) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("period", "periods"), [(0.3, 1), (0.15, 2), (0.1, 3), (0.05, 6), (0.01, 30), (0.3 / 7, 7), (0.001, 300)]
 )

@@ -73,14 +73,6 @@ def test_start_gap_is_uniform_over_its_range() -> None:
     assert np.abs((gaps - 13.0) / 2.5 - (np.arange(n) + 0.5) / n).max() < 1.95 / math.sqrt(n)
 
 
-def test_defaults_come_from_the_scenario() -> None:
-    world = World(CROSSING, start_rng=np.random.default_rng(0), car_rng=np.random.default_rng(1))
-    adversary, car = CROSSING.adversary, CROSSING.car
-    assert world.adversary == (adversary.start_x, adversary.start_y, 0.0, 0.0, 0.0)
-    assert car.start_gap <= -world.car.y - car.front < car.start_gap + car.start_gap_range
-    assert (world.car.x, world.car.heading, world.car.speed) == (0.0, math.pi / 2, car.start_speed)
-
-
 def test_adversary_is_deterministic_and_time_counts() -> None:
     world = _world(_scenario(), 100.0, (-3.5, 0.0))
     for tick in range(1, 6):
