@@ -12,8 +12,7 @@ from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
 from skd_evaluator.cli.show import shown_episode
-from skd_evaluator.report.believed_car import DEVIATIONS, believed_car
-from skd_evaluator.report.episode_picture import EpisodePicture
+from skd_evaluator.report.episode_pictures import DEVIATIONS, EpisodePicture, believed_car
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import load_scenario

@@ -22,9 +22,9 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.behaviour.walking import normals_of
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
+from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
-from skd_evaluator.report.risk.failures import kept_failures
 from skd_evaluator.risk.asked import RiskAsked
 from skd_evaluator.risk.assessment_risk import with_risks
 from skd_evaluator.risk.single import single_crossing

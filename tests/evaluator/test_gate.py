@@ -27,8 +27,7 @@ from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import at_worst
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
 from skd_evaluator.metrics.statistics.statistics import mean
-from skd_evaluator.report.junit import junit_xml
-from skd_evaluator.report.summary import csv_table, markdown
+from skd_evaluator.report.summary import csv_table, junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES

@@ -14,10 +14,8 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.report.history.runs import Run, find_runs
-from skd_evaluator.report.history.table import runs_table, trend_table
-from skd_evaluator.report.history.trend import trends_of
 from skd_evaluator.report.terminal import print_table
+from skd_evaluator.report.trend import Run, find_runs, runs_table, trend_table, trends_of
 
 REVISIONS = 20
 

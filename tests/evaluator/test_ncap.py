@@ -13,9 +13,9 @@ from cli_support import names, one_line, skd
 from matplotlib.image import imread
 from skd_evaluator.assessment.stages.library import assess
 from skd_evaluator.extensions.ncap import command as ncap
-from skd_evaluator.extensions.ncap import points
+from skd_evaluator.extensions.ncap import verification
 from skd_evaluator.extensions.ncap.layout import headline
-from skd_evaluator.extensions.ncap.of_results import views_of
+from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.extensions.ncap.result import RESULT, Cell, read_ncap
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
@@ -275,8 +275,8 @@ def test_who_interrupts_it_gets_what_there_is(skd_here, here, monkeypatch):
 
 
 def test_without_the_calculator_it_says_how_to_get_points(skd_here, here, monkeypatch):
-    monkeypatch.setattr(points, "find_spec", lambda _name: None)
-    monkeypatch.setitem(sys.modules, f"{points.PACKAGE}.common", None)  # which whoever imports it would notice
+    monkeypatch.setattr(verification, "find_spec", lambda _name: None)
+    monkeypatch.setitem(sys.modules, f"{verification.PACKAGE}.common", None)  # which whoever imports it would notice
     done = skd_here("ncap", "--scenarios", "cpna-50", *NONE, "--out", "out")
     assert done.returncode == 0, done.stderr
     assert "pip install 'euroncap-rating-2026>=5.4.9,<6'" in done.stdout

@@ -7,10 +7,16 @@ import logging
 import random
 
 import pytest
-from skd_evaluator.extensions.ncap.colours import colour_of
-from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, known_scenarios, matrix_of, scenarios_of
-from skd_evaluator.extensions.ncap.points import points_of
+from skd_evaluator.extensions.ncap.matrices import (
+    Criterion,
+    MatrixPoint,
+    colour_of,
+    known_scenarios,
+    matrix_of,
+    scenarios_of,
+)
 from skd_evaluator.extensions.ncap.result import Cell, Grid
+from skd_evaluator.extensions.ncap.verification import points_of
 
 integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402

@@ -6,12 +6,11 @@ import json
 
 import pytest
 from skd_evaluator.assessment.run.static_test import static_tests
-from skd_evaluator.extensions.ncap.colours import colour_of
+from skd_evaluator.extensions.ncap.judging import scenario_of, wanted_cells
 from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
-from skd_evaluator.extensions.ncap.matrices import Criterion, known_scenarios, matrix_of, scenarios_of
+from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of
 from skd_evaluator.extensions.ncap.page import details
 from skd_evaluator.extensions.ncap.result import RESULT, Cell, Grid, Ncap, as_data, ncap_of, read_ncap
-from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import load_scenario

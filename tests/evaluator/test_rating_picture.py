@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL, one_line
 from matplotlib.image import imread
+from skd_evaluator.report.curves import RatedCar, basic_cars, floor_of, labelled, rated_car
 from skd_evaluator.report.html.charts import rating_charts
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
 
 
 def car(margin: float, risk: float, *, multiplier: float | None = None, high: float = 0.0) -> RatedCar:

@@ -21,8 +21,8 @@ from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
 from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.files import tails
 from skd_evaluator.report.html import page
+from skd_evaluator.report.html.episodes import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.figures import ranking_notes
-from skd_evaluator.report.html.packing import RESOLUTION, pack, unpack
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_command, scenario_name
 from skd_evaluator.report.terminal import headline

@@ -14,9 +14,9 @@ from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap
 from skd_evaluator.metrics.surrogate.braking import required_decelerations
 from skd_evaluator.metrics.surrogate.collision_time import collision_times
 from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
+from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects
-from skd_evaluator.report.risk.failures import kept_failures
 from skd_sim.world.episode import Mode
 
 

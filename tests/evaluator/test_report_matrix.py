@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 from skd_evaluator.report.html.charts import comparison_charts
-from skd_evaluator.report.html.matrix import by_scenario, matrix_of
+from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.terminal import car_name

@@ -19,7 +19,7 @@ from skd_evaluator.cli.compare import reference_hint
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.report.episode_picture import EpisodePicture
+from skd_evaluator.report.episode_pictures import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command
 from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
@@ -82,7 +82,7 @@ def test_what_makes_cars_to_compare_with_is_a_command_that_is_understood(subject
 
 
 def test_films(skd_here, here, result, monkeypatch):
-    monkeypatch.setattr("skd_evaluator.report.episode_picture._RATE", 3)
+    monkeypatch.setattr("skd_evaluator.report.episode_pictures._RATE", 3)
     assert skd_here("show", str(result), "--format", "gif", "--out", "film").returncode == 0
     with Image.open(here / "film" / "1.gif") as film:
         assert film.n_frames > 5

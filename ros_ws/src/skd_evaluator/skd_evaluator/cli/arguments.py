@@ -15,6 +15,7 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.result_folder import ResultFolder
+    from skd_evaluator.assessment.run.workers import ExecutorRunner
 
 CAR_GROUP = "car and test"
 
@@ -159,6 +160,19 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
         metavar="ADDRESS",
         help="address of a Dask cluster that runs the episodes instead, such as tcp://host:8786 (see docs/scale.md)",
     )
+
+
+def runner_of(
+    arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None
+) -> ExecutorRunner:
+    """Return what runs the episodes of a command in process, as the options of `add_runner_arguments` say."""
+    from skd_sim.controllers.isolated import CALL_LIMIT
+
+    from skd_evaluator.assessment.run.dask_cluster import make_runner
+    from skd_evaluator.assessment.run.workers import available_workers
+
+    workers = arguments.workers or available_workers()
+    return make_runner(arguments.scheduler, workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT)
 
 
 def percentage(text: str) -> float:

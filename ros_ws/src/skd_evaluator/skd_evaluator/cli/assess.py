@@ -33,10 +33,9 @@ from skd_evaluator.assessment.stages.pipeline import (
     compile_for_graph,
 )
 from skd_evaluator.assessment.stages.written import fill, save_with_scratch
-from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (

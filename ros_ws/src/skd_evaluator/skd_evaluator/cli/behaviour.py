@@ -16,11 +16,10 @@ from skd_sim.scenario.road_user import ROAD_USERS
 
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
 from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.report.terminal import narrow_table, print_table, say_damage
 from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, behaviour_of, fit_behaviour
 from skd_evaluator.risk.behaviour.residuals import HORIZONS, QUANTILES
 from skd_evaluator.risk.behaviour.tracks import TIME_STEP, Tracked, read_tracks

@@ -19,9 +19,8 @@ from skd_adversary.car_models.speed_change import LARGEST_NOISE
 from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.arguments import result_folder
-from skd_evaluator.cli.damage import say_damage
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.report.terminal import narrow_table, print_table
+from skd_evaluator.report.terminal import narrow_table, print_table, say_damage
 from skd_evaluator.version import version
 
 _SHOWN_FAMILIES = 8

@@ -118,8 +118,7 @@ class Gate:
 
     def write(self, result: Mapping[str, Any], checks: list[Check]) -> str | None:
         """Write the files, and return why that failed, in one line; none where all is well."""
-        from skd_evaluator.report.junit import junit_xml
-        from skd_evaluator.report.summary import csv_table, markdown
+        from skd_evaluator.report.summary import csv_table, junit_xml, markdown
 
         texts = {
             "junit": lambda: junit_xml(result, checks),
@@ -141,7 +140,7 @@ class Gate:
         except AssessmentError as error:
             if "junit" in self.files:
                 from skd_evaluator.assessment.compare.gate import Check
-                from skd_evaluator.report.junit import junit_xml
+                from skd_evaluator.report.summary import junit_xml
 
                 checks = [Check("assessment", str(error), error=True)]
                 try:

@@ -14,9 +14,8 @@ from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.scenario_difference import has_tyres, scenario_difference
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.report.history.runs import Run, find_runs
-from skd_evaluator.report.history.table import runs_table
 from skd_evaluator.report.terminal import counted, print_table
+from skd_evaluator.report.trend import Run, find_runs, runs_table
 
 _LAST = float("inf")
 _KEYS: dict[str, Callable[[Run], Any]] = {

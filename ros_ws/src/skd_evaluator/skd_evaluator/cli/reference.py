@@ -20,9 +20,8 @@ from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.plan.options import SYNTHETIC
 from skd_evaluator.assessment.plan.plan import Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.run.workers import ExecutorRunner
-from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.reference import MULTIPLIERS, Asked, asked_of_result, equivalent_in, reference_sweep
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries

@@ -15,12 +15,12 @@ from skd_evaluator.bags.read import read_bags
 from skd_evaluator.bags.replay import rating_from
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import print_result
-from skd_evaluator.cli.damage import say_damage, say_left_out
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
+from skd_evaluator.report.terminal import say_damage, say_left_out
 
 
 def run(arguments: argparse.Namespace) -> int:

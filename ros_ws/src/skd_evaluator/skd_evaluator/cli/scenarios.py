@@ -24,8 +24,8 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import check_file, write_file
 from skd_evaluator.margin.basic_margins import unknown_for
-from skd_evaluator.report.scenario.picture import save_scenario
-from skd_evaluator.report.scenario.words import places_of, scenario_data, scenario_lines
+from skd_evaluator.report.episode_pictures import save_scenario
+from skd_evaluator.report.formats import places_of, scenario_data, scenario_lines
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 _KMH = 3.6

@@ -20,11 +20,10 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.surrogate.episode import episode_measures
 from skd_evaluator.metrics.surrogate.scenes import course_of
-from skd_evaluator.report.believed_car import believed_car
-from skd_evaluator.report.episode_picture import ShownEpisode, check_format, save_episode
+from skd_evaluator.report.episode_pictures import ShownEpisode, believed_car, check_format, save_episode
+from skd_evaluator.report.formats import KeptFailure, kept_failures
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
-from skd_evaluator.report.risk.failures import KeptFailure, kept_failures
 
 _RUNS = 4
 """Runs of ids that are named where there is no episode with an id."""

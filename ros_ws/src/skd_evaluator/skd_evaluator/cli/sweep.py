@@ -23,10 +23,9 @@ from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
 from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, planners_of
 from skd_evaluator.assessment.stages.written import fill
-from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.margin.ahead import margins_compiled_beside
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar

@@ -15,10 +15,8 @@ from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
-from skd_evaluator.report.history.runs import Run, find_runs
-from skd_evaluator.report.history.table import trend_table
-from skd_evaluator.report.history.trend import trends_of
 from skd_evaluator.report.terminal import print_table
+from skd_evaluator.report.trend import Run, find_runs, trend_table, trends_of
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     def write(folder: Path) -> None:
         write_json(folder / "trend.json", content)
         if arguments.pictures:
-            from skd_evaluator.report.history.picture import save_trends
+            from skd_evaluator.report.pictures import save_trends
 
             save_trends(folder / "trend.png", trends, kind)
 

@@ -19,7 +19,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.report.drawing import save_picture
 
 _GAPS = np.arange(-6.0, 26.0, 2.0)  # m
 _ASIDE = np.arange(-5.0, 5.5, 1.0)  # m

@@ -1,13 +1,18 @@
-"""Numbers and figures as people read them: on the page, on the terminal, and in Markdown."""
+"""Figures, warnings, failures and scenarios as text: on the page, on the terminal, and in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
+from skd_sim.scenario.scenario import Scenario
+
 from skd_evaluator.assessment.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
-from skd_evaluator.metrics.margins import UPPER_BOUNDS
+from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
+from skd_evaluator.metrics.margins import GAP_WARNING, UPPER_BOUNDS, stopped_at
 from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES
 
 NOTHING = "–"
@@ -157,3 +162,217 @@ def surrogate_rows(figures: Mapping[str, Any]) -> list[tuple[str, list[str]]]:
 
 def _surrogate(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}" if 0.0 < abs(value) < 0.1 else f"{value:.2f}"
+
+
+_FEWEST = 10
+"""Trials below which optimality gap, or a quantile of impacts, says little."""
+_JUST_ABOVE = 0.25
+"""m/s above the hit speed within which nearly all hits are a matter of where it is set."""
+
+
+def margin_warnings(result: Mapping[str, Any], touched: int, hit: int) -> list[str]:
+    """Return what is to be known of the margin, in one line each; nothing where it is not known.
+
+    Args:
+        result: content of assessment.json; of it margin and interval, `impact_speed`, `optimality_gap` and
+            `scenario` count.
+        touched: number of kamikazes that touched the car, at whatever speed.
+        hit: number of kamikazes and of runs along φ that the moving car hit.
+    """
+    if result["margin"] is None:
+        return []
+    found = []
+    if not result["margin_converged"]:
+        found.append(
+            f"the search for the margin {stopped_at(result)}: the margin may be less; give a greater --margin-limit"
+        )
+    close = result["optimality_gap"]
+    if close is not None and close > GAP_WARNING and result["margin_trials"] >= _FEWEST:
+        found.append(
+            f"planned kamikazes needed {close:.2f} times the margin: the planned deviation and SKD say as much about "
+            "what they knew as about the car; judge it by the margin"
+        )
+    impact, least = result["impact_speed"], result["scenario"]["collision"].get("hit_speed", 0.0)
+    slow = impact is not None and least > 0.0 and impact["p90"] <= least + _JUST_ABOVE
+    if slow and result["margin_trials"] - result["margin_beyond"] >= _FEWEST:
+        found.append(
+            f"90 % of the margin's hits are at {impact['p90']:.2f} m/s or less, and a hit begins at {least:g} m/s: "
+            "this car is judged by slow touches, and another collision.hit_speed would give another margin"
+        )
+    nobody = result["margin_beyond"] == result["margin_trials"]
+    if hit and nobody:
+        found.append(
+            f"nobody could be hit within η_max in the {result['margin_trials']} trials of which the margin is "
+            f"made, but {hit} other {'episodes' if hit > 1 else 'episode'} ended in a hit: hits are rarer than so few "
+            "trials show, or take more than η_max, and neither the margin nor its interval knows of them; give a "
+            "greater --kamikaze-count or --safe-count, or a scenario with a greater eta_max"
+        )
+    elif result["margin_ci95"] is not None and result["margin_ci95"][0] == result["margin_ci95"][1]:
+        found.append(
+            f"all {result['margin_trials']} trials have the same margin, so its interval has no width: trials on "
+            "other safe trajectories may still have another one; a greater --safe-count says more"
+        )
+    if touched and not hit and nobody:
+        found.append(
+            f"this car could only be walked into: {touched} kamikazes touched it, all of them while it drove slower "
+            f"than {result['scenario']['collision']['hit_speed']:g} m/s"
+        )
+    return found
+
+
+def contact_warnings(figures: Mapping[str, Any]) -> list[str]:
+    """Return, in one line, that a simulator's contacts are others than SKD's; nothing where they are the same.
+
+    Args:
+        figures: content of assessment.json.
+    """
+    found = figures.get("simulator_contacts")
+    if found is None or not found["geometry_alone"] + found["simulator_alone"]:
+        return []
+    return [
+        f"of {found['episodes']} episodes the car touched somebody by SKD's geometry alone in "
+        f"{found['geometry_alone']}, and by the simulator's own shapes alone in {found['simulator_alone']}; SKD's "
+        "geometry counts"
+    ]
+
+
+@dataclass(frozen=True)
+class KeptFailure:
+    """A failure that is kept.
+
+    Attributes:
+        kind: what the walker did.
+        row: number of the crossing.
+        rank: how many of its kind are nearer to how people walk.
+        deviation: from φ, in standard deviations of people.
+        people: share of people who deviate as much or more.
+        scale: by which all deviations were multiplied.
+    """
+
+    kind: str
+    row: int
+    rank: int
+    deviation: float
+    people: float
+    scale: float
+
+    @property
+    def text(self) -> str:
+        """What somebody did."""
+        scaled = f", deviations times {self.scale:g}" if self.scale != 1.0 else ""
+        return f"as people walk{scaled}: {self.kind}"
+
+    @property
+    def likely(self) -> str:
+        """How likely such deviations are, in words."""
+        return f"{how_many(self.people)} deviate as much or more"
+
+
+def how_many(people: float) -> str:
+    """Return a share of people in words."""
+    if people < 5e-4:
+        return f"1 in {1.0 / people:,.0f} people" if people > 1e-9 else "hardly anybody"
+    if people > 0.995:
+        return "nearly all people"
+    return f"{percent(people, 0 if people >= 0.01 else 1)} of people"
+
+
+def kept_failures(figures: Mapping[str, Any]) -> list[KeptFailure]:
+    """Return the failures that are kept, kind by kind, the most frequent kind first; none where there are none."""
+    found = failures_in(figures)
+    if found is None:
+        return []
+    phis = len(figures["per_safe_trajectory"])
+    return [
+        KeptFailure(
+            str(group["kind"]),
+            one["trial"] * phis + one["safe_trajectory"],
+            rank,
+            one["deviation"],
+            one["people"],
+            found["scale"],
+        )
+        for group in found["kinds"]
+        for rank, one in enumerate(group["nearest"])
+    ]
+
+
+def failures_in(figures: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return the failures of assessment.json; None where there are none."""
+    risk = figures.get("risk")
+    found: Mapping[str, Any] | None = risk.get("failures") if risk else None
+    return found
+
+
+def failures_sentence(figures: Mapping[str, Any]) -> str:
+    """Return what the failures are of; empty where there are none."""
+    found = failures_in(figures)
+    if found is None:
+        return ""
+    scaled = "" if found["scale"] == 1.0 else f" whose deviations are {found['scale']:g} times as large"
+    first = "" if found["looked_at"] == found["hits"] else f" (the first {found['looked_at']} are told apart)"
+    return f"{found['hits']} of {found['runs']} crossings of people{scaled} ended in a hit by the moving car{first}."
+
+
+_KMH = 3.6
+
+
+def sources_of(scenario: Scenario) -> list[str]:
+    """Return where a scenario's safe trajectories can come from, beside files."""
+    walkers = [WALKERS] if scenario.adversary.kind == "pedestrian" else []
+    return [SYNTHETIC, OWN, *walkers, *([REGULATORY] if scenario.protocol is not None else [])]
+
+
+def places_of(scenario: Scenario) -> list[float]:
+    """Return the impact places of its protocol, % of the car's width; none where it has no protocol."""
+    return [] if scenario.protocol is None else list(scenario.protocol.impact_places)
+
+
+def scenario_data(scenario: Scenario, known: str | None) -> dict[str, Any]:
+    """Return what is said of a scenario as plain data.
+
+    Args:
+        scenario: the scenario.
+        known: why the basic car's margin is not exact in it, in a few words; None where it is.
+    """
+    return {
+        "name": scenario.name,
+        "description": scenario.description,
+        "adversary": scenario.adversary.kind,
+        "car_speed": scenario.car.start_speed,
+        "impact_places": places_of(scenario),
+        "safe": sources_of(scenario),
+        "basic_margin": "exact" if known is None else f"searched; it is not exact {known}",
+        "source": "" if scenario.protocol is None else scenario.protocol.source,
+    }
+
+
+def scenario_lines(scenario: Scenario, known: str | None) -> list[str]:
+    """Return what is said of a scenario, line by line; arguments as of `scenario_data`."""
+    return [f"{scenario.name}: {scenario.description}", *(f"  {line}" for line in _lines(scenario, known))]
+
+
+def _lines(scenario: Scenario, known: str | None) -> Iterator[str]:
+    car, adversary, protocol = scenario.car, scenario.adversary, scenario.protocol
+    user = road_user_named(adversary.kind)
+    body = f"{adversary.length:g} × {adversary.width:g} m" if adversary.is_box else f"a disc of {adversary.radius:g} m"
+    yield (
+        f"car: {_KMH * car.start_speed:.0f} km/h, its front {car.start_gap:.1f} to "
+        f"{car.start_gap + car.start_gap_range:.1f} m before the crossing line"
+    )
+    yield f"adversary: {user.name}, {body}, at most {_KMH * adversary.speed:.0f} km/h"
+    if scenario.obstacles or scenario.others:
+        yield f"beside it: {len(scenario.obstacles)} parked, {len(scenario.others)} others"
+    if protocol is not None:
+        yield f"target of its protocol: {_KMH * protocol.speed:.0f} km/h, at {_listed(protocol.impact_places)} %"
+        yield f"source: {protocol.source}"
+    yield f"safe trajectories: {', '.join(sources_of(scenario))}, or files{_count(scenario)}"
+    yield f"margin of the basic car: {'exact' if known is None else f'found by search; it is not exact {known}'}"
+
+
+def _count(scenario: Scenario) -> str:
+    return "" if scenario.protocol is None else f" ({count_safe_trajectories(REGULATORY, scenario)} regulatory ones)"
+
+
+def _listed(places: Sequence[float]) -> str:
+    return ", ".join(f"{place:g}" for place in places)

@@ -1,18 +1,22 @@
-"""An assessment as a page of Markdown and as a table of comma-separated values."""
+"""An assessment as a page of Markdown, as comma-separated values, and as JUnit XML.
+
+A test case that *failed* says something about the car; one with an *error* says that it could not be looked at.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
+from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
 from skd_evaluator.assessment.files.assessment_json import scalar_figures
 from skd_evaluator.assessment.judge.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
-from skd_evaluator.report.formats import BARE, ninety
+from skd_evaluator.report.formats import BARE, margin_warnings, ninety
 from skd_evaluator.report.terminal import car_name, headline
-from skd_evaluator.report.warnings import margin_warnings
 
 _NOT_BY_PHI = {one.key for one in FIGURES if one.independent == CI95}
 """Figures whose only interval takes trials or pairs as independent, under the plain key."""
@@ -98,3 +102,46 @@ def _cell(text: str) -> str:
     """Return text that stays in its cell, whatever it is."""
     plain = " ".join(text.split()).replace("\\", "\\\\").replace("|", "\\|")
     return plain.replace("<", "&lt;").replace(">", "&gt;")
+
+
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(result: Mapping[str, Any] | None, checks: Sequence[Check], *, car: str = "") -> str:
+    """Return the XML, with one test case for each check.
+
+    Args:
+        result: content of assessment.json; None if there is no assessment.
+        checks: result of each condition.
+        car: name of the car if there is no assessment to take it from.
+    """
+    name = _plain(car_name(result) if result is not None else car)
+    seconds = f"{result['seconds']:.3f}" if result is not None else "0"
+    counts = {"failures": sum(one.failed for one in checks), "errors": sum(one.error for one in checks)}
+    totals = {"tests": str(len(checks)), **{key: str(count) for key, count in counts.items()}, "time": seconds}
+    root = ElementTree.Element("testsuites", totals)
+    origin = (result or {}).get("provenance") or {}
+    stamp = {"timestamp": origin["date"].removesuffix("Z"), "hostname": _plain(origin["host"])} if origin else {}
+    suite = ElementTree.SubElement(root, "testsuite", {"name": f"skd {name}".strip(), **totals, **stamp})
+    if result is not None:
+        properties = ElementTree.SubElement(suite, "properties")
+        for figure in shown_in("junit"):
+            said = {"name": figure.key, "value": _plain(str(result.get(figure.key)))}
+            ElementTree.SubElement(properties, "property", said)
+    for number, one in enumerate(checks):
+        case = {"classname": f"skd.{name}", "name": _plain(one.name), "time": "0" if number else seconds}
+        element = ElementTree.SubElement(suite, "testcase", case)
+        if one.passed:
+            ElementTree.SubElement(element, "system-out").text = _plain(one.text)
+        else:
+            kind = "error" if one.error else "failure"
+            ElementTree.SubElement(element, kind, {"message": _plain(one.text), "type": kind}).text = _plain(one.text)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=False).join(
+        ('<?xml version="1.0" encoding="UTF-8"?>\n', "\n")
+    )
+
+
+def _plain(text: str) -> str:
+    """Return text without what XML cannot hold: reasons may have been said by anybody's node."""
+    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)

@@ -1,4 +1,4 @@
-"""Tables of one assessment on the terminal, and how tables are printed."""
+"""What a command says on the terminal: tables of one assessment, and what was left out of damaged recordings."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, Object
 from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
+from skd_evaluator.bags.checks import Damage
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.statistics.statistics import cantelli_bound
@@ -25,12 +26,13 @@ from skd_evaluator.report.formats import (
     NO_RATING,
     TERMINAL,
     bounded,
+    failures_in,
+    how_many,
     ninety,
     spoken_interval,
     surrogate_groups,
     surrogate_rows,
 )
-from skd_evaluator.report.risk.failures import failures_in, how_many
 
 
 def counted(number: int, thing: str) -> str:
@@ -380,3 +382,37 @@ def print_table(table: Table) -> None:
     assert isinstance(console.file, io.StringIO)
     for line in console.file.getvalue().splitlines():
         print(line.rstrip())
+
+
+_SHOWN = 10
+
+
+def say_damage(command: str, damage: Damage) -> None:
+    """Say on the error stream what was left out, and what is to be known of the rest.
+
+    Args:
+        command: name of the command that read the recordings.
+        damage: what was found in them.
+    """
+    say_left_out(command, damage)
+    lines = list(damage.warnings)
+    if damage.unchecked:
+        first = f"{damage.unchecked[0]}" + (", …" if len(damage.unchecked) > 1 else "")
+        lines.append(
+            f"{counted(len(damage.unchecked), 'file')} without checksums ({first}): damage that leaves a possible "
+            "episode cannot be noticed there"
+        )
+    _warn(command, lines)
+
+
+def say_left_out(command: str, damage: Damage) -> None:
+    """Say on the error stream what was left out, the first of it in full."""
+    lines = [f"left out: {line}" for line in damage.left_out[:_SHOWN]]
+    if len(damage.left_out) > _SHOWN:
+        lines.append(f"left out: {len(damage.left_out) - _SHOWN} more")
+    _warn(command, lines)
+
+
+def _warn(command: str, lines: Sequence[str]) -> None:
+    for line in lines:
+        print(f"skd {command}: warning: {one_line(line)}", file=sys.stderr)

@@ -15,7 +15,7 @@ from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.metrics import aborted
 from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.risks import Touch
-from skd_evaluator.report.warnings import contact_warnings, margin_warnings
+from skd_evaluator.report.formats import contact_warnings, margin_warnings
 
 
 def undefined(rating: Rating) -> str | None:

@@ -32,7 +32,7 @@ def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
         for other, assessment in others:
             save_trajectories(folder / other, rating, assessment)
         if rating.vulnerability is not None:
-            from skd_evaluator.report.vulnerability import save_vulnerability, shown_curve
+            from skd_evaluator.report.curves import save_vulnerability, shown_curve
 
             save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
 

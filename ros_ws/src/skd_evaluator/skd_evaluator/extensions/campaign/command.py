@@ -17,10 +17,9 @@ from skd_sim.world.episode import Episode
 from skd_evaluator.assessment.run.workers import available_workers
 from skd_evaluator.assessment.stages.inputs import inputs_of
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
-from skd_evaluator.cli.arguments import output_path
+from skd_evaluator.cli.arguments import output_path, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.runner import runner_of
 from skd_evaluator.errors import OutOfReachError
 from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
 from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from skd_evaluator import palette
 from skd_evaluator.extensions.fusion.fusion import FusedFigure
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.report.drawing import save_picture
 
 
 def save_fusion(path: Path, figures: Sequence[FusedFigure]) -> None:

@@ -19,14 +19,12 @@ from skd_evaluator.assessment.plan.options import CampaignOptions
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.stages.asked import check_car
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
-from skd_evaluator.cli.arguments import result_folder
+from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.cli.runner import runner_of
-from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid
-from skd_evaluator.extensions.ncap.points import HOW, points_of, with_calculator
+from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid, scenario_of, wanted_cells
+from skd_evaluator.extensions.ncap.layout import print_ncap
 from skd_evaluator.extensions.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
-from skd_evaluator.extensions.ncap.table import print_ncap
-from skd_evaluator.extensions.ncap.wanted import scenario_of, wanted_cells
+from skd_evaluator.extensions.ncap.verification import HOW, points_of, with_calculator
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.provenance import provenance

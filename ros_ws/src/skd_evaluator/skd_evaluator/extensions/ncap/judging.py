@@ -1,4 +1,4 @@
-"""From scenarios and a car to the regulator's view: each cell's static test, its colour, and the margin around it."""
+"""From scenarios and a car to the regulator's view: cells, their static tests, colours, and margins around them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
-from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
+from skd_sim.scenario.scenario_file import lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
@@ -21,15 +22,141 @@ from skd_evaluator.assessment.plan.plan import Plan, Progress, kamikaze_sets, sa
 from skd_evaluator.assessment.run.static_test import static_episodes
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.ncap.matrices import Matrix, MatrixPoint
-from skd_evaluator.extensions.ncap.result import Cell, Grid
-from skd_evaluator.extensions.ncap.tested import in_matrix, with_test
-from skd_evaluator.extensions.ncap.wanted import KMH, Wanted, scenario_of, wanted_cells
+from skd_evaluator.extensions.ncap.matrices import Criterion, Matrix, MatrixPoint, colour_of, matrix_of
+from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Cell, Grid, rounded_kmh
 from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
 from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
 from skd_evaluator.margin.reference import Asked as ReferenceAsked
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.margins import Margins
+
+FASTER = 1.0
+"""km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
+
+
+def with_test(cell: Cell, tested: Tested, target: float, point: MatrixPoint | None, why_none: str = "") -> Cell:
+    """Return a cell with what came of its static test.
+
+    Args:
+        cell: the cell.
+        tested: its test.
+        target: speed of the target in that, km/h.
+        point: what 2026's matrix has there; None: nothing.
+        why_none: why the car's own driving makes it no test; empty if it does not, or nobody looked.
+    """
+    if tested.aborted:
+        return replace(cell, why=f"the test was aborted: {tested.aborted}")
+    impact = rounded_kmh(KMH * tested.impact_speed)
+    cell = replace(cell, touched=tested.touched, impact_speed=impact)
+    if tested.touched and not tested.target:
+        return replace(cell, why="the car touched somebody else than the target")
+    if point is None:
+        return cell
+    fastest = KMH * tested.fastest
+    if fastest > point.speed + FASTER:
+        return replace(cell, why=f"the car speeds up to {fastest:.0f} km/h, which is no test at {point.speed:g} km/h")
+    if why_none:
+        return replace(cell, why=why_none)
+    if not math.isclose(target, point.target, abs_tol=SAME):
+        told = f"the test's target has {point.target:g} km/h, this one {target:.3g} km/h"
+        return replace(cell, target=None, why=told)
+    ahead = rounded_kmh(KMH * tested.speed_ahead)
+    value = {
+        Criterion.RELATIVE: rounded_kmh(impact - ahead),
+        Criterion.IMPACT: impact,
+        Criterion.REDUCTION: rounded_kmh(point.speed - impact),
+    }[point.criterion]
+    return replace(cell, value=value, colour=colour_of(point.criterion, point.speed, value))
+
+
+def in_matrix(cell: Cell, point: MatrixPoint | None) -> Cell:
+    """Return a cell with the range in which it is, and what its colour goes by."""
+    if point is None:
+        return cell
+    return replace(cell, range=STANDARD if point.standard else EXTENDED, criterion=str(point.criterion))
+
+
+KMH = 3.6
+SAME = 1e-6
+"""km/h, within which two speeds are the same."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cell that is asked for.
+
+    Attributes:
+        speed: test speed, km/h.
+        place: impact place, %; None: that of the scenario.
+        target: speed of the target, km/h; None: that of the scenario.
+        point: what 2026's matrix has there.
+        why: why it has nothing.
+    """
+
+    speed: float
+    place: float | None
+    target: float | None = None
+    point: MatrixPoint | None = None
+    why: str = ""
+
+
+def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | None, list[Wanted]]:
+    """Return the matrix that a scenario belongs to, and its cells at some test speeds (km/h; None: the matrix's).
+
+    Raises:
+        UsageError: there is no such scenario, or it has no protocol.
+    """
+    scenario = load_scenario(source)
+    if scenario.protocol is None:
+        raise UsageError(
+            f"scenario {source} has no section protocol, so no regulator's test is known in it; "
+            "skd scenarios list names those that have impact places"
+        )
+    matrix = next((found for name in lineage(source) if (found := matrix_of(name)) is not None), None)
+    points = () if matrix is None else matrix.points
+    places = scenario.protocol.impact_places
+    own = [rounded_kmh(KMH * scenario.car.start_speed)]
+    cells: list[Wanted] = []
+    for speed in speeds or list(dict.fromkeys(point.speed for point in points)) or own:
+        here = [one for one in points if one.speed == speed and (one.place is None or one.place in places)]
+        cells += [Wanted(speed, one.place, one.target, one) for one in here]
+        if here:
+            continue
+        targets = list(dict.fromkeys(one.target for one in points if one.place is None))
+        cells += [Wanted(speed, None, target, None, why_none(matrix, speed)) for target in targets]
+        if not targets:
+            cells += [Wanted(speed, place, None, None, why_none(matrix, speed, place)) for place in places]
+    return matrix, cells
+
+
+def why_none(matrix: Matrix | None, speed: float, place: float = 0.0) -> str:
+    """Return why a matrix has no test at a speed (km/h) and a place (%)."""
+    if matrix is None:
+        return "it is none of the tests of 2026"
+    if speed not in {point.speed for point in matrix.points}:
+        return f"{matrix.test} has no test at {speed:g} km/h"
+    anywhere = any(point.place == place for point in matrix.points)
+    return f"{matrix.test} has no impact place of {place:g} %{f' at {speed:g} km/h' if anywhere else ''}"
+
+
+def scenario_of(source: str, wanted: Wanted, matrix: Matrix | None) -> Scenario:
+    """Return the scenario of a cell, with one impact place.
+
+    The target's speed is the matrix's where that has several; a target of another speed than the only one is let be.
+
+    Raises:
+        UsageError: there is no such scenario at this speed.
+    """
+    scenario = changed_scenario(source, {"car.start_speed": wanted.speed / KMH})
+    assert scenario.protocol is not None
+    places, speed, target = scenario.protocol.impact_places, scenario.protocol.speed, wanted.target
+    place = wanted.place if wanted.place is not None else places[len(places) // 2]
+    changes = {"car.start_speed": wanted.speed / KMH, "protocol.impact_places": [place]}
+    several = matrix is not None and len({one.target for one in matrix.points}) > 1
+    if target is not None and several and not math.isclose(KMH * speed, target, abs_tol=SAME):
+        changes["protocol.speed"] = speed = target / KMH
+        changes["adversary.speed"] = max(scenario.adversary.speed, speed)
+    return changed_scenario(source, changes)
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,19 @@
-"""Which tests Euro NCAP's 2026 matrices have: test speed, target speed, impact place, and whether in standard range.
+"""Which tests Euro NCAP's 2026 matrices have, in which range, and the colour of each.
 
 Source: the template that Euro NCAP's calculator generates (`euroncap-rating-2026` 5.4.9, Crash Avoidance - Frontal
-Collisions v1.2). Rows in which a manufacturer declares a warning or a brake are those of a brake: nobody here is
-warned. SKD's world has no light, so the matrices are those of the day.
+Collisions v1.2; colours: section 5.2, `measured_color`, to which the tolerance of a verification test does not apply).
+Rows in which a manufacturer declares a warning or a brake are those of a brake: nobody here is warned. SKD's world has
+no light, so the matrices are those of the day. A speed reduction of more than 30 km/h is red there; so it is here.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from typing import Final
 
 
 class Criterion(StrEnum):
@@ -159,3 +162,39 @@ def _straight_across(criterion: Criterion) -> Iterator[MatrixPoint]:
     for speed in _steps(20, 80):
         for target in _steps(20, 80 if speed <= 30.0 else 60 if speed <= 60.0 else 30):
             yield MatrixPoint(speed, target, None, speed <= 60.0 and target <= 60.0, criterion)
+
+
+GREEN, YELLOW, ORANGE, BROWN, RED = COLOURS = ("green", "yellow", "orange", "brown", "red")
+ROOM: Final = 0.5
+"""m, the margin below which a green test stands out, unless something else is asked for."""
+_BELOW: Final = {  # by test speed, km/h: the relative impact speed (km/h) below which a test that hit has a colour
+    10.0: (),
+    20.0: (),
+    30.0: ((10.0, BROWN),),
+    40.0: ((10.0, ORANGE), (20.0, BROWN)),
+    50.0: ((10.0, YELLOW), (20.0, ORANGE), (30.0, BROWN)),
+}
+_REDUCTIONS: Final = ((10.0, RED), (20.0, ORANGE), (30.0, GREEN), (math.inf, RED))
+
+
+def colour_of(criterion: Criterion, speed: float, value: float) -> str:
+    """Return the colour of a test.
+
+    Args:
+        criterion: what it goes by.
+        speed: test speed, km/h.
+        value: of the criterion, km/h; without a contact an impact speed of 0.
+
+    Raises:
+        ValueError: the criterion has no colours at this test speed.
+    """
+    if criterion is Criterion.REDUCTION:
+        return next(name for most, name in _REDUCTIONS if value <= most)
+    if value <= 0.0:
+        return GREEN
+    if criterion is Criterion.IMPACT:
+        return RED
+    bands = _BELOW.get(min(speed, max(_BELOW)))
+    if bands is None:
+        raise ValueError(f"there are no colours at {speed:g} km/h")
+    return next((name for most, name in bands if value < most), RED)

@@ -13,8 +13,7 @@ from skd_evaluator.cli.arguments import (
     real_number,
     steps_of,
 )
-from skd_evaluator.extensions.ncap.colours import ROOM
-from skd_evaluator.extensions.ncap.matrices import known_scenarios
+from skd_evaluator.extensions.ncap.matrices import ROOM, known_scenarios
 
 SCENARIOS = "cpna,cpfa,cpnco"
 TRIALS = 5

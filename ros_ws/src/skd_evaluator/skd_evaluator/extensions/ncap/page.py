@@ -1,14 +1,34 @@
-"""The regulator's view as one HTML page, without scripts and without any request."""
+"""The regulator's view of results, as an HTML page of its own and as a section of reports."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
 
-from skd_evaluator.extensions.ncap.colours import ROOM
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario_file import lineage
+
+from skd_evaluator.assessment.judge.static_tests import Tested, place_of
+from skd_evaluator.extensions.ncap.judging import (
+    KMH,
+    SAME,
+    Wanted,
+    in_matrix,
+    scenario_of,
+    wanted_cells,
+    why_none,
+    with_test,
+)
 from skd_evaluator.extensions.ncap.layout import (
     COLOURS,
     LEGEND,
     LIGHT,
+    Layout,
     equivalent_text,
     headline,
     impact_text,
@@ -19,11 +39,190 @@ from skd_evaluator.extensions.ncap.layout import (
     reasons,
     row_name,
 )
-from skd_evaluator.extensions.ncap.of_results import views_of
-from skd_evaluator.extensions.ncap.result import Cell, Ncap
+from skd_evaluator.extensions.ncap.matrices import ROOM, Matrix, matrix_of
+from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap, rounded_kmh
+from skd_evaluator.metrics.statistics.statistics import mean
 from skd_evaluator.report.formats import bounded, counted
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import Section, filled
+from skd_evaluator.report.terminal import car_name
+
+_OF_THE_TEST: Final = ("road", "adversary", "others", "obstacles", "protocol")
+"""Sections of a scenario that make it the test of its name; the car and its speed are free."""
+_BY_SPEED: Final = {
+    "car": ("start_speed", "start_gap", "start_gap_range", "start_time", "start_time_range"),
+    "protocol": ("speed", "impact_places"),
+    "adversary": ("speed", "start_x", "start_y", "start_speed"),
+}
+"""Keys of a scenario's sections in which the tests of one grid may differ."""
+
+
+class Result(Protocol):
+    """What the view needs of a result."""
+
+    @property
+    def figures(self) -> Mapping[str, Any]:
+        """Content of assessment.json."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """Scenario of the test."""
+
+    @property
+    def margins(self) -> Sequence[FloatArray]:
+        """Per φ what each trial of the margin counts as, m; none of each where it is not known."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The tests of one car in one scenario.
+
+    Attributes:
+        car: the car, as people read it.
+        grid: its cells.
+        layout: the same as a table.
+        equivalent: the equivalent multiplier of each row of the table, over its φ; empty where there is none.
+        said: what is to be said of it first.
+        reasons: why cells have no colour or no margin, a line each.
+    """
+
+    car: str
+    grid: Grid
+    layout: Layout
+    equivalent: tuple[str, ...]
+    said: str
+    reasons: tuple[str, ...]
+
+
+def views_of(results: Sequence[Result], room: float) -> list[View]:
+    """Return the regulator's view of results that have static tests, a grid for each car in each scenario.
+
+    Results that differ in test speed and seed alone make up one grid; where two have the same cell, its trials are
+    those of both.
+
+    Args:
+        results: whatever results; those without static tests are not in it.
+        room: margin below which a green test stands out, m.
+    """
+    groups: dict[str, list[Result]] = {}
+    for one in results:
+        if one.figures.get("static_tests"):
+            groups.setdefault(_key(one), []).append(one)
+    return [_view(group, room) for group in groups.values()]
+
+
+def _key(one: Result) -> str:
+    """Return what results of one grid have in common."""
+    figures, scenario = one.figures, one.scenario.as_dict()
+    for section, free in _BY_SPEED.items():
+        scenario[section] = {key: value for key, value in scenario[section].items() if key not in free}
+    planned = [figures[key] for key in ("knowledge", "simulations", "maximum_distance", "options")]
+    return json.dumps([car_name(figures), scenario, planned], sort_keys=True, default=str)
+
+
+def _view(group: Sequence[Result], room: float) -> View:
+    cells: dict[tuple[float, float | None, float | None], Cell] = {}
+    equivalent: dict[float, str] = {}
+    name, matrix = group[0].scenario.name, None
+    for one in group:
+        matrix, found = _cells(one)
+        for cell in found:
+            key = (cell.speed, cell.place, cell.target)
+            cells[key] = _joined(cells[key], cell) if key in cells else cell
+            equivalent[cell.speed] = bounded(one.figures, str(one.figures["equivalent_multiplier_text"] or ""))
+    scenario = group[0].scenario
+    assert scenario.protocol is not None
+    ordered = tuple(cells[key] for key in sorted(cells, key=lambda key: tuple(entry or 0.0 for entry in key)))
+    test = "" if matrix is None else matrix.test
+    grid = Grid(name, " ".join(scenario.description.split()), ordered, test, scenario.protocol.source)
+    speeds = dict.fromkeys(cell.speed for cell in ordered)
+    layout = layout_of(grid)
+    return View(
+        car_name(group[0].figures),
+        grid,
+        layout,
+        tuple(equivalent[speed] for speed in speeds),
+        headline(grid, room),
+        tuple(reasons(grid)),
+    )
+
+
+def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
+    """Return the matrix of a result's scenario, and its cells."""
+    scenario, figures = one.scenario, one.figures
+    assert scenario.protocol is not None
+    places = [place_of(str(row["name"])) for row in figures["per_safe_trajectory"]]
+    target = KMH * scenario.protocol.speed
+    matrix = None
+    found = []
+    for entry in figures["static_tests"]:
+        tested = Tested(**entry)
+        matrix, wanted = _wanted(scenario, tested.place)
+        cell = in_matrix(
+            Cell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point
+        )
+        cell = with_test(cell, tested, target, wanted.point)
+        if tested.place in places:
+            cell = _with_kamikazes(cell, one, places.index(tested.place))
+        found.append(cell)
+    return matrix, found
+
+
+def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
+    """Return a cell with what kamikazes around its φ can do."""
+    margins, figures = one.margins[index], one.figures
+    cell = replace(cell, deviation=figures["per_safe_trajectory"][index]["deviation"])
+    if not margins.size:
+        return replace(cell, margin_why=str(figures["margin_note"]) or "no trial of it has one")
+    return replace(
+        cell,
+        margin=mean(margins),
+        margins=tuple(margins.tolist()),
+        beyond=int((margins >= float(figures["eta_max"])).sum()),
+        converged=bool(figures["margin_converged"]),
+    )
+
+
+def _joined(first: Cell, second: Cell) -> Cell:
+    """Return a cell with the trials of two, which differ in their seed."""
+    margins = (*first.margins, *second.margins)
+    planned = [one for one in (first.deviation, second.deviation) if one is not None]
+    return replace(
+        first,
+        margins=margins,
+        margin=mean(np.array(margins)) if margins else None,
+        beyond=first.beyond + second.beyond,
+        converged=first.converged and second.converged,
+        deviation=mean(np.array(planned)) if planned else None,
+    )
+
+
+def _wanted(scenario: Scenario, place: float) -> tuple[Matrix | None, Wanted]:
+    """Return the matrix of a result's scenario, and which of its cells an impact place at the scenario's speed is."""
+    assert scenario.protocol is not None
+    speed, target = rounded_kmh(KMH * scenario.car.start_speed), KMH * scenario.protocol.speed
+    bare = Wanted(speed, place)
+    try:
+        known = next((name for name in lineage(scenario.name) if matrix_of(name) is not None), None)
+    except UsageError:
+        known = None
+    if known is None:
+        return None, replace(bare, why="by its name it is none of the tests of 2026")
+    matrix, cells = wanted_cells(known, [speed])
+    for one in cells:
+        if one.place == place or (one.place is None and one.target is not None and abs(one.target - target) <= SAME):
+            strange = [name for name in _OF_THE_TEST if _is_other(name, scenario, scenario_of(known, one, matrix))]
+            if strange:
+                return matrix, replace(bare, why=f"section {strange[0]} is not that of {known}")
+            return matrix, one
+    return matrix, replace(bare, why=why_none(matrix, speed, place))
+
+
+def _is_other(section: str, mine: Scenario, shipped: Scenario) -> bool:
+    own, theirs = (one.as_dict().get(section) for one in (mine, shipped))
+    if section == "protocol":
+        own, theirs = ({**one, "impact_places": None} if one else one for one in (own, theirs))
+    return bool(own != theirs)
 
 
 def render(found: Ncap) -> str:

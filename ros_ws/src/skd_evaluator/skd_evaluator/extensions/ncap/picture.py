@@ -24,7 +24,7 @@ from skd_evaluator.extensions.ncap.layout import (
     margin_text,
 )
 from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap
-from skd_evaluator.saved_picture import save_picture
+from skd_evaluator.report.drawing import save_picture
 
 _DPI, _BESIDE = 110, 3
 _WIDTH, _HEIGHT = 0.72, 0.62  # inches of a cell

@@ -16,8 +16,7 @@ from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
 
 from skd_evaluator.assessment.files.result_folder import hold, read_manifest
-from skd_evaluator.extensions.ncap.colours import COLOURS, GREEN, colour_of
-from skd_evaluator.extensions.ncap.matrices import CRITERIA, Criterion
+from skd_evaluator.extensions.ncap.matrices import COLOURS, CRITERIA, GREEN, Criterion, colour_of
 
 RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
 VERSION: Final = 1

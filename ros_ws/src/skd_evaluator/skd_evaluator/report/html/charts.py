@@ -14,10 +14,9 @@ import numpy as np
 from skd_evaluator import palette
 from skd_evaluator.assessment.judge.figure_table import CI95, SHARE, Figure, shown_in
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.report.html.matrix import scenarios_of
+from skd_evaluator.report.curves import RatedCar, basic_cars, floor_of, interval_band, labelled, rated_car
+from skd_evaluator.report.html.figures import scenarios_of
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.risk.rating import RatedCar, basic_cars, floor_of, labelled, rated_car
-from skd_evaluator.report.vulnerability import interval_band
 
 _AIR = 1.15
 """How much further than the last hit the curve goes."""

@@ -18,7 +18,14 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.metrics.statistics.statistics import mean
-from skd_evaluator.report.formats import NO_RATING, surrogate_groups, surrogate_rows
+from skd_evaluator.report.formats import (
+    NO_RATING,
+    failures_in,
+    failures_sentence,
+    kept_failures,
+    surrogate_groups,
+    surrogate_rows,
+)
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.charts import (
     against_multiplier,
@@ -28,10 +35,9 @@ from skd_evaluator.report.html.charts import (
     rating_charts,
     vulnerability_charts,
 )
-from skd_evaluator.report.html.matrix import by_scenario, matrix_of
-from skd_evaluator.report.html.packing import episode_columns, objective_names, pack, worst_first
+from skd_evaluator.report.html.episodes import episode_columns, margin_ways, objective_names, pack, scene, worst_first
+from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
-from skd_evaluator.report.html.scenes import margin_ways, scene
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import SECTIONS, filled
 from skd_evaluator.report.repeat import (
@@ -43,7 +49,6 @@ from skd_evaluator.report.repeat import (
     repeat_prefix,
     scenario_name,
 )
-from skd_evaluator.report.risk.failures import failures_in, failures_sentence, kept_failures
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000

@@ -13,7 +13,9 @@ from skd_evaluator.report.formats import (
     NOTHING,
     PAGE,
     counted,
+    failures_in,
     interval,
+    kept_failures,
     ninety,
     number,
     percent,
@@ -21,7 +23,6 @@ from skd_evaluator.report.formats import (
     spoken_interval,
 )
 from skd_evaluator.report.html.subjects import Subject
-from skd_evaluator.report.risk.failures import failures_in, kept_failures
 
 _SAME_MULTIPLIER = 1e-9
 

@@ -22,7 +22,7 @@ from skd_evaluator.assessment.files.results import read_checked
 from skd_evaluator.files import tails
 from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
-from skd_evaluator.report.risk.failures import kept_failures
+from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.terminal import car_name
 
 

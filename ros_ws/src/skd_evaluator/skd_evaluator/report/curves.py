@@ -1,25 +1,28 @@
-"""The picture of vulnerability curves: one car, or several beside one another; safer cars lie to the right."""
+"""Pictures that hold cars against each other: vulnerability curves, and margin against risk."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from skd_sim.arrays import FloatArray
+from skd_sim.options.car_under_test import CarUnderTest
+
+from skd_evaluator import palette
+from skd_evaluator.metrics.risks import SCALES
+from skd_evaluator.metrics.statistics.statistics import Interval
+from skd_evaluator.report.drawing import PAGE, TYPE, save_picture
+from skd_evaluator.report.terminal import car_name
 
 mpl.use("Agg")
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
-from skd_evaluator import palette
-from skd_evaluator.metrics.statistics.statistics import Interval
-from skd_evaluator.report.terminal import car_name
-from skd_evaluator.saved_picture import PAGE, TYPE, save_picture
 
 _TITLE = "How far one has to stray from a safe trajectory to be hit; shaded: 95 % interval by φ"
 _OF_PLANNED = "#777777"
@@ -178,3 +181,152 @@ def _end(shown: Sequence[ShownCurve]) -> float:
     last = max([one["steps"]["eta"][-1] for one in curves if one["steps"]["eta"]], default=0.0)
     limit = max(float(one.curve["eta_max"]) for one in shown)
     return min(limit, _AIR * last) if last > 0.0 else limit
+
+
+LEAST: Final = 1e-9
+"""Below it no risk is drawn: subset simulation ends there."""
+_APART: Final = 0.12  # of width and height between two names
+
+
+@dataclass(frozen=True)
+class RatedCar:
+    """A car in the picture.
+
+    Attributes:
+        label: name of the car.
+        multiplier: C of a basic car; None: it is another.
+        margin: margin of the car, m.
+        margin_ci95: 95 % interval of it, by φ.
+        risks: at each of `SCALES`, the risk and its 95 % interval by φ, else that for these φ.
+        behind: whether it is there for the curve alone.
+    """
+
+    label: str
+    multiplier: float | None
+    margin: float
+    margin_ci95: Interval
+    risks: tuple[tuple[float, Interval], ...]
+    behind: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return its entry of comparison.json."""
+        found: dict[str, Any] = {"car": self.label, "multiplier": self.multiplier, "margin": self.margin}
+        found["margin_ci95"] = self.margin_ci95
+        for scale, (value, ends) in zip(SCALES, self.risks, strict=True):
+            found |= {f"risk_{scale:g}": value, f"risk_{scale:g}_ci95": ends}
+        return found
+
+
+def rated_car(figures: Mapping[str, Any], label: str, *, behind: bool = False) -> RatedCar | None:
+    """Return what is drawn of an assessment; None where margin or risk is not known."""
+    margin = figures["margin"]
+    if margin is None or any(figures.get(f"risk_{scale:g}") is None for scale in SCALES):
+        return None
+    car = CarUnderTest(str(figures["controller"]))
+    basic = car.is_known and car.has_multiplier and figures["multiplier"] is not None
+    risks = []
+    for scale in SCALES:
+        value, key = float(figures[f"risk_{scale:g}"]), f"risk_{scale:g}_ci95"
+        low, high = figures[key] or figures[f"{key}_runs"] or (value, value)
+        if value == 0.0:  # of nobody who was hit there is no spread over φ: what the runs tell is more
+            high = max(high, (figures[f"{key}_runs"] or (0.0, 0.0))[1])
+        risks.append((value, (float(low), float(high))))
+    low, high = figures["margin_ci95"] or (margin, margin)
+    multiplier = float(figures["multiplier"]) if basic else None
+    return RatedCar(label, multiplier, float(margin), (float(low), float(high)), tuple(risks), behind)
+
+
+def basic_cars(cars: Sequence[RatedCar]) -> list[RatedCar]:
+    """Return the basic cars, one of each C, in its order; none where there are fewer than two."""
+    found = {one.multiplier: one for one in cars if one.multiplier is not None}
+    ordered = [found[multiplier] for multiplier in sorted(found)]
+    return ordered if len(ordered) > 1 else []
+
+
+def labelled(curve: Sequence[RatedCar], place: int, floor: float) -> list[str]:
+    """Return C of each basic car of a curve as text, empty where it would stand on that of the one before."""
+    widest = max(one.margin for one in curve) or 1.0
+    found: list[str] = []
+    last = (-math.inf, 0.0)
+    for one in curve:
+        here = one.margin / widest, math.log(max(floor, one.risks[place][0])) / math.log(floor)
+        far = math.dist(here, last) > _APART
+        found.append(f"{one.multiplier:g}" if far else "")
+        last = here if far else last
+    return found
+
+
+def floor_of(cars: Sequence[RatedCar], place: int) -> float:
+    """Return the least risk of a picture with a logarithmic axis, a power of 10: what is less stands at its edge.
+
+    Args:
+        cars: cars in the picture.
+        place: of the scale in `SCALES`.
+    """
+    seen = [one.risks[place] for one in cars]
+    known = [value for value, _ in seen if value > 0.0]
+    known += [ends[1] for value, ends in seen if value == 0.0 and ends[1] > 0.0]
+    least = max(LEAST, min(known, default=0.1))
+    return float(10.0 ** (math.ceil(math.log10(least) - 1e-9) - 1))
+
+
+def alike(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether the risks and margins of two results are of one behaviour model and one η_max."""
+    models = [found["risk"]["behaviour"] if found.get("risk") else None for found in (one, other)]
+    return models[0] == models[1] and one["eta_max"] == other["eta_max"]
+
+
+mpl.use("Agg")
+
+
+def save_rating(path: Path, cars: Sequence[RatedCar]) -> None:
+    """Save the picture.
+
+    Args:
+        path: file to which the picture is written.
+        cars: cars in it, those that are there for the curve alone included.
+    """
+    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
+    panels = figure.subplots(1, len(SCALES), sharey=True)
+    floor = min(floor_of(cars, place) for place in range(len(SCALES)))
+    for place, axes in enumerate(panels):
+        _draw_risk(axes, cars, place, floor)
+    panels[0].set_ylabel("risk: hit by the front of the moving car", fontsize=9)
+    hollow = any(risk[0] < floor for one in cars if not one.behind for risk in one.risks)
+    figure.suptitle(
+        "Margin against risk; bars: 95 % intervals by φ. Safer cars lie to the right and below"
+        + ("\nhollow, at the edge: nobody was hit" if hollow else ""),
+        x=0.02, ha="left", fontsize=9,
+    )  # fmt: skip
+    handles, labels = panels[0].get_legend_handles_labels()
+    legend = figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=TYPE)
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # a name may be anything
+    save_picture(figure, path)
+
+
+def _draw_risk(axes: Axes, cars: Sequence[RatedCar], place: int, floor: float) -> None:
+    curve = basic_cars(cars)
+    if curve:
+        x, y = [one.margin for one in curve], [max(floor, one.risks[place][0]) for one in curve]
+        axes.plot(x, y, "-", color=palette.BEHIND, lw=1.3, marker=".", ms=5, zorder=2, label="basic cars, by C")
+        for text, across, up in zip(labelled(curve, place, floor), x, y, strict=True):
+            axes.annotate(
+                text, (across, up), xytext=(3, 3), textcoords="offset points", fontsize=TYPE, color=palette.BEHIND
+            )
+    for number, one in enumerate(one for one in cars if not one.behind):
+        colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
+        value, (low, high) = one.risks[place]
+        at = max(floor, value)
+        reach = [[max(0.0, one.margin - one.margin_ci95[0])], [max(0.0, one.margin_ci95[1] - one.margin)]]
+        rise = [[max(0.0, at - max(floor, low))], [max(0.0, high - at)]]
+        axes.errorbar(
+            [one.margin], [at], yerr=rise, xerr=reach, fmt=marker, ms=6.5, color=colour, capsize=2.5, lw=1.3, zorder=4,
+            label=one.label, mfc="white" if value < floor else colour, clip_on=False,
+        )  # fmt: skip
+    axes.margins(x=0.14)  # the last name stands beside its point
+    axes.set_yscale("log")
+    axes.set_ylim(floor, 1.0)
+    axes.set_title(f"R({SCALES[place]:g})", loc="left", fontsize=10)
+    axes.set_xlabel("margin (m)", fontsize=9)
+    axes.grid(alpha=0.3)

@@ -1,17 +1,33 @@
-"""What pictures of scenarios have in common: the lanes, and the car on its own."""
+"""What pictures have in common: how they are saved, lanes, and a car on its own."""
 
 from __future__ import annotations
 
 import math
+import warnings
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.road import road_pose
 from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator import palette
+
+DPI = 150
+PAGE = 7.2
+"""Width of a page between its margins, inches: a wider picture is printed smaller, with its type."""
+TYPE = 8.0
+"""Least size of type in a picture of that width, pt."""
+
+
+def save_picture(figure: Figure, path: Path, dpi: int = DPI) -> None:
+    """Save a picture; a letter that the font lacks is drawn as a box, without a word."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        figure.savefig(path, dpi=dpi)
 
 
 def draw_road(axes: Axes, scenario: Scenario, low: float, high: float, elapsed: float = 0.0) -> None:

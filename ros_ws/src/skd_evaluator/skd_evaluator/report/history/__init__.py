@@ -1,1 +1,0 @@
-"""Many results at a glance: what is under a folder, and how a car has changed."""

@@ -1,1 +1,0 @@
-"""What reports show of the risk: the most likely failures, and margin against risk."""

@@ -1,1 +1,0 @@
-"""Scenarios as people see them: a picture, and what is said of one."""
