@@ -1,4 +1,4 @@
-"""Points by Euro NCAP's own calculator (the extra `ncap`), and whether a result agrees with itself, for `skd verify`."""
+"""Points by Euro NCAP's own calculator (the extra `ncap`); whether a result agrees with itself, for `skd verify`."""
 
 from __future__ import annotations
 
