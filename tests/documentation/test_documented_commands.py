@@ -49,7 +49,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
 _POLICY = ROOT / "docs" / "start" / "python_policy.md"
 COUNTS = "--safe-count 2 --kamikaze-count 2 --collision-runs 2 --simulations 20"
 SMALLER = {  # what is put behind a command, so that it takes a second
-    "assess": f"{COUNTS} --workers 1 --margin-limit 128",
+    "assess": f"{COUNTS} --workers 1 --margin-limit 16",
     "sweep": f"{COUNTS} --workers 1 --multipliers 0.5 1.5",
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
