@@ -24,17 +24,17 @@ SAME = 1e-4
 def in_processes(runner: ExecutorRunner, progress: Progress) -> Rounds:
     """Return what searches groups of trials in several processes, one for each group."""
 
-    def go_on(groups: Sequence[Group], budget: int) -> list[Group]:
+    def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
         found = []
         for count, group in enumerate(runner.map(_search, [(group, budget) for group in groups]), start=1):
             found.append(group)
-            progress(f"{LABEL}, {budget} candidates a trial", count, len(groups))
+            progress(f"{LABEL}, {what}", count, len(groups))
         return found
 
     return go_on
 
 
-def one_by_one(groups: Sequence[Group], budget: int) -> list[Group]:
+def one_by_one(groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
     """Search groups of trials in this process."""
     return [_search_here((group, budget)) for group in groups]
 
@@ -42,9 +42,9 @@ def one_by_one(groups: Sequence[Group], budget: int) -> list[Group]:
 def by_episodes(runner: EpisodeRunner, progress: Progress) -> Rounds:
     """Return what searches all groups at once by whole episodes, as of a stack behind the node graph."""
 
-    def go_on(groups: Sequence[Group], budget: int) -> list[Group]:
+    def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
         search(groups, budget, lambda episodes: list(runner.run(episodes)))
-        progress(f"{LABEL}, {budget} episodes a trial", 1, 1)
+        progress(f"{LABEL}, {what}", 1, 1)
         return list(groups)
 
     return go_on

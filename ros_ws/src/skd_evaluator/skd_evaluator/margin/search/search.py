@@ -79,8 +79,9 @@ class SearchedMargins:
     reasons: tuple[str, ...]
 
 
-Rounds = Callable[[Sequence[Group], int], list[Group]]
-"""Searches groups until so many candidates a trial are spent, and returns them as they are then, in order."""
+Rounds = Callable[[Sequence[Group], int, str], list[Group]]
+"""Searches groups until so many candidates a trial are spent, and returns them as they are then, in order; the last
+argument says what the round is for, in a progress line."""
 
 
 def search_margins(
@@ -239,7 +240,7 @@ class _Search:
     def round(self, budget: int) -> None:
         """Search until so many candidates a trial are spent, and share what was found."""
         hit = self._hit
-        self._groups = self._rounds(self._groups, budget)
+        self._groups = self._rounds(self._groups, budget, f"{budget} candidates a trial")
         self.has_new_hits = hit != self._hit
         if self._aborted == sum(trial.driven for trial in self._trials):
             raise AssessmentError(f"every candidate was aborted ({self._groups[0].reasons[0]})")
@@ -277,13 +278,13 @@ class _Search:
         else:
             for group in self._deep:
                 group.take({trial.episode.episode_id: trial for trial in trials})
-        self._deep = self._rounds(self._deep, DEEPER * budget)
+        self._deep = self._rounds(self._deep, DEEPER * budget, f"{DEEPER * budget} candidates in some trials")
         deep = {trial.episode.episode_id: trial for group in self._deep for trial in group.trials}
         gains = np.array([before[number] - min(before[number], trial.least) for number, trial in deep.items()])
         for group in self._groups:
             group.take(deep)
         self._share(self._deep)
-        self._groups = self._rounds(self._groups, budget)  # offers alone, for the budget is spent
+        self._groups = self._rounds(self._groups, budget, "hits of those trials in the others")  # the budget is spent
         self.has_new_hits = hit != self._hit
         rest = [
             before[one.episode.episode_id] - one.least for one in self._trials if one.episode.episode_id not in deep
