@@ -144,7 +144,7 @@ class ProgressLines:
         self._write, self._clock = write, clock
         self._stages: dict[str, _Stage] = {}
         self._lock = threading.Lock()
-        self._begun = False
+        self._begun = False  # whether anything is done, or was said
         self._last = clock()  # when something was done, before which no stage has begun
 
     def update(self, label: str, done: int, total: int) -> None:
@@ -157,11 +157,11 @@ class ProgressLines:
             self._last = now
 
     def say(self) -> None:
-        """Write a line for each stage that has not come to its end; before the first, that there is more to come."""
+        """Write a line for each stage that has not come to its end; before the first, once, that work is prepared."""
         with self._lock:
             now = self._clock()
             going = {label: stage for label, stage in self._stages.items() if stage.done < stage.total}
-            begun = self._begun
+            begun, self._begun = self._begun, True
         if not begun:
             self._write(PREPARING)
         for label, stage in going.items():
