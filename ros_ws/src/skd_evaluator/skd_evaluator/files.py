@@ -80,18 +80,34 @@ def write_file(path: Path, text: str, *, overwrite: bool = True) -> None:
     if path.exists() and not (overwrite and path.is_file()):
         raise OSError(errno.EEXIST, "something is there already")
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f"{PREFIX}{os.getpid()}")
+    replace_file(target, text)
+    note_in_place(path)
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a file so that after whatever happens it is the old one or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    temporary = path.with_name(f"{PREFIX}{os.getpid()}")
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        if target.exists():
-            shutil.copymode(target, temporary)
-        temporary.replace(target)
+        if path.exists():
+            shutil.copymode(path, temporary)
+        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    note_in_place(path)
+
+
+def umask() -> int:
+    """Return the mask of permissions that new files of this process do not get."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def make_temporary(parent: Path) -> Path:

@@ -24,7 +24,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_text, real_path, sha256_of
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
-from skd_evaluator.files import MARKERS, PREFIX, make_temporary, note_in_place, remove
+from skd_evaluator.files import MARKERS, PREFIX, make_temporary, note_in_place, remove, umask
 
 LOGS = "logs"
 _FAILED = ".failed"
@@ -117,7 +117,7 @@ class ResultFolder:
         """
         temporary = self._temporary()
         try:
-            temporary.chmod(0o777 & ~_umask())
+            temporary.chmod(0o777 & ~umask())
             fill(temporary)
             write_manifests(temporary)
             self._put_in_place(temporary)
@@ -260,12 +260,6 @@ def _free(path: Path) -> Path:
     """Return a path where nothing is: this one, or with a number behind it."""
     names = itertools.chain([path.name], (f"{path.name}-{number}" for number in itertools.count(2)))
     return next(one for one in map(path.with_name, names) if not (one.exists() or one.is_symlink()))
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

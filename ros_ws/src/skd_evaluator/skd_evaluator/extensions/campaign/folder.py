@@ -28,7 +28,7 @@ from skd_evaluator.assessment.stages.inputs import lies_in
 from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME as STORE
 from skd_evaluator.extensions.campaign.episode_store import flat
-from skd_evaluator.files import MARKERS, PREFIX, make_temporary
+from skd_evaluator.files import MARKERS, PREFIX, make_temporary, replace_file, umask
 
 CELLS, CAMPAIGN, TABLE, _LOCK = "cells.json", "campaign.json", "campaign.csv", ".lock"
 _HEX = 16  # digits of a digest that are shown
@@ -96,7 +96,7 @@ class CampaignFolder:
         before = _read_json(known) if known.exists() else {"cells": []}
         self._refuse_read([str(cell["name"]) for cell in (*asked["cells"], *before["cells"])], reads)
         if not known.exists():
-            write_safely(known, _json(asked))
+            replace_file(known, _json(asked))
             return False
         if resume:
             self._refuse_changed(asked, before)
@@ -104,7 +104,7 @@ class CampaignFolder:
         if not overwrite:
             raise UsageError(f"{self._option}: holds a campaign; add --resume to go on with it, --overwrite to replace")
         self._clear()
-        write_safely(known, _json(asked))
+        replace_file(known, _json(asked))
         return False
 
     def _refuse_foreign(self) -> None:
@@ -200,7 +200,7 @@ class CampaignFolder:
         target = self.path / name
         temporary = make_temporary(self.path)
         try:
-            temporary.chmod(0o777 & ~_umask())
+            temporary.chmod(0o777 & ~umask())
             fill(temporary)
             write_manifests(temporary)
             digests = {one: sha256_of(temporary / one) for one in CHECKED}
@@ -215,31 +215,13 @@ class CampaignFolder:
 
     def write_rows(self, content: Mapping[str, Any], columns: Sequence[str]) -> None:
         """Write campaign.json and, of its rows, campaign.csv."""
-        write_safely(self.path / CAMPAIGN, _json(content))
+        replace_file(self.path / CAMPAIGN, _json(content))
         text = io.StringIO()
         writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         for row in content["cells"]:
             writer.writerow({key: _plain(value) for key, value in row.items()})
-        write_safely(self.path / TABLE, text.getvalue())
-
-
-def write_safely(path: Path, text: str) -> None:
-    """Write a file so that after whatever happens it is the old one or the new one.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    temporary = path.with_name(f"{PREFIX}{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    _to_disk(path.parent, only=True)
+        replace_file(self.path / TABLE, text.getvalue())
 
 
 def _to_disk(folder: Path, *, only: bool = False) -> None:
@@ -285,9 +267,3 @@ def _difference(cell: str, key: str, before: Any, now: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
