@@ -102,7 +102,7 @@ def test_the_adversary_is_where_it_was_commanded() -> None:
     simulator = MetaDriveSimulator()
     log = run(across(), simulator=simulator)
     np.testing.assert_allclose(log.adversary, across().positions[: len(log.adversary)], atol=1e-12)
-    assert 0.0 < simulator.apart < 1e-5
+    assert 0.0 < simulator.position_error < 1e-5
 
 
 def test_both_find_the_contact_and_it_moves_nobody() -> None:

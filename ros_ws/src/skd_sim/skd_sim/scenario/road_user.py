@@ -73,7 +73,7 @@ class Body(Frozen):
 
     @property
     def shape(self) -> tuple[float, float, float]:
-        """Radius, half length, half width (m), as `geometry.contact` takes them; of a disc the last two are 0."""
+        """Radius, half length, half width (m), as `world.contact` takes them; of a disc the last two are 0."""
         if self.radius is not None:
             return self.radius, 0.0, 0.0
         return 0.0, 0.5 * (self.length or 0.0), 0.5 * (self.width or 0.0)

@@ -75,7 +75,7 @@ class Collision(Frozen):
 
     A touch at `minimum_impact_speed` or more of the car's own speed is a collision and ends the episode. It is a *hit*
     at `hit_speed` or more, by default 2 km/h, Euro NCAP's tolerance of impact speeds (Crash Avoidance Frontal v1.1):
-    margin, risk and the deformation that ranks count hits, the paper's SKD any collision.
+    margin, risk and the deviation that ranks count hits, the paper's SKD any collision.
     """
 
     minimum_impact_speed: Annotated[float, limits(0.0, 60.0, "m/s")]
@@ -184,7 +184,7 @@ class Scenario(Frozen):
     """Everything that is fixed about a test: see `load_scenario`.
 
     The adversary decides every `time_step`. The car decides every `control_period`, which divides the time step and
-    equals it by default. `eta_max` is η_max of the mean deformation, m: as much counts a trial that fails or that
+    equals it by default. `eta_max` is η_max of the mean deviation, m: as much counts a trial that fails or that
     needs more.
     """
 

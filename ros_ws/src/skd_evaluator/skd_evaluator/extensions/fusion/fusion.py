@@ -225,7 +225,7 @@ def fuse(
         physical: trials, in the order in which they were made.
         simulated: trials by φ.
         looks: how often one looks, at most, before one stops: after equal numbers of trials. Intervals then hold at all
-            looks together, and so whenever one stops (`measure.statistics.sequential`).
+            looks together, and so whenever one stops (`metrics.statistics.sequential`).
         confidence: of all looks together.
         tolerance: of the timing of pairs, m.
 

@@ -49,7 +49,7 @@ def add_fuse(commands: Any) -> None:
         fuse,
         "--looks",
         1,
-        100,  # `measure.statistics.sequential.MOST_LOOKS`
+        100,  # `metrics.statistics.sequential.MOST_LOOKS`
         "how often you look at the results, at most, before you stop, said before the first trial: each look after as "
         "many further trials. The intervals then hold at all looks together",
         default=1,

@@ -99,7 +99,6 @@ _READERS: dict[str, Callable[[Any], Iterator[Sighting]]] = {
     "geometry_msgs/msg/PointStamped": _point,
     "vision_msgs/msg/Detection3DArray": _detections,
 }
-_SEVERAL = {"vision_msgs/msg/Detection3DArray"}
 
 
 def bag_tracks(path: Path, names: Sequence[str], map_frame: str | None = None) -> dict[str, BagTrack]:

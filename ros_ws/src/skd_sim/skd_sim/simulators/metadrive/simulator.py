@@ -56,9 +56,9 @@ class MetaDriveSimulator:
         return self._running.own_contact
 
     @property
-    def apart(self) -> float:
+    def position_error(self) -> float:
         """Greatest distance in this episode between MetaDrive's place of the adversary and the commanded one, m."""
-        return float(self._frames.apart)
+        return float(self._frames.position_error)
 
     def described(self, scenario: Scenario) -> Mapping[str, Any]:
         """Return, as plain data, what MetaDrive makes of a scenario's car: what its pedals do, as measured."""

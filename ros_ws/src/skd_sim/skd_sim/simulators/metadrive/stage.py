@@ -345,7 +345,7 @@ def pedals_of(stage: MetaDriveStage, scenario: Scenario) -> Pedals:
     return _Running.pedals[what]
 
 
-_APART: Final = 0.01  # m
+_POSITION_ERROR: Final = 0.01  # m
 
 
 class MetaDriveFrames:
@@ -354,8 +354,8 @@ class MetaDriveFrames:
     Attributes:
         frame_step: time between frames, s.
         limits: least and greatest acceleration of the car, as measured.
-        apart: greatest distance in this episode between where MetaDrive has the adversary and where it was commanded
-            to be, m.
+        position_error: greatest distance in this episode between where MetaDrive has the adversary and where it was
+            commanded to be, m.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -368,7 +368,7 @@ class MetaDriveFrames:
         self._pedals = pedals_of(self._stage, scenario)
         self.frame_step: float = self._stage.step
         self.limits: CommandLimits = self._pedals.limits
-        self.apart = 0.0
+        self.position_error = 0.0
 
     def prepare(self, scenario: Scenario) -> None:
         """Bring everybody else of a scenario on."""
@@ -389,7 +389,7 @@ class MetaDriveFrames:
             self._put(body, one.x, one.y, one.heading)
         self._put_moving()
         self._stage.show_anew(self._cast)
-        self.apart = 0.0
+        self.position_error = 0.0
         return self._states()
 
     def control(self, acceleration: float, velocity: tuple[float, float]) -> None:
@@ -452,9 +452,10 @@ class MetaDriveFrames:
             SimulatorError: MetaDrive has it elsewhere.
         """
         x, y = self._cast.adversary.position
-        apart = math.hypot(self._stage.across - float(y) - self._at.x, float(x) - self._ahead - self._at.y)
-        self.apart = max(self.apart, apart)
-        if not apart <= _APART:
+        error = math.hypot(self._stage.across - float(y) - self._at.x, float(x) - self._ahead - self._at.y)
+        self.position_error = max(self.position_error, error)
+        if not error <= _POSITION_ERROR:
             raise SimulatorError(
-                AbortKind.FAILED, f"MetaDrive has the adversary {apart:.3g} m from where it was commanded to be"
+                AbortKind.FAILED,
+                f"MetaDrive has the adversary {error:.3g} m from where it was commanded to be",
             )
