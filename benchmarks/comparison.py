@@ -33,11 +33,10 @@ from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_sets,
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.pipeline import planners_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.difference import Difference, difference
-from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_evaluator.metrics.statistics.statistics import wilson_interval
+from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.difference import Difference, difference
+from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

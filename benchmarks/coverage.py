@@ -26,14 +26,11 @@ import numpy as np
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.judge.until_width import LOOKS
-from skd_evaluator.metrics.distances.time_warping import warped_distance
+from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, clustered_mean, clustered_rate, variance_components
+from skd_evaluator.metrics.frechet import warped_distance
+from skd_evaluator.metrics.sample_size import expected_width, narrow_enough, nominal_confidence
 from skd_evaluator.metrics.skd import bound_interval
-from skd_evaluator.metrics.statistics.clustered import clustered_mean, variance_components
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.prior import DISTANCES, PREFIXES
-from skd_evaluator.metrics.statistics.sample_size import expected_width
-from skd_evaluator.metrics.statistics.sequential import narrow_enough, nominal_confidence
-from skd_evaluator.metrics.statistics.statistics import (
+from skd_evaluator.metrics.statistics import (
     frechet_probability_bound,
     normal_interval,
     wilson_interval,

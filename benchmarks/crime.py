@@ -95,10 +95,13 @@ def measured(scene: dict[str, Any]) -> dict[str, float]:
 
 def ours(scene: dict[str, Any]) -> dict[str, float]:
     """Return the same figures by SKD's measures."""
-    from skd_evaluator.metrics.surrogate.braking import brake_threat_numbers, required_decelerations
-    from skd_evaluator.metrics.surrogate.clearance import clearances
-    from skd_evaluator.metrics.surrogate.collision_time import collision_times
-    from skd_evaluator.metrics.surrogate.scene import Scene
+    from skd_evaluator.metrics.surrogate_measures import (
+        brake_threat_numbers,
+        clearances,
+        collision_times,
+        required_decelerations,
+    )
+    from skd_evaluator.metrics.surrogate_scenes import Scene
 
     times = DT * np.arange(STEPS + 1, dtype=np.float64)
     (x, y, heading, speed, length, width), (a, b, turned, pace, long, wide) = scene["users"]
@@ -121,7 +124,7 @@ def ours(scene: dict[str, Any]) -> dict[str, float]:
 
 def compare(path: Path) -> int:
     """Print how far the two are apart; return 1 if anywhere further than 1e-6."""
-    from skd_evaluator.metrics.surrogate.collision_time import HORIZON
+    from skd_evaluator.metrics.surrogate_measures import HORIZON
 
     worst: dict[str, list[float]] = {}
     for scene in json.loads(path.read_text(encoding="utf-8")):

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from skd_evaluator.metrics.distances.frechet import discrete_frechet, discrete_frechet_pairs
+from skd_evaluator.metrics.frechet import discrete_frechet, discrete_frechet_pairs
 
 _SIZES = (40, 1000)
 _BATCH = {40: 192, 1000: 16}  # pairs that share one reference

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.extensions.fusion.trial import figures_of
 from skd_evaluator.metrics.contact_place import car_until_contact
-from skd_evaluator.metrics.surrogate.scenes import scene_of
+from skd_evaluator.metrics.surrogate_scenes import scene_of
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome, until_contact
 from skd_sim.world.state import Trajectory

@@ -22,7 +22,7 @@ from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.assessment.plan.plan import Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -29,8 +29,8 @@ from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
-from skd_evaluator.metrics.margin_figures import margin_figures
-from skd_evaluator.metrics.statistics.statistics import normal_interval
+from skd_evaluator.metrics.margins import margin_figures
+from skd_evaluator.metrics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode

@@ -17,7 +17,7 @@ from scipy import stats
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
-from skd_evaluator.metrics.statistics.clustered import variance_components
+from skd_evaluator.metrics.clustered import variance_components
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode

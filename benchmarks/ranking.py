@@ -41,9 +41,9 @@ from skd_adversary.warm_up import warm_up_episodes
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.margin.search.search import IN_PROCESS
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.difference import Difference, difference
-from skd_evaluator.metrics.statistics.statistics import wilson_interval
+from skd_evaluator.metrics.clustered import clustered_mean
+from skd_evaluator.metrics.difference import Difference, difference
+from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.options.adversary import Objective
 from skd_sim.ros_environment import enter_ros, is_ready
 from skd_sim.scenario.scenario import load_scenario

@@ -24,14 +24,12 @@ from typing import Any
 import numpy as np
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
-from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.metrics.behaviour.walking import walk
+from skd_evaluator.metrics.behaviour.model import load_behaviour, walk
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
-from skd_evaluator.metrics.statistics.statistics import wilson_interval
-from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
-from skd_evaluator.risk.known_car import KnownCar
+from skd_evaluator.metrics.statistics import wilson_interval
+from skd_evaluator.risk.cars import KnownCar
+from skd_evaluator.risk.crossings import SAME, CrossingPlan, Crossings, Ends, in_car_frame, missed_by, side_touched
 from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
-from skd_evaluator.risk.touching import SAME, in_car_frame, missed_by, side_touched
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

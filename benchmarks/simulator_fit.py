@@ -28,7 +28,7 @@ from skd_evaluator.extensions.fusion.calibration import (
     estimated,
     off_by,
 )
-from skd_evaluator.metrics.statistics.statistics import wilson_interval
+from skd_evaluator.metrics.statistics import wilson_interval
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator

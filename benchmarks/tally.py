@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from skd_evaluator.metrics.statistics.statistics import Interval, wilson_interval
+from skd_evaluator.metrics.statistics import Interval, wilson_interval
 
 
 class Tally:

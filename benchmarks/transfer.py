@@ -37,8 +37,8 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
 from skd_sim.options.car_under_test import BASIC, DYNAMICS
 from skd_sim.scenario.scenario import Scenario, load_scenario
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from road_user_limits import beyond
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome

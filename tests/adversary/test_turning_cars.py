@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_adversary.crossing.roads import CURVED
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road import road_pose, road_position

@@ -13,7 +13,7 @@ from ranking import Row, Store, exceptions, ranked
 from ranking_figures import FIGURES, Work
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory

@@ -8,7 +8,7 @@ import numpy as np
 from skd_evaluator.assessment.plan.plan import Stage, episode_id
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import AdversaryState, CarState, Trajectory

@@ -16,13 +16,14 @@ from skd_evaluator.margin.basic_margins import (
     HIGHEST,
     LOWEST,
     BasicMargins,
+    MarginCache,
     equivalent_of,
+    margins_key,
     search,
     trials_of,
     unknown_for,
     yardstick,
 )
-from skd_evaluator.margin.margin_cache import MarginCache, margins_key
 from skd_evaluator.metrics.equivalent_multiplier import Difference
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import Trajectory

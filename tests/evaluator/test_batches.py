@@ -14,9 +14,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.risk.any_car import AnyCar
 from skd_evaluator.risk.assessment_risk import crude_crossings
-from skd_evaluator.risk.batched_car import batched_car
+from skd_evaluator.risk.cars import AnyCar, batched_car
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.cli.main import main
-from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, load_behaviour
-from skd_evaluator.metrics.behaviour.walking import normals_of
+from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, load_behaviour, normals_of
 from skd_evaluator.risk.behaviour.fit import FITTED, LEAST_TRACKS, fit_behaviour, simulated
-from skd_evaluator.risk.behaviour.tracks import Tracked, read_tracks
-from skd_evaluator.risk.behaviour.validation import folds_of
+from skd_evaluator.risk.behaviour.tracks import Tracked, folds_of, read_tracks
 from skd_sim.errors import UsageError
 
 pytestmark = pytest.mark.usefixtures("pictures_drawn")

@@ -7,9 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, Behaviour, load_behaviour, write_behaviour
-from skd_evaluator.metrics.behaviour.walking import OF_PERSON, OF_TICK, normals_of, walked
-from skd_evaluator.risk.behaviour.residuals import padded, quantile_table, residuals
+from skd_evaluator.metrics.behaviour.model import (
+    MEANINGS,
+    NAMES,
+    OF_PERSON,
+    OF_TICK,
+    Behaviour,
+    load_behaviour,
+    normals_of,
+    walked,
+    write_behaviour,
+)
+from skd_evaluator.risk.behaviour.fit import padded, quantile_table, residuals
 from skd_sim.errors import UsageError
 
 STEP = 0.3

@@ -26,7 +26,7 @@ from skd_evaluator.assessment.plan.plan import (
     safe_trajectories,
 )
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.statistics.statistics import wilson_interval
+from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.metrics.statistics.clustered import (
+from skd_evaluator.metrics.clustered import (
+    DISTANCES,
     VarianceComponents,
     cluster_error,
     clustered_mean,
+    clustered_rate,
     variance_components,
 )
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.prior import DISTANCES
 
 COUNTS = st.lists(st.integers(1, 40), min_size=2, max_size=8)
 COMPONENTS = st.tuples(st.floats(0.0, 10.0), st.floats(0.01, 10.0))

@@ -19,7 +19,7 @@ from skd_evaluator.assessment.compare.comparison import (
     ranking_figure,
 )
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 

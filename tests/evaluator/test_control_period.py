@@ -18,7 +18,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, check_controll
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers import BasicController, SensingController, make_controller
 from skd_sim.controllers.loading import user_controller
 from skd_sim.errors import UsageError

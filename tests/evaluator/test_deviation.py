@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.distances.deviation import deviation, deviation_pairs
-from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.deviation import deviation, deviation_pairs
+from skd_evaluator.metrics.frechet import discrete_frechet
 
 # On a grid of 1/64 sums and products are exact: properties hold without tolerance.
 GRID = st.integers(-640, 640).map(lambda k: k / 64.0)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.metrics.statistics.difference import Difference, difference
+from skd_evaluator.metrics.difference import Difference, difference
 
 SEEDS = st.integers(0, 2**32)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.metrics.distances.measures import measure_pairs, pair_of
-from skd_evaluator.metrics.entry_deceleration import deceleration_at_entry
+from skd_evaluator.metrics.contact_place import deceleration_at_entry
+from skd_evaluator.metrics.measures import measure_pairs, pair_of
 from skd_sim.scenario.road import Part, Road, road_pose
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome

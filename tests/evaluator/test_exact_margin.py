@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from search_support import CROSSING, TIME_STEP, any_touch, bent, kamikaze_episode, place, touching
 from skd_adversary.crossing.on_foot import action_velocity
 from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.margin.exact import exact, exact_search
+from skd_evaluator.margin.exact import exact
+from skd_evaluator.margin.exact import exact as exact_search
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay, deviation
 from skd_sim.controllers import BasicController
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator

@@ -19,15 +19,12 @@ from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.metrics.behaviour.walking import normals_of
+from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
-from skd_evaluator.risk.asked import RiskAsked
-from skd_evaluator.risk.assessment_risk import with_risks
-from skd_evaluator.risk.single import single_crossing
+from skd_evaluator.risk.assessment_risk import RiskAsked, single_crossing, with_risks
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

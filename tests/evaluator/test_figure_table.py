@@ -22,8 +22,7 @@ from skd_evaluator.assessment.judge.rating import rate
 from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.risk.asked import risk_asked
-from skd_evaluator.risk.assessment_risk import with_risks
+from skd_evaluator.risk.assessment_risk import risk_asked, with_risks
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 

@@ -11,14 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.distances.frechet import (
+from skd_evaluator.metrics.frechet import (
     _LANES,
     _PARTS_A_WORKER,
+    _even_coupling,
+    _greedy_coupling,
     _parts,
     discrete_frechet,
     discrete_frechet_pairs,
 )
-from skd_evaluator.metrics.distances.frechet_kernels import _even_coupling, _greedy_coupling
 
 GOOD = [[0.0, 0.0], [1.0, 1.0]]
 

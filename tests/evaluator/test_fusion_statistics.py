@@ -22,7 +22,7 @@ from skd_evaluator.extensions.fusion.estimate import (
 )
 from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure, gap_of, trend
 from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, PhysicalTrial, paired
-from skd_evaluator.metrics.statistics.sequential import nominal_confidence
+from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError
 
 

@@ -299,8 +299,8 @@ def test_trials_calibrate_the_simulator(
 
 def _played(example: dict[str, object], simulated: Path) -> dict[str, float]:
     from skd_evaluator import Plan, load_result, run_episode
-    from skd_evaluator.metrics.surrogate.clearance import least_clearance
-    from skd_evaluator.metrics.surrogate.scenes import scene_of
+    from skd_evaluator.metrics.surrogate_measures import least_clearance
+    from skd_evaluator.metrics.surrogate_scenes import scene_of
     from skd_sim import Mode, Trajectory
     from skd_sim.scenario.scenario import scenario_from_dict
 

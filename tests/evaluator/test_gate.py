@@ -24,9 +24,8 @@ from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.margin.common_trajectories import check_not_worse
-from skd_evaluator.metrics.aborted import at_worst
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.summary import csv_table, junit_xml, markdown
 from skd_evaluator.report.terminal import headline
 from skd_sim.errors import UsageError

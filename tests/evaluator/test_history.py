@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.cli.main import main
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.terminal import print_table
 from skd_evaluator.report.trend import Run, find_runs, runs_table, trend_table, trends_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from skd_evaluator.risk.behaviour.inversion import inverted
+from skd_evaluator.risk.behaviour.fit import inverted
 
 MIXED = np.array([[1.0, 0.0], [0.7, 1.0], [0.2, -1.0]])
 QUANTILE = 1.959964

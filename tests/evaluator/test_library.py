@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from common import run_skd
 from skd_evaluator import AssessmentError, assess, load_result
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_sim import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.side_by_side import LiveTable, cell_line
 from terminals import Terminal
 

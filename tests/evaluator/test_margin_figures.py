@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.metrics.margin_figures import margin_figures
-from skd_evaluator.metrics.statistics.statistics import cantelli_bound, frechet_probability_bound, normal_interval
+from skd_evaluator.metrics.margins import margin_figures
+from skd_evaluator.metrics.statistics import cantelli_bound, frechet_probability_bound, normal_interval
 
 MARGINS = st.lists(st.lists(st.floats(0.0, 5.0), min_size=1, max_size=12), min_size=2, max_size=8)
 

@@ -21,7 +21,7 @@ from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import in_processes, repeated
 from skd_evaluator.margin.search.search import Effort, SearchedMargins, search_margins
 from skd_evaluator.margin.search.trial import ActionSpace, prescribed
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_sim.controllers import BasicController, Controller, make_controller
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario

@@ -5,10 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.mean_deviation import MeanDeviation, Trials, mean_deviation
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES
+from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.deviation import MeanDeviation, Trials, deviation, mean_deviation
 from skd_sim.world.state import Trajectory
 
 STEP = 0.3

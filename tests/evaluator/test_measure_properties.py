@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from skd_evaluator.metrics.distances.frechet import discrete_frechet
-from skd_evaluator.metrics.distances.measures import Measured, Pair, load_measures, pair_of
-from skd_evaluator.metrics.distances.time_warping import warped_distance
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.statistics import mean, normal_interval, sample_variance
+from skd_evaluator.metrics.clustered import clustered_mean
+from skd_evaluator.metrics.frechet import discrete_frechet, warped_distance
+from skd_evaluator.metrics.measures import Measured, Pair, load_measures, pair_of
+from skd_evaluator.metrics.statistics import mean, normal_interval, sample_variance
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome

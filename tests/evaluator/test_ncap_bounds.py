@@ -9,8 +9,17 @@ from pathlib import Path
 import pytest
 from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.layout import LEGEND
-from skd_evaluator.extensions.ncap.result import RESULT, TABLE, Cell, Grid, Ncap, as_data, checked, write_table
-from skd_evaluator.extensions.ncap.verification import with_regulator
+from skd_evaluator.extensions.ncap.result import (
+    RESULT,
+    TABLE,
+    Cell,
+    Grid,
+    Ncap,
+    as_data,
+    checked,
+    with_regulator,
+    write_table,
+)
 from skd_sim.errors import UsageError
 
 MEASURED = Cell(speed=30.0, place=50.0, margin=0.5, margins=(0.25, 0.75))

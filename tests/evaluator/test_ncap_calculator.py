@@ -15,8 +15,7 @@ from skd_evaluator.extensions.ncap.matrices import (
     matrix_of,
     scenarios_of,
 )
-from skd_evaluator.extensions.ncap.result import Cell, Grid
-from skd_evaluator.extensions.ncap.verification import points_of
+from skd_evaluator.extensions.ncap.result import Cell, Grid, points_of
 
 integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402

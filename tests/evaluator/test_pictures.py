@@ -19,7 +19,7 @@ from skd_evaluator.assessment.judge.assessment import Assessment, judge
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.pictures import save_sweep, save_trajectories
 from skd_sim.scenario.scenario import load_scenario

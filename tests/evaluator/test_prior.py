@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES, FREEDOM, PREFIXES, Prior, sample_skewness
+from skd_evaluator.metrics.clustered import DISTANCES, FREEDOM, PREFIXES, Prior, clustered_mean, sample_skewness
 
 PLAIN = Prior(ratio=0.1, spread=1.0, skewness=0.0)
 

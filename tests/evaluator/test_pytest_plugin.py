@@ -23,7 +23,7 @@ from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.stages import library
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin import common_trajectories
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.pytest_plugin import Assessed, Skd
 from skd_sim.scenario.scenario import load_scenario
 
@@ -31,7 +31,7 @@ CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
 from skd_evaluator.assessment.stages import library
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.errors import AssessmentError
 
 FIGURES = json.loads(pathlib.Path("figures.json").read_text())

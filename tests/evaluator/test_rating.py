@@ -13,7 +13,7 @@ from skd_evaluator.assessment.judge.rating import Rating, in_order, rate
 from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.written import picture_names
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named

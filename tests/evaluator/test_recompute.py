@@ -23,8 +23,7 @@ from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.risk.asked import risk_asked
-from skd_evaluator.risk.assessment_risk import with_risks
+from skd_evaluator.risk.assessment_risk import risk_asked, with_risks
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, abort_reason, kind_of

@@ -28,7 +28,7 @@ from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.errors import AssessmentError
 from skd_sim.scenario.road_user import Other, Waypoint

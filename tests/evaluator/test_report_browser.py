@@ -11,9 +11,8 @@ from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.extensions.ncap.page import render as regulators_view
 from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap
-from skd_evaluator.metrics.surrogate.braking import required_decelerations
-from skd_evaluator.metrics.surrogate.collision_time import collision_times
-from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
+from skd_evaluator.metrics.surrogate_measures import collision_times, required_decelerations
+from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
 from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html import page
 from skd_evaluator.report.html.subjects import read_subjects

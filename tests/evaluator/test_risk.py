@@ -14,14 +14,20 @@ from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.metrics.behaviour.walking import OF_PERSON
+from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
-from skd_evaluator.risk.any_car import AnyCar, end_of
-from skd_evaluator.risk.asked import RiskAsked, risk_asked
-from skd_evaluator.risk.assessment_risk import RUNS, crude_crossings, draws_of, runs_of, why_no_risk, with_risks
+from skd_evaluator.risk.assessment_risk import (
+    RUNS,
+    RiskAsked,
+    crude_crossings,
+    draws_of,
+    risk_asked,
+    runs_of,
+    why_no_risk,
+    with_risks,
+)
+from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
-from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

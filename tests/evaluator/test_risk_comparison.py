@@ -20,9 +20,8 @@ from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
-from skd_evaluator.metrics.statistics.difference import Difference
-from skd_evaluator.risk.asked import RiskAsked
-from skd_evaluator.risk.assessment_risk import with_risks
+from skd_evaluator.metrics.difference import Difference
+from skd_evaluator.risk.assessment_risk import RiskAsked, with_risks
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 

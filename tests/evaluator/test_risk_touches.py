@@ -17,9 +17,9 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contact, last_car_position
 from skd_evaluator.metrics.risks import Touch
-from skd_evaluator.metrics.surrogate.impact import fatality_risk, greater_delta_v
-from skd_evaluator.risk.any_car import AnyCar, end_of
+from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
 from skd_evaluator.risk.assessment_risk import crude_crossings
+from skd_evaluator.risk.cars import AnyCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.controllers import Controller
 from skd_sim.scenario.road import right_and_along

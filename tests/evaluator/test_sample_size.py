@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_evaluator.cli.main import main
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_evaluator.metrics.statistics.sample_size import expected_width, power, sizes_for_power, sizes_for_width
+from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.sample_size import expected_width, power, sizes_for_power, sizes_for_width
 
 
 @given(st.floats(0.01, 1.0), st.floats(0.0, 0.2), st.integers(2, 30), st.integers(1, 50), st.booleans())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from common import run_skd
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 
 SMALL = (
     *("--knowledge", "nothing", "--safe-count", 2, "--kamikaze-count", 2, "--collision-runs", 2, "--simulations", 20),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 from skd_evaluator.cli.parser import make_parser
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.sequential import MOST_LOOKS, UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.metrics.clustered import clustered_mean
+from skd_evaluator.metrics.sample_size import MOST_LOOKS, UntilWidth, narrow_enough, nominal_confidence
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.compare import reference_hint
 from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.cli.show import shown_episode
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.episode_pictures import EpisodePicture
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command

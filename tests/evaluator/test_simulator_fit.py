@@ -24,8 +24,8 @@ from skd_evaluator.extensions.fusion.calibration import (
     off_by,
     recorded,
 )
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.metrics.surrogate.scene import Scene
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.metrics.surrogate_scenes import Scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 

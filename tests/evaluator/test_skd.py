@@ -6,11 +6,10 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.metrics.distances.frechet import discrete_frechet
+from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.skd import bound_interval, compute_skd
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_evaluator.metrics.statistics.statistics import frechet_probability_bound, normal_interval
+from skd_evaluator.metrics.statistics import frechet_probability_bound, normal_interval
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
 

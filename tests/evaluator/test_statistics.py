@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.sequential import nominal_confidence
-from skd_evaluator.metrics.statistics.statistics import (
+from skd_evaluator.metrics.clustered import clustered_mean, clustered_rate
+from skd_evaluator.metrics.sample_size import nominal_confidence
+from skd_evaluator.metrics.statistics import (
     frechet_probability_bound,
     mean,
     normal_interval,

@@ -8,27 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from skd_evaluator.metrics.surrogate.braking import (
-    MOST,
-    brake_threat_numbers,
-    greatest_required_deceleration,
-    headways,
-    required_decelerations,
-)
-from skd_evaluator.metrics.surrogate.clearance import clearances, least_clearance
-from skd_evaluator.metrics.surrogate.collision_time import collision_times, path_collision_times
-from skd_evaluator.metrics.surrogate.encroachment import post_encroachment_time
-from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES, episode_measures, surrogate_measures
-from skd_evaluator.metrics.surrogate.impact import (
+from skd_evaluator.metrics.surrogate_measures import (
     CAR_MASS,
     MASSES,
+    MOST,
+    SURROGATE_MEASURES,
+    brake_threat_numbers,
+    clearances,
     closing_speeds,
+    collision_times,
     delta_v,
+    episode_measures,
     fatality_risk,
     greater_delta_v,
+    greatest_required_deceleration,
+    headways,
+    least_clearance,
+    path_collision_times,
+    post_encroachment_time,
+    required_decelerations,
+    surrogate_measures,
 )
-from skd_evaluator.metrics.surrogate.scene import Scene
-from skd_evaluator.metrics.surrogate.scenes import Course, Scenes, scene_of, velocities
+from skd_evaluator.metrics.surrogate_scenes import Course, Scene, Scenes, scene_of, velocities
 from skd_sim.scenario.scenario import load_scenario
 
 FOOTPRINT = 2.25, 1.75, 0.9

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from skd_evaluator.metrics.distances.time_warping import warped_distance
+from skd_evaluator.metrics.frechet import warped_distance
 
 Coupling = tuple[tuple[int, int], ...]
 CURVES = st.integers(1, 5).flatmap(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.risk.touching import CREEPING, IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
+from skd_evaluator.risk.crossings import CREEPING, IN_A_CURVE, SAME, in_car_frame, missed_by, side_touched
 
 FOOTPRINT, RADIUS, HIT_SPEED, STEP = (2.25, 2.25, 0.9), 0.25, 0.556, 0.05
 

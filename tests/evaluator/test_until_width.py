@@ -12,9 +12,8 @@ from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.judge.until_width import LOOKS, rate_until_width
 from skd_evaluator.assessment.plan.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_evaluator.metrics.statistics.sequential import nominal_confidence
+from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
+from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

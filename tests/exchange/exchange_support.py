@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from skd_evaluator.extensions.exchange.scene import ExportedEpisode, actors_of, start_of
-from skd_evaluator.metrics.surrogate.scenes import Course, course_of
+from skd_evaluator.metrics.surrogate_scenes import Course, course_of
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.scenario.scenario_file import SCENARIOS
 

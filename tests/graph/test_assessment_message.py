@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from skd_evaluator.assessment.judge.rating import Rating, rate
 from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.ros.evaluator import assessment_to_message

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from common import new_domain, wait_until
 from graph_support import Program, assert_same_results, skd
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 
 MODULES = {
     "vehicle_simulator": "skd_sim.ros.simulator_node",

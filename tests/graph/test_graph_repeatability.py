@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from graph_support import HERE, skd
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 
 NODE = [sys.executable, "-m", "skd_sim.ros.controller_node", "--ros-args", "-p"]
 PATHS = {"PYTHONPATH": str(HERE / "controllers")}

@@ -21,7 +21,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
 from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.assessment.stages.pipeline import learned_plan
 from skd_evaluator.bags.read import read_episodes
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_sim.controllers import BasicController
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge
 from skd_sim.world.episode import Episode, EpisodeLog, Mode

@@ -14,7 +14,7 @@ from bag_forge import Sent, forged
 from common import run_skd
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.bags.checks import not_credible_beside
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 Refused = Callable[..., str]

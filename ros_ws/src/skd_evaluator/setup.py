@@ -64,7 +64,7 @@ setup(
             "import = skd_evaluator.extensions.exchange.options:add_import",
         ],
         "skd.checks": [
-            "ncap = skd_evaluator.extensions.ncap.verification:with_regulator",
+            "ncap = skd_evaluator.extensions.ncap.result:with_regulator",
         ],
         "skd.report_sections": [
             "ncap = skd_evaluator.extensions.ncap.page:section_of",

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from skd_evaluator.assessment.stages.library import assess as assess
     from skd_evaluator.assessment.stages.library import load_result as load_result
     from skd_evaluator.errors import AssessmentError as AssessmentError
-    from skd_evaluator.metrics.distances.deviation import deviation as deviation
-    from skd_evaluator.metrics.distances.frechet import discrete_frechet as discrete_frechet
-    from skd_evaluator.metrics.distances.measures import Measure as Measure
-    from skd_evaluator.metrics.statistics.clustered import clustered_mean as clustered_mean
-    from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate as clustered_rate
-    from skd_evaluator.metrics.statistics.difference import difference as difference
+    from skd_evaluator.metrics.clustered import clustered_mean as clustered_mean
+    from skd_evaluator.metrics.clustered import clustered_rate as clustered_rate
+    from skd_evaluator.metrics.deviation import deviation as deviation
+    from skd_evaluator.metrics.difference import difference as difference
+    from skd_evaluator.metrics.frechet import discrete_frechet as discrete_frechet
+    from skd_evaluator.metrics.measures import Measure as Measure
 
 __all__ = [
     "AssessmentError",
@@ -40,15 +40,15 @@ __all__ = [
 
 _WHERE = {
     "AssessmentError": "skd_evaluator.errors",
-    "Measure": "skd_evaluator.metrics.distances.measures",
+    "Measure": "skd_evaluator.metrics.measures",
     "Plan": "skd_evaluator.assessment.plan.plan",
     "Rating": "skd_evaluator.assessment.judge.rating",
     "assess": "skd_evaluator.assessment.stages.library",
-    "clustered_mean": "skd_evaluator.metrics.statistics.clustered",
-    "clustered_rate": "skd_evaluator.metrics.statistics.clustered_rate",
-    "deviation": "skd_evaluator.metrics.distances.deviation",
-    "difference": "skd_evaluator.metrics.statistics.difference",
-    "discrete_frechet": "skd_evaluator.metrics.distances.frechet",
+    "clustered_mean": "skd_evaluator.metrics.clustered",
+    "clustered_rate": "skd_evaluator.metrics.clustered",
+    "deviation": "skd_evaluator.metrics.deviation",
+    "difference": "skd_evaluator.metrics.difference",
+    "discrete_frechet": "skd_evaluator.metrics.frechet",
     "load_result": "skd_evaluator.assessment.stages.library",
     "run_episode": "skd_evaluator.assessment.run.runner",
 }

@@ -169,7 +169,7 @@ class Skd:
         from skd_evaluator.assessment.stages.findings import undefined
         from skd_evaluator.assessment.stages.library import assess
         from skd_evaluator.errors import AssessmentError
-        from skd_evaluator.metrics.credibility import not_credible
+        from skd_evaluator.metrics.aborted import not_credible
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.plan.plan import Stage, split_episode_id
 from skd_evaluator.assessment.plan.probe import probed
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, holds_recordings, not_credible_beside
 from skd_evaluator.bags.read import read_episodes
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 
 EPISODES = "episodes.npz"
 _PER_EPISODE = {

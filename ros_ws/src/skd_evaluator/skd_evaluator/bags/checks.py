@@ -18,7 +18,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 from skd_evaluator.assessment.files.result_folder import MANIFEST, read_manifest
 from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Stage, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 
 OPTION = "--skip-damaged"
 

@@ -49,7 +49,7 @@ from skd_evaluator.report.terminal import (
     safe_trajectory_table,
     surrogate_table,
 )
-from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import risk_asked
 from skd_evaluator.ros.processes import log_of
 from skd_evaluator.ros.session import prepare_ros, rated_through_graph
 

@@ -20,10 +20,8 @@ from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.behaviour.model import FILE_NAME, MEANINGS, Behaviour, write_behaviour
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table, say_damage
-from skd_evaluator.risk.behaviour.fit import LEAST_TRACKS, behaviour_of, fit_behaviour
-from skd_evaluator.risk.behaviour.residuals import HORIZONS, QUANTILES
-from skd_evaluator.risk.behaviour.tracks import TIME_STEP, Tracked, read_tracks
-from skd_evaluator.risk.behaviour.validation import WITHIN, Validation, folds_of, validate
+from skd_evaluator.risk.behaviour.fit import HORIZONS, LEAST_TRACKS, QUANTILES, behaviour_of, fit_behaviour
+from skd_evaluator.risk.behaviour.tracks import TIME_STEP, WITHIN, Tracked, Validation, folds_of, read_tracks, validate
 
 PICTURE = "behaviour.png"
 VALIDATION = "validation.json"

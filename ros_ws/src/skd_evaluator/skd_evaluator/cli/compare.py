@@ -26,8 +26,8 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails
 from skd_evaluator.margin.common_trajectories import on_common_trajectories
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.behaviour import WALKERS
-from skd_evaluator.metrics.credibility import not_credible
 from skd_evaluator.report import repeat
 from skd_evaluator.report.curves import RatedCar, alike, basic_cars, rated_car
 from skd_evaluator.report.html.subjects import read_subjects

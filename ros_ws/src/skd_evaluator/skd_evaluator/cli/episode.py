@@ -19,8 +19,7 @@ from skd_evaluator.assessment.stages.written import fill_episode, write_with_scr
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.risk.asked import behaviour_asked
-from skd_evaluator.risk.single import single_crossing
+from skd_evaluator.risk.assessment_risk import behaviour_asked, single_crossing
 from skd_evaluator.ros.processes import GraphSetting, log_of
 from skd_evaluator.ros.session import graph_session, prepare_ros
 

@@ -92,8 +92,7 @@ class Gate:
         """
         from skd_evaluator.assessment.compare.gate import Check, check_limits
         from skd_evaluator.margin.common_trajectories import check_not_worse
-        from skd_evaluator.metrics.aborted import aborted_lines
-        from skd_evaluator.metrics.credibility import not_credible
+        from skd_evaluator.metrics.aborted import aborted_lines, not_credible
 
         kinds = ", ".join(f"{one['count']} aborted: {kind}" for kind, one in result["aborted_reasons"].items())
         aborted = "; ".join([*filter(None, [kinds]), *aborted_lines(result)])

@@ -14,9 +14,8 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.metrics.statistics.clustered import VarianceComponents, variance_components
-from skd_evaluator.metrics.statistics.prior import DISTANCES
-from skd_evaluator.metrics.statistics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
+from skd_evaluator.metrics.clustered import DISTANCES, VarianceComponents, variance_components
+from skd_evaluator.metrics.sample_size import COUNTS, Size, sizes_for_power, sizes_for_width
 from skd_evaluator.report.terminal import narrow_table, print_table
 
 if TYPE_CHECKING:

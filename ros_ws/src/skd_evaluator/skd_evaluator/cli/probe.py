@@ -27,7 +27,7 @@ from skd_evaluator.bags.car_logs import EPISODES, write_logs
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import fresh_graph, graphs_session, prepare_ros

@@ -18,8 +18,8 @@ from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.metrics.surrogate.episode import episode_measures
-from skd_evaluator.metrics.surrogate.scenes import course_of
+from skd_evaluator.metrics.surrogate_measures import episode_measures
+from skd_evaluator.metrics.surrogate_scenes import course_of
 from skd_evaluator.report.episode_pictures import ShownEpisode, believed_car, check_format, save_episode
 from skd_evaluator.report.formats import KeptFailure, kept_failures
 from skd_evaluator.report.html.subjects import Subject, read_subjects

@@ -26,13 +26,12 @@ from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.margin.ahead import margins_compiled_beside
+from skd_evaluator.margin.assessment_margin import margins_compiled_beside
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import sweep_table
 from skd_evaluator.report.terminal import print_table
-from skd_evaluator.risk.asked import risk_asked
-from skd_evaluator.risk.assessment_risk import warm_up_risk
+from skd_evaluator.risk.assessment_risk import risk_asked, warm_up_risk
 
 _RECORDED = "recorded"
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))

@@ -11,9 +11,9 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.state import CarState, RoadUserState
 
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.surrogate.clearance import clearance_at, clearances
-from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.surrogate_measures import clearance_at, clearances
+from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,26 @@
 
 The trials are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
 them. So the margins are a property of the car, and do not depend on what an adversary knew of it.
+
+At a first run the searches for the margin compile in a process of their own, beside the planners.
+
+They take as long as the planners of an assessment, nearly half a minute, and most machines have a second core. What is
+compiled there comes by the cache on disk, as in any later run, so nothing of a result depends on it.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
 from skd_sim.errors import UsageError
+from skd_sim.kernels.compilation import is_kept
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
@@ -21,17 +29,17 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import ExecutorRunner, available_workers, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
-from skd_evaluator.margin.exact.exact import exact_margin
+from skd_evaluator.margin.exact.exact import exact_margin, search_least_way
 from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.metrics.deviation import LeastWay, deviation
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
+from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.margins import Excess, Margins
 
 LABEL = "margins"
@@ -298,3 +306,32 @@ def with_margins(
         equivalent_note=note,
         seconds=rating.seconds + time.perf_counter() - begin,
     )
+
+
+@contextmanager
+def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], None]]:
+    """Begin to compile the searches for the margin in another process, where that is to be done anew.
+
+    Yields what loads them into this process, for `ExecutorRunner.start`: it waits for the other process first. Enter it
+    before other threads start: a process with threads is not safe to fork.
+
+    Args:
+        wanted: whether any margin is to be computed; if not, nothing is done.
+    """
+    with ExitStack() as stack:
+        wait: Callable[[], bool] | None = None
+        if wanted and available_workers() > 1 and not is_kept(search_least_way):
+            wait = stack.enter_context(in_background(_compile))
+
+        def load() -> None:
+            if wait is not None:
+                wait()  # however it ended: what it has not compiled is compiled here
+            if wanted:
+                warm_up_margins()
+
+        yield load
+
+
+def _compile() -> None:
+    warm_up_margins()
+    discrete_frechet(np.zeros((2, 2)), np.ones((2, 2)))

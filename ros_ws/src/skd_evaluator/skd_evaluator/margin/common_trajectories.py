@@ -29,9 +29,8 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes
 from skd_evaluator.margin.search.search import Hit, margins_beside
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.distances.least_way import LeastWay
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
 Ways = Sequence[Sequence[LeastWay | None]]

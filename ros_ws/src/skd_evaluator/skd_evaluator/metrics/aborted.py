@@ -2,12 +2,14 @@
 
 So beside each figure stands how many of its episodes were aborted, and what it would be at worst: if the car had hit in
 all of them. Everything follows from the content of assessment.json, so stored results are judged in the same way.
+
+Warnings by which the figures of an assessment are not credible, wherever they stand.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -276,3 +278,19 @@ def _percent(value: float) -> str:
 
 def _metres(value: float) -> str:
     return f"{value:.2f} m"
+
+
+NOT_CREDIBLE: Final = "not credible: "
+"""Begins a warning with which an assessment fails, no gate passes, and nothing is compared."""
+UNDISTURBED: Final = "with nobody near, "
+"""Begins a warning of a car that slows down for nobody, which a comparison repeats."""
+
+
+def not_credible(warnings: Iterable[object]) -> list[str]:
+    """Return those of an assessment's warnings by which its figures are not credible, a line each."""
+    return [line for line in in_one_line(warnings) if line.startswith(NOT_CREDIBLE)]
+
+
+def in_one_line(warnings: Iterable[object]) -> list[str]:
+    """Return an assessment's warnings, a line each."""
+    return [" ".join(str(line).split()) for line in warnings]

@@ -23,8 +23,8 @@ import numpy.typing as npt
 import scipy
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.statistics import Interval, mean
+from skd_evaluator.metrics.clustered import clustered_mean
+from skd_evaluator.metrics.statistics import Interval, mean
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,8 @@ import numpy as np
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import EpisodeLog
 
-from skd_evaluator.metrics.statistics.clustered import clustered_mean, student_quantile
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.statistics import Interval, mean, wilson_interval
+from skd_evaluator.metrics.clustered import clustered_mean, clustered_rate, student_quantile
+from skd_evaluator.metrics.statistics import Interval, mean, wilson_interval
 
 SCALES: Final = (1.0, 2.0, 3.0)
 RANKS: Final = 2.0

@@ -12,11 +12,10 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
-from skd_evaluator.metrics.distances.measures import Measure, Pair
-from skd_evaluator.metrics.statistics.clustered import Clustered, clustered_mean
-from skd_evaluator.metrics.statistics.prior import DISTANCES, PREFIXES, Prior
-from skd_evaluator.metrics.statistics.statistics import (
+from skd_evaluator.metrics.clustered import DISTANCES, PREFIXES, Clustered, Prior, clustered_mean
+from skd_evaluator.metrics.frechet import discrete_frechet_pairs
+from skd_evaluator.metrics.measures import Measure, Pair
+from skd_evaluator.metrics.statistics import (
     Interval,
     bound_influence,
     frechet_probability_bound,

@@ -17,7 +17,7 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator import palette
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.metrics.statistics.statistics import Interval
+from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.report.drawing import PAGE, TYPE, save_picture
 from skd_evaluator.report.terminal import car_name
 

@@ -13,7 +13,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_evaluator.assessment.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.metrics.margins import GAP_WARNING, UPPER_BOUNDS, stopped_at
-from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES
+from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 
 NOTHING = "–"
 

@@ -24,7 +24,7 @@ from skd_evaluator.assessment.judge.figure_table import Kind
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import KamikazeSet
 from skd_evaluator.metrics.contact_place import last_car_position
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import PAGE, TYPE, car_outline, draw_car, draw_fronts, draw_road, save_picture
 from skd_evaluator.report.terminal import car_name, counted
 from skd_evaluator.report.trend import Trend, day, scaled

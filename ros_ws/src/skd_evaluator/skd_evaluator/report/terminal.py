@@ -19,9 +19,9 @@ from skd_sim.options.car_under_test import CarUnderTest
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.bags.checks import Damage
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import GAP_WARNING
-from skd_evaluator.metrics.statistics.statistics import cantelli_bound
+from skd_evaluator.metrics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NO_RATING,
     TERMINAL,

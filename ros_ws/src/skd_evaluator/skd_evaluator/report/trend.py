@@ -21,9 +21,9 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understoo
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Kind
 from skd_evaluator.files import PREFIX
-from skd_evaluator.metrics.credibility import in_one_line, not_credible
+from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
-from skd_evaluator.metrics.statistics.statistics import Interval
+from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.formats import TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, car_name, narrow_table

@@ -1,6 +1,10 @@
 """The risk of an assessment: crude crossings of every car, and subset simulation where they show few hits.
 
 Nothing in it depends on time or on who computes it: crude crossings draw by their numbers, replicates by theirs.
+
+What options ask of the risk: by which behaviour model, and by how many crossings.
+
+One crossing of the risk by itself, the same that an assessment runs.
 """
 
 from __future__ import annotations
@@ -13,23 +17,23 @@ from typing import Any, Final
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
-from skd_sim.world.episode import EpisodeLog, Role, generator
+from skd_sim.world.episode import Episode, EpisodeLog, Role, generator
 
+from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.judge.failures import Walkers, failures_of
 from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_evaluator.metrics.behaviour.model import Behaviour
+from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
-from skd_evaluator.risk.any_car import AnyCar, end_of
-from skd_evaluator.risk.asked import NOT_ASKED, RiskAsked
-from skd_evaluator.risk.batched_car import batched_car
+from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
-from skd_evaluator.risk.known_car import KnownCar
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, Levels, Replicate, gathered, levels_of, replicate
 
 LABEL: Final = "risk"
@@ -268,3 +272,73 @@ def _subsets(
         found.append(one)
         progress(f"{LABEL}, R({scale:g})", count, effort.replicates)
     return gathered(found, effort)
+
+
+NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
+
+
+@dataclass(frozen=True)
+class RiskAsked:
+    """What is asked.
+
+    Attributes:
+        behaviour: the behaviour model; None: there is to be no risk.
+        runs: crude crossings at each scale; None: as many as is usual.
+        subset: whether there is subset simulation of a car that is not known, too.
+    """
+
+    behaviour: Behaviour | None = None
+    runs: int | None = None
+    subset: bool = False
+
+
+NOTHING_ASKED: Final = RiskAsked()
+
+
+def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False) -> RiskAsked:
+    """Return what options ask.
+
+    Raises:
+        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written; or the
+            risk is not asked for, and how to find it is.
+    """
+    if behaviour != NO_BEHAVIOUR:
+        return RiskAsked(behaviour_asked(behaviour), runs, subset)
+    if runs is not None or subset:
+        option = "--risk-subset" if runs is None else f"--risk-runs {runs}"
+        raise UsageError(f"{option}: --behaviour {NO_BEHAVIOUR} asks for no risk; leave one of them away")
+    return NOTHING_ASKED
+
+
+def behaviour_asked(name: str) -> Behaviour:
+    """Return the behaviour model of a name, file or folder, as `skd behaviour fit` wrote it.
+
+    Raises:
+        UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.
+    """
+    behaviour = load_behaviour(name)
+    check_unchanged(file_of(name).parent, [file_of(name).name])
+    return behaviour
+
+
+def single_crossing(plan: Plan, behaviour: Behaviour, safe_number: int, trial: int, scale: float) -> Episode:
+    """Return a crossing of a plan's risk as an episode.
+
+    Args:
+        plan: plan of the assessment.
+        behaviour: how people walk.
+        safe_number: number of φ among those of the plan, counted from 0.
+        trial: number of the draws of walker and car on it.
+        scale: by which the walker's normals are multiplied.
+
+    Raises:
+        UsageError: the plan has no risk.
+    """
+    if why := why_no_risk(plan, behaviour):
+        raise UsageError(f"--mode risk: {why}")
+    runner = InProcessRunner(1)
+    safe = tuple(safe_trajectories(plan, runner))
+    crossing_plan = CrossingPlan(plan, safe, behaviour.values)
+    normals = walkers_of(crossing_plan).normals(safe_number + trial * len(safe))
+    one = Crossings(np.array([safe_number]), normals[None], np.empty((1, 0)), np.array([trial]))
+    return AnyCar(crossing_plan, runner).episodes(one, scale)[0]

@@ -3,21 +3,26 @@
 A crossing is a φ, a row of the walker's standard normals, and the draws of the car: a row of standard normals where all
 that the car does is known, else the number by which an episode draws them. Whoever runs crossings says how each ended
 and by how much time the front of the moving car missed: 0 where it hit, and more than that where it did not.
+
+With which side of the car somebody was touched, and by how much time a hit by its moving front was missed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.world.contact import to_car_frame
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.metrics.behaviour.walking import normals_of
+from skd_evaluator.metrics.behaviour.model import normals_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,3 +137,113 @@ class CrossingPlan:
     def walker_normals(self) -> int:
         """How many normals a walker is made of."""
         return normals_of(self.ticks)
+
+
+SAME: Final = 1e-6
+"""m by which a touching disc's distance may differ from its radius."""
+IN_A_CURVE: Final = 0.01
+"""The same in a curve, whose arcs the contact test takes for chords."""
+_PARTS: Final = 4  # of a tick, at whose ends it is looked at by how much a hit is missed
+_SLOWEST: Final = 0.2  # m/s; somebody beside the car's way who stands, or goes away, counts as if walking there so
+
+CREEPING: Final = 0.6
+"""m/s; a car that is less than that faster than a hit counts as if it were so much faster.
+
+Else a car that rolls up to somebody is as far from a hit as one that stands, a hit by it is near nothing, and one that
+is found by luck stays in all levels: such replicates were seven times as large as others.
+"""
+
+
+@kernel
+def in_car_frame(
+    path: FloatArray, here: tuple[float, float], there: tuple[float, float], share: float
+) -> tuple[float, float, float]:
+    """Return where somebody is in the car's frame at a share of the tick, and the car's speed there."""
+    before, after = path[0], path[1]
+    x, y = here[0] + share * (there[0] - here[0]), here[1] + share * (there[1] - here[1])
+    car_x, car_y = before[0] + share * (after[0] - before[0]), before[1] + share * (after[1] - before[1])
+    ahead, left = to_car_frame(x, y, car_x, car_y, before[2] + share * (after[2] - before[2]))
+    return ahead, left, before[3] + share * (after[3] - before[3])
+
+
+@kernel
+def side_touched(
+    ahead: float,
+    left: float,
+    footprint: tuple[float, float, float],
+    radius: float,
+    impact: float,
+    hit_speed: float,
+    same: float,
+) -> int:
+    """Return how a touch counts, a `Touch`.
+
+    A disc that touches a side has its centre a radius beside it; one whose centre is nearer to the axis touches front
+    or rear, or one of their corners. In a curve it is not known as exactly how far beside it is, and near the radius it
+    tells whether the centre is ahead of the front, where nothing but a corner is.
+
+    Args:
+        ahead: how far the disc's centre is ahead of the car's reference point at the contact, m.
+        left: how far it is to the left of the car's axis, m.
+        footprint: of the car: front, rear and half width, m.
+        radius: of the disc, m.
+        impact: speed of the car at the contact, m/s.
+        hit_speed: of a hit, at the least, m/s.
+        same: how exactly the offset to the left is known, m: `SAME`, or `IN_A_CURVE`.
+    """
+    if impact < hit_speed:
+        return 3
+    front, rear, half_width = footprint
+    if abs(left) >= half_width + radius - SAME or ahead <= 0.5 * (front - rear):
+        return 2
+    return 2 if ahead <= front and abs(left) >= half_width + radius - same else 1
+
+
+@kernel
+def missed_by(
+    path: FloatArray,
+    here: tuple[float, float],
+    there: tuple[float, float],
+    until: float,
+    footprint: tuple[float, float, float],
+    radius: float,
+    hit_speed: float,
+    time_step: float,
+) -> float:
+    """Return the least time by which a disc misses the front of the moving car in a tick, s; infinity if it stands.
+
+    Ahead that is the distance over how much faster than a hit the car is: of a car that brakes at b and comes to that
+    speed a distance m short of somebody it is never less than √(2m/b), or m over `CREEPING`, so that crossings are
+    ordered by m, and a car that creeps, and can stop at once, is far from a hit, though not out of reach of one. To the
+    side it is the distance over how fast the disc comes: whoever stands beside the way of the car, or has left it, is
+    far from a hit, however near.
+
+    It orders crossings by how near they are to a hit, and no more hangs on it: it is looked at some times in a tick.
+
+    Args:
+        path: of the car in the tick, its two ends, 2 × 4.
+        here: where somebody is when the tick begins, m.
+        there: and when it ends, m.
+        until: share of the tick up to which to look.
+        footprint: of the car: front, rear and half width, m.
+        radius: of the disc, m.
+        hit_speed: speed of the car above which it moves, m/s.
+        time_step: duration of the tick, s.
+    """
+    least = math.inf
+    _, before, _ = in_car_frame(path, here, there, 0.0)
+    _, after, _ = in_car_frame(path, here, there, 1.0)
+    to_the_left = (after - before) / time_step
+    for part in range(_PARTS + 1):
+        ahead, left, speed = in_car_frame(path, here, there, until * part / _PARTS)
+        if speed > hit_speed:
+            aside = max(0.0, abs(left) - footprint[2])
+            off = ahead - footprint[0]
+            apart = math.sqrt(off * off + aside * aside)
+            if apart <= radius:
+                return 0.0
+            outside = 1.0 - radius / apart
+            comes = max(_SLOWEST, -to_the_left if left > 0.0 else to_the_left)
+            along, across = outside * off / max(speed - hit_speed, CREEPING), outside * aside / comes
+            least = min(least, math.sqrt(along * along + across * across))
+    return least

@@ -22,7 +22,7 @@ from skd_sim.arrays import FloatArray
 from skd_sim.world.episode import Role, generator
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.behaviour.walking import OF_PERSON
+from skd_evaluator.metrics.behaviour.model import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
 

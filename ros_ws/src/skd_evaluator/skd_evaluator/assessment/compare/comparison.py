@@ -30,10 +30,10 @@ from skd_evaluator.assessment.compare.unlike_results import (
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.assessment.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
+from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
 from skd_evaluator.metrics.risks import RANKS
-from skd_evaluator.metrics.statistics.difference import Difference, difference
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 
 SAFER, LESS_SAFE, NOT_TOLD_APART, NOT_COMPARED = "safer", "less safe", "not told apart", "not compared"
 MARGIN, DEVIATION = "margin", "deviation"

@@ -16,7 +16,7 @@ from skd_evaluator.assessment.compare.scenario_difference import (
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.judge.planned_figures import hit_speed
 from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.metrics.credibility import UNDISTURBED, in_one_line, not_credible
+from skd_evaluator.metrics.aborted import UNDISTURBED, in_one_line, not_credible
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:

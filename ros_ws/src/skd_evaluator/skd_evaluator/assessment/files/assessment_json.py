@@ -30,7 +30,7 @@ from skd_evaluator.assessment.judge.figure_table import (
     or_null,
     ref,
 )
-from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES
+from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 
 _WIDTH = 220
 _KINDS = (table.NUMBER, table.SHARE, table.INTERVAL, table.COUNT, table.FLAG, table.TEXT, table.LINES)

@@ -30,9 +30,8 @@ from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import Stage, episode_id, split_episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.contact_place import car_until_contact
-from skd_evaluator.metrics.distances.deviation import deviation_pairs
-from skd_evaluator.metrics.distances.frechet import discrete_frechet_pairs
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay, deviation_pairs
+from skd_evaluator.metrics.frechet import discrete_frechet_pairs
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 
 LARGEST = 128 * 2**20

@@ -24,10 +24,10 @@ from skd_evaluator.assessment.judge.command_age import command_age
 from skd_evaluator.assessment.judge.html import figures_html
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.judge.surrogate_figures import SURROGATES
-from skd_evaluator.metrics.credibility import in_one_line, not_credible
+from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.risks import Risks, Touch
 from skd_evaluator.metrics.skd import prefix_distances
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 from skd_evaluator.version import version
 

@@ -28,7 +28,7 @@ from skd_evaluator.assessment.judge.assessment import CONFIDENCE
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Told
 from skd_evaluator.assessment.judge.rating import Rating, judge_all
 from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_set
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import Excess, Margins
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
 

@@ -23,7 +23,9 @@ from skd_evaluator.assessment.plan.plan import (
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.metrics.distances.measures import (
+from skd_evaluator.metrics.clustered import Clustered, clustered_rate
+from skd_evaluator.metrics.deviation import MeanDeviation, Trials, mean_deviation
+from skd_evaluator.metrics.measures import (
     DEVIATION,
     FRECHET,
     PREFIX,
@@ -32,11 +34,8 @@ from skd_evaluator.metrics.distances.measures import (
     measure_pairs,
     pair_of,
 )
-from skd_evaluator.metrics.mean_deviation import MeanDeviation, Trials, mean_deviation
 from skd_evaluator.metrics.skd import SkdResult, compute_skd
-from skd_evaluator.metrics.statistics.clustered import Clustered
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.statistics import (
+from skd_evaluator.metrics.statistics import (
     Interval,
     wilson_interval,
 )

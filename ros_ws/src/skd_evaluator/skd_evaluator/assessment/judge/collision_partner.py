@@ -10,8 +10,8 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import RoadUserState
 
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact
-from skd_evaluator.metrics.surrogate.clearance import clearances
-from skd_evaluator.metrics.surrogate.scene import Scene
+from skd_evaluator.metrics.surrogate_measures import clearances
+from skd_evaluator.metrics.surrogate_scenes import Scene
 
 ADVERSARY = -1
 

@@ -28,8 +28,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Role, generator
 
 from skd_evaluator.assessment.plan.plan import Stage, episode_id
-from skd_evaluator.metrics.behaviour.model import NAMES
-from skd_evaluator.metrics.behaviour.walking import OF_PERSON, OF_TICK, normals_of, smooth, walked
+from skd_evaluator.metrics.behaviour.model import NAMES, OF_PERSON, OF_TICK, normals_of, smooth, walked
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 
 NEAREST: Final = 3

@@ -10,7 +10,7 @@ from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_evaluator.assessment.judge.assessment import Assessment
 from skd_evaluator.assessment.judge.rating import Rating
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.metrics.distances.deviation import deviation
+from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 
 BUDGETS = (0.25, 0.5, 1.0, 2.0)

@@ -30,15 +30,14 @@ from skd_evaluator.assessment.plan.plan import (
     kamikaze_sets,
     split_episode_id,
 )
-from skd_evaluator.metrics.credibility import not_credible
-from skd_evaluator.metrics.distances.measures import load_measures
+from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.metrics.clustered import Clustered, clustered_rate
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.metrics.margins import Margins, optimality_gap
+from skd_evaluator.metrics.measures import load_measures
 from skd_evaluator.metrics.risks import Risks
-from skd_evaluator.metrics.statistics.clustered import Clustered
-from skd_evaluator.metrics.statistics.clustered_rate import clustered_rate
-from skd_evaluator.metrics.statistics.sequential import UntilWidth
-from skd_evaluator.metrics.statistics.statistics import Interval, wilson_interval
+from skd_evaluator.metrics.sample_size import UntilWidth
+from skd_evaluator.metrics.statistics import Interval, wilson_interval
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, Vulnerability, vulnerability_curve
 from skd_evaluator.version import version
 

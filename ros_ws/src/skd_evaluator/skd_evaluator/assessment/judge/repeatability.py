@@ -30,7 +30,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Stage, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 
 SAMPLE: Final = 24
 """Episodes that are run again, at most."""

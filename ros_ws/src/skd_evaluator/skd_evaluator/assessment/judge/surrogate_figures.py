@@ -19,8 +19,8 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 
 from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner
 from skd_evaluator.assessment.plan.plan import split_episode_id
-from skd_evaluator.metrics.surrogate.episode import SURROGATE_MEASURES, surrogate_measures
-from skd_evaluator.metrics.surrogate.scenes import course_of
+from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, surrogate_measures
+from skd_evaluator.metrics.surrogate_scenes import course_of
 
 SURROGATES = "surrogate_measures.csv"
 ALONG_PHI, KAMIKAZES = "along_phi", "kamikazes"

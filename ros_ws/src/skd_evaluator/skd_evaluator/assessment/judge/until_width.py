@@ -1,7 +1,7 @@
 """Assessments that go on until they are certain enough: more φ, batch by batch, and a look after each.
 
 Every look has the intervals of `nominal_confidence`, so that they hold with 95 % at whichever one it stops: see
-`metrics/statistics/sequential.py`. Each batch has new φ, with as many kamikazes and runs along each; the result is the
+`metrics/sample_size.py`. Each batch has new φ, with as many kamikazes and runs along each; the result is the
 assessment of all φ so far, the same as if they had been asked for at once, except for the confidence.
 """
 
@@ -29,9 +29,9 @@ from skd_evaluator.assessment.plan.plan import (
     kamikaze_sets,
     safe_trajectories,
 )
-from skd_evaluator.metrics.distances.measures import load_measures
-from skd_evaluator.metrics.statistics.clustered import Clustered
-from skd_evaluator.metrics.statistics.sequential import UntilWidth, narrow_enough, nominal_confidence
+from skd_evaluator.metrics.clustered import Clustered
+from skd_evaluator.metrics.measures import load_measures
+from skd_evaluator.metrics.sample_size import UntilWidth, narrow_enough, nominal_confidence
 
 LOOKS = 10
 """Batches of φ at most."""

@@ -19,8 +19,8 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.learning.trials import finished, own_trials
 from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.distances.measures import pair_of
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.measures import pair_of
 
 CHOICES: Final = (FOREST_WAITING_REWARD, WAITING_REWARD, -0.4)
 """m of deviation for each step after φ's end."""

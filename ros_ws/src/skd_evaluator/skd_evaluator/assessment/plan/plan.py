@@ -28,8 +28,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan.options import GENERATED, OWN, WALKERS, CampaignOptions
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.metrics.behaviour.walking import normals_of, walked
+from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of, walked
 
 TRIALS_PER_REQUESTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""

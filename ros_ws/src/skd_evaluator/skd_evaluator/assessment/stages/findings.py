@@ -13,7 +13,7 @@ from skd_evaluator.assessment.judge.collision_partner import collision_partner
 from skd_evaluator.assessment.judge.rating import Rating, hit_too_often
 from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
 from skd_evaluator.metrics import aborted
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.report.formats import contact_warnings, margin_warnings
 

@@ -26,9 +26,9 @@ from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.assessment.stages.notebook import Result, result_of
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.assessment.stages.written import fill
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
-from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import risk_asked
 
 _COMMAND = ("skd_evaluator.assess",)
 _ONE_AT_A_TIME = threading.RLock()

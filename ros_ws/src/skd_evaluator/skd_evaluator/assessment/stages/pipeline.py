@@ -25,10 +25,8 @@ from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
 from skd_evaluator.assessment.stages.findings import aborted_lines
 from skd_evaluator.assessment.stages.graph_options import OF_NO_RESULT, GraphOptions
 from skd_evaluator.assessment.stages.simulated import with_simulation
-from skd_evaluator.margin.ahead import margins_compiled_beside
-from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.risk.asked import NOTHING_ASKED, RiskAsked
-from skd_evaluator.risk.assessment_risk import warm_up_risk, with_risks
+from skd_evaluator.margin.assessment_margin import margins_compiled_beside, with_margins
+from skd_evaluator.risk.assessment_risk import NOTHING_ASKED, RiskAsked, warm_up_risk, with_risks
 
 
 def compile_for_graph(plan: Plan, objectives: Sequence[Objective]) -> None:

@@ -23,10 +23,9 @@ from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
 from skd_evaluator.assessment.plan.plan import Plan, Progress
 from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
-from skd_evaluator.metrics.aborted import too_many_aborted
-from skd_evaluator.metrics.credibility import NOT_CREDIBLE, not_credible
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
 from skd_evaluator.metrics.margins import stopped_at
-from skd_evaluator.risk.asked import risk_asked
+from skd_evaluator.risk.assessment_risk import risk_asked
 
 TRIALS, RUNS = 2, 125
 """Trials on each φ of the margin, and runs along φ, four crossings for each of which the risk has."""

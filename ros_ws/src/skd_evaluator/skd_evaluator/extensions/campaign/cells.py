@@ -37,7 +37,7 @@ from skd_evaluator.assessment.stages.graph_options import OF_NO_RESULT, GraphOpt
 from skd_evaluator.extensions.campaign.campaign_file import Combination
 from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
 from skd_evaluator.provenance import CodeFiles, code_files, environment
-from skd_evaluator.risk.asked import RiskAsked, risk_asked
+from skd_evaluator.risk.assessment_risk import RiskAsked, risk_asked
 
 
 @dataclass(frozen=True)

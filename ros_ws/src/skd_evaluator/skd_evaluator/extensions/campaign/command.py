@@ -25,7 +25,7 @@ from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
 from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign
 from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Row, make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.margin.ahead import margins_compiled_beside
+from skd_evaluator.margin.assessment_margin import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program
 from skd_evaluator.report.side_by_side import LiveTable, campaign_table, cell_line, equal_remarks, plan_table

@@ -18,7 +18,7 @@ from skd_evaluator.extensions.exchange.osi import osi_messages, osi_name, osi_wr
 from skd_evaluator.extensions.exchange.scene import ADVERSARY, EGO, ExportedEpisode, actors_of, start_of
 from skd_evaluator.extensions.exchange.xml_formats import write_commonroad, write_openscenario
 from skd_evaluator.extensions.fusion.recording import TABLE_CAR, TABLE_OTHER
-from skd_evaluator.metrics.surrogate.scenes import Course, course_of
+from skd_evaluator.metrics.surrogate_scenes import Course, course_of
 from skd_evaluator.report.html.subjects import Subject
 
 _IDS = {EGO: TABLE_CAR, ADVERSARY: TABLE_OTHER}

@@ -14,7 +14,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.surrogate.scenes import Course, scene_of, velocities
+from skd_evaluator.metrics.surrogate_scenes import Course, scene_of, velocities
 
 EGO, ADVERSARY = "Ego", "Adversary"
 OTHER, OBSTACLE = "Other_{}", "Obstacle_{}"

@@ -42,7 +42,7 @@ from skd_evaluator.extensions.fusion.trial_sources import (
     table_in,
     track_of,
 )
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 

@@ -35,9 +35,9 @@ from skd_sim.world.state import CarState, Trajectory
 from skd_evaluator.assessment.run.runner import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
-from skd_evaluator.metrics.statistics.clustered import student_quantile
-from skd_evaluator.metrics.statistics.statistics import Interval
-from skd_evaluator.metrics.surrogate.scene import Scene
+from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.statistics import Interval
+from skd_evaluator.metrics.surrogate_scenes import Scene
 
 TYRES = "multi_body"
 """Dynamics that take the place of those without a brake and tyres."""

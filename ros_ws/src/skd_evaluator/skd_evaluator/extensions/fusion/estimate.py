@@ -49,8 +49,8 @@ import scipy
 from scipy import special
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.metrics.statistics.clustered import cluster_error, components_of, student_quantile
-from skd_evaluator.metrics.statistics.statistics import Interval, checked_confidence, plain_numbers, score_interval
+from skd_evaluator.metrics.clustered import cluster_error, components_of, student_quantile
+from skd_evaluator.metrics.statistics import Interval, checked_confidence, plain_numbers, score_interval
 
 _DRAWS, _NUMBERS = 2000, 2_000_000
 _LEAST = 200

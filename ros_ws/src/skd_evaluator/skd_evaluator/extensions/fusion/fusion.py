@@ -33,9 +33,9 @@ from skd_evaluator.extensions.fusion.estimate import (
     trials_saved,
 )
 from skd_evaluator.extensions.fusion.trial import FIGURES, GAP_TOLERANCE, Pairs, PhysicalTrial, TrialFigure, paired
-from skd_evaluator.metrics.statistics.clustered import student_quantile
-from skd_evaluator.metrics.statistics.sequential import nominal_confidence
-from skd_evaluator.metrics.statistics.statistics import Interval
+from skd_evaluator.metrics.clustered import student_quantile
+from skd_evaluator.metrics.sample_size import nominal_confidence
+from skd_evaluator.metrics.statistics import Interval
 
 
 @dataclass(frozen=True)

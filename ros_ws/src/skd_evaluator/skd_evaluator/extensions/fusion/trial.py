@@ -13,11 +13,8 @@ from skd_sim.inputs.files import did_you_mean
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.metrics.surrogate.braking import MOST, greatest_required_deceleration
-from skd_evaluator.metrics.surrogate.clearance import least_clearance
-from skd_evaluator.metrics.surrogate.episode import GRID
-from skd_evaluator.metrics.surrogate.scene import Scene
-from skd_evaluator.metrics.surrogate.scenes import Scenes
+from skd_evaluator.metrics.surrogate_measures import GRID, MOST, greatest_required_deceleration, least_clearance
+from skd_evaluator.metrics.surrogate_scenes import Scene, Scenes
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,8 @@ from skd_evaluator.extensions.fusion.trial import (
     gap_to_crossing,
 )
 from skd_evaluator.metrics.margins import open_search
-from skd_evaluator.metrics.surrogate.clearance import clearances
-from skd_evaluator.metrics.surrogate.scene import Scene
-from skd_evaluator.metrics.surrogate.scenes import course_of, scene_of
+from skd_evaluator.metrics.surrogate_measures import clearances
+from skd_evaluator.metrics.surrogate_scenes import Scene, course_of, scene_of
 
 NAME = "trials.csv"
 """The table in a folder of trials."""

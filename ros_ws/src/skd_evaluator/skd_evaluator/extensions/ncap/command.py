@@ -23,10 +23,21 @@ from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid, scenario_of, wanted_cells
 from skd_evaluator.extensions.ncap.layout import print_ncap
-from skd_evaluator.extensions.ncap.result import PAGE, PICTURE, RESULT, TABLE, Grid, Ncap, as_data, write_table
-from skd_evaluator.extensions.ncap.verification import HOW, points_of, with_calculator
+from skd_evaluator.extensions.ncap.result import (
+    HOW,
+    PAGE,
+    PICTURE,
+    RESULT,
+    TABLE,
+    Grid,
+    Ncap,
+    as_data,
+    points_of,
+    with_calculator,
+    write_table,
+)
 from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.version import version

@@ -41,7 +41,7 @@ from skd_evaluator.extensions.ncap.layout import (
 )
 from skd_evaluator.extensions.ncap.matrices import ROOM, Matrix, matrix_of
 from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap, rounded_kmh
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import bounded, counted
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import Section, filled

@@ -19,7 +19,7 @@ from skd_sim.world.episode import Episode, EpisodeLog
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.group import OTHER, Group
 from skd_evaluator.margin.search.trial import ActionSpace, Trial
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess
 
 CHANGE: Final = 0.02

@@ -22,8 +22,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.margin.actions import velocities
-from skd_evaluator.metrics.distances.deviation import deviation
-from skd_evaluator.metrics.distances.least_way import LeastWay
+from skd_evaluator.metrics.deviation import LeastWay, deviation
 
 ENOUGH = 1e-9
 """m: a trajectory that deviates less is φ itself."""

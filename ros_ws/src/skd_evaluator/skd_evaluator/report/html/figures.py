@@ -12,7 +12,7 @@ from skd_sim.world.episode import Mode
 
 from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (
     NOTHING,
     bounded,

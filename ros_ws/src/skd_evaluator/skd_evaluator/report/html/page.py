@@ -17,7 +17,7 @@ from skd_evaluator import palette
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
-from skd_evaluator.metrics.statistics.statistics import mean
+from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (
     NO_RATING,
     failures_in,

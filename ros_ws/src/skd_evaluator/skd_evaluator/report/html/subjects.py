@@ -20,7 +20,7 @@ from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understoo
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, failing_episodes
 from skd_evaluator.assessment.files.results import read_checked
 from skd_evaluator.files import tails
-from skd_evaluator.metrics.credibility import not_credible
+from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.vulnerability_curve import vulnerability_curve
 from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.terminal import car_name

@@ -5,23 +5,35 @@ Simulated people intend to go straight on at one pace; all that differs from tha
 many persons varies by chance under the model (the simulated method of moments: McFadden, Econometrica 57, 1989). The
 same normals at every step make the distance smooth. Intervals follow from the same weights, that of `unrest` from a
 test of each value (`inversion`).
+
+What tracks of people say about how they deviate: residuals of constant velocity, and other numbers of a group.
+
+The residual at a horizon is how far somebody is from where the velocity of the last tick would have brought them.
+
+The interval of a behaviour model's parameter by inversion of a test: the values that the tracks do not reject.
+
+A standard error at the estimate does not do for how much people differ in restlessness. So few of them tell little of
+it, the estimate is 0 for one group in six, and the spread by chance hangs on the value itself: where the estimate is
+small by chance, so is its error. So each value is tried by itself. All other parameters are fitted with it, groups of
+people are simulated by them, and the tracks are held against those groups by the one number that tells of the parameter
+and, to first order, of no other (the score of a C(α) test: Neyman, in Grenander, Probability and Statistics, 1959). A
+value is in the interval if the tracks' number is between the groups' quantiles.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter
-from skd_evaluator.metrics.behaviour.walking import normals_of, walk_many
-from skd_evaluator.risk.behaviour.inversion import inverted, ridge
-from skd_evaluator.risk.behaviour.residuals import padded, summary
+from skd_evaluator.metrics.behaviour.model import MEANINGS, NAMES, Behaviour, Parameter, normals_of, walk_many
 
 LEAST_TRACKS: Final = 8
 FITTED: Final = tuple(name for name, one in MEANINGS.items() if one.fitted)
@@ -36,7 +48,6 @@ _GROUPS = 160  # simulated groups of as many persons, by which chance is known
 _STEPS = 12
 _SETTLED = 1e-3  # of a step, in standard errors
 _DIFFERENCE, _LITTLE = 0.05, 0.005
-_FURTHEST = 0.5
 _SEED = 20190211
 
 
@@ -238,3 +249,217 @@ def behaviour_of(fit: Fit, name: str, kind: str, description: str, source: str) 
         rounded = None if interval is None else (round(interval[0], 4), round(interval[1], 4))
         rows[parameter] = Parameter(round(value, 4), "assumed" if interval is None else source, rounded)
     return Behaviour(name, kind, description, rows)
+
+
+HORIZONS: Final = (0.6, 1.2, 2.4)
+"""s."""
+QUANTILES: Final = (0.5, 0.95, 0.99)
+_SHAPE = (0.5, 0.8, 0.95, 0.99)
+_SLOW = 0.4  # of one's own brisk pace: who is slower has all but stopped
+_BRISK = 0.7  # quantile of one's speeds
+_LEAST = 1e-4
+
+
+def padded(ways: Sequence[FloatArray]) -> FloatArray:
+    """Return ways of several lengths as one array, m × longest × 2, with nan behind their ends."""
+    found = np.full((len(ways), max(map(len, ways)), 2), np.nan)
+    for row, way in enumerate(ways):
+        found[row, : len(way)] = way
+    return found
+
+
+def residuals(ways: FloatArray, ticks: int) -> FloatArray:
+    """Return residuals of constant velocity, m × n × 2 (along East and North), m; nan where a way is over.
+
+    Args:
+        ways: places at ticks, m × n × 2, m; nan behind the end of a way.
+        ticks: the horizon.
+    """
+    step = ways[:, 1:-ticks] - ways[:, : -ticks - 1]
+    return np.asarray(ways[:, 1 + ticks :] - ways[:, 1:-ticks] - ticks * step)
+
+
+def ticks_of(horizon: float, time_step: float) -> int:
+    """Return how many ticks a horizon (s) has."""
+    return max(1, round(horizon / time_step))
+
+
+def quantile_table(ways: FloatArray, time_step: float) -> FloatArray:
+    """Return the quantiles of the length of the residuals, horizons × `QUANTILES`, m."""
+    rows = [np.hypot(*np.moveaxis(residuals(ways, ticks_of(one, time_step)), -1, 0)) for one in HORIZONS]
+    return np.array([np.quantile(row[np.isfinite(row)], QUANTILES) for row in rows])
+
+
+def summary(ways: FloatArray, time_step: float) -> FloatArray:
+    """Return the numbers by which a behaviour model is fitted to a group of tracks.
+
+    Logarithms of quantiles of the residuals, of their part across, of how persons differ in pace, direction and
+    restlessness, and of the highest speeds; and the shares, by their square roots, of ticks and of persons that all but
+    stand.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows of nothing but nan
+        return _summary(ways, time_step)
+
+
+def _summary(ways: FloatArray, time_step: float) -> FloatArray:
+    found: list[float] = []
+    near: FloatArray | None = None
+    for horizon in HORIZONS:
+        both = residuals(ways, ticks_of(horizon, time_step))
+        length = np.hypot(both[..., 0], both[..., 1])
+        near = length if near is None else near
+        found += _logs(np.quantile(length[np.isfinite(length)], _SHAPE))
+        across = np.abs(both[..., 1])
+        found += _logs(np.quantile(across[np.isfinite(across)], (0.5, 0.95)))
+    steps = np.diff(ways, axis=1)
+    speeds = np.hypot(steps[..., 0], steps[..., 1]) / time_step
+    brisk = _quantile_of_rows(speeds, _BRISK)
+    found.append(_log_sd(np.log(np.maximum(brisk, _LEAST))))
+    whole = np.nansum(steps, axis=1)
+    found.append(_log_sd(np.arctan2(whole[:, 1], whole[:, 0])))
+    assert near is not None
+    found.append(_log_sd(np.log(np.maximum(np.sqrt(np.nanmean(near**2, axis=1)), _LEAST))))
+    relative = speeds / brisk[:, None]
+    known = np.isfinite(relative)
+    found += _logs(np.quantile(relative[known], (0.3, 0.5, 0.9, 0.99)))
+    slow = known & (relative < _SLOW)
+    found += [np.sqrt(slow.sum() / known.sum()), np.sqrt(slow.any(axis=1).mean())]
+    bends = np.diff(steps[..., 1], axis=1)
+    found += _logs([np.sqrt(np.nanmean(bends**2))])
+    return np.array(found)
+
+
+def _quantile_of_rows(values: FloatArray, share: float) -> FloatArray:
+    """Return a quantile of each row, nan left out; numpy's own is slow."""
+    ranked = np.sort(values, axis=1)  # nan come last
+    place = share * (np.isfinite(values).sum(axis=1) - 1)
+    below = np.maximum(place.astype(np.int64), 0)
+    rows, above = np.arange(len(values)), np.minimum(below + 1, values.shape[1] - 1)
+    low, high = ranked[rows, below], ranked[rows, above]
+    return np.asarray(low + (place - below) * np.where(np.isfinite(high), high - low, 0.0))
+
+
+def _logs(values: npt.ArrayLike) -> list[float]:
+    return [float(one) for one in np.log(np.maximum(np.asarray(values, np.float64), _LEAST))]
+
+
+def _log_sd(values: FloatArray) -> float:
+    return float(np.log(max(float(np.std(values, ddof=1)), _LEAST)))
+
+
+_BISECTIONS: Final = 6
+_RIDGE: Final = 1e-2
+_FURTHEST: Final = 0.5
+_OUTWARD: Final = 6
+
+
+class Problem(Protocol):
+    """What is fitted to tracks."""
+
+    wanted: FloatArray
+    """The summary of the tracks."""
+
+    def allowed(self, free: FloatArray) -> FloatArray:
+        """Return the nearest parameters within what is allowed, on the scale on which they are fitted."""
+
+    def summary_at(self, free: FloatArray) -> FloatArray:
+        """Return the summary of people simulated by parameters."""
+
+    def jacobian_at(self, free: FloatArray) -> FloatArray:
+        """Return its derivatives."""
+
+    def groups_at(self, free: FloatArray) -> FloatArray:
+        """Return the summary of each of many groups of as many people as there are tracks."""
+
+
+def inverted(
+    problem: Problem, free: FloatArray, index: int, error: float, most: float, confidence: float = 0.95
+) -> tuple[float, float]:
+    """Return the interval of a parameter that is at least 0, on the scale on which it is fitted.
+
+    Args:
+        problem: what is fitted.
+        free: the estimate of all fitted parameters.
+        index: of the parameter among them.
+        error: its standard error, about; says where to look.
+        most: greatest value allowed, on that scale.
+        confidence: two-sided.
+    """
+    tail, weights = 0.5 * (1.0 - confidence), _weights(problem.groups_at(free))
+
+    def above(value: float) -> float:
+        """Return by how much a value is not too large: below 0 it is rejected."""
+        score, groups = _score(problem, weights, free, index, value)
+        return score - float(np.quantile(groups, tail))
+
+    def below(value: float) -> float:
+        score, groups = _score(problem, weights, free, index, value)
+        return float(np.quantile(groups, 1.0 - tail)) - score
+
+    inside = float(free[index])
+    high, outside = inside, min(most, inside + 2.0 * error)
+    for _ in range(_OUTWARD):
+        if outside >= most or above(outside) < 0.0:
+            break
+        high, outside = outside, min(most, outside + error)
+    high = _edge(above, high, outside)
+    low = 0.0 if inside <= 0.0 or below(0.0) >= 0.0 else _edge(below, inside, 0.0)
+    return low, high
+
+
+def ridge(information: FloatArray, share: float) -> FloatArray:
+    """Return what is added to an information matrix, so that steps are short and it has an inverse.
+
+    Args:
+        information: a row for each parameter.
+        share: of its diagonal that is added; where that is 0, for nothing hangs on a parameter, 1 is.
+    """
+    diagonal = np.diag(information)
+    return np.asarray(np.diag(np.where(diagonal > 0.0, share * diagonal, 1.0)))
+
+
+def _edge(fine: Callable[[float], float], inside: float, outside: float) -> float:
+    """Return where a function becomes negative, by bisection."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if fine(middle) >= 0.0 else (inside, middle)
+    return 0.5 * (inside + outside)
+
+
+def _weights(groups: FloatArray) -> FloatArray:
+    """Return how much each number of a summary counts: the inverse of its variance among groups."""
+    return np.asarray(1.0 / (groups.var(axis=0, ddof=1) + 1e-8))
+
+
+def _score(
+    problem: Problem, weights: FloatArray, free: FloatArray, index: int, value: float
+) -> tuple[float, FloatArray]:
+    """Return what tells of the parameter, of the tracks and of groups that are simulated with a value of it."""
+    here, jacobian = _others_fitted(problem, weights, free, index, value)
+    groups = problem.groups_at(here)
+    centre, weighed = groups.mean(axis=0), jacobian.T * _weights(groups)
+    gain = (np.linalg.pinv(weighed @ jacobian) @ weighed)[index]
+    return float(gain @ (problem.wanted - centre)), (groups - centre) @ gain
+
+
+def _others_fitted(
+    problem: Problem, weights: FloatArray, free: FloatArray, index: int, value: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return all parameters, the others being fitted by one step, and the derivatives from which it went."""
+    here = free.copy()
+    here[index] = value
+    here = problem.allowed(here)
+    jacobian, off = problem.jacobian_at(here), problem.wanted - problem.summary_at(here)
+    others = np.delete(jacobian, index, axis=1)
+    information = (others.T * weights) @ others
+    step = np.linalg.solve(information + ridge(information, _RIDGE), (others.T * weights) @ off)
+    best = float(off @ (weights * off))
+    for share in (1.0, 0.5, 0.25):
+        trial = here.copy()
+        trial[np.arange(here.size) != index] += np.clip(share * step, -_FURTHEST, _FURTHEST)
+        trial = problem.allowed(trial)
+        left = problem.wanted - problem.summary_at(trial)
+        if float(left @ (weights * left)) < best:
+            return trial, jacobian
+    return here, jacobian

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from skd_evaluator.metrics.statistics.clustered import clustered_mean, group_notes, student_quantile
-from skd_evaluator.metrics.statistics.statistics import Interval, checked_confidence, mean, plain_numbers
+from skd_evaluator.metrics.clustered import clustered_mean, group_notes, student_quantile
+from skd_evaluator.metrics.statistics import Interval, checked_confidence, mean, plain_numbers
 
 Groups = Sequence[npt.ArrayLike]
 TIE: Final = 0.5

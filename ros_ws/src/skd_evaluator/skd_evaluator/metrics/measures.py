@@ -18,9 +18,8 @@ from skd_sim.options.registry import Registry, reason_of
 from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.metrics.statistics.clustered import clustered_mean
-from skd_evaluator.metrics.statistics.prior import Prior
-from skd_evaluator.metrics.statistics.statistics import mean, normal_interval
+from skd_evaluator.metrics.clustered import Prior, clustered_mean
+from skd_evaluator.metrics.statistics import mean, normal_interval
 
 FRECHET, PREFIX, DEVIATION = "frechet", "prefix", "deviation"
 MEASURES = Registry(
@@ -29,9 +28,9 @@ MEASURES = Registry(
     {
         FRECHET: "skd_evaluator.metrics.skd:FRECHET",
         PREFIX: "skd_evaluator.metrics.skd:PREFIX",
-        DEVIATION: "skd_evaluator.metrics.mean_deviation:DEVIATION",
-        "warped": "skd_evaluator.metrics.distances.time_warping:WARPED",
-        "required_deceleration_at_entry": "skd_evaluator.metrics.entry_deceleration:DECELERATION_AT_ENTRY",
+        DEVIATION: "skd_evaluator.metrics.deviation:DEVIATION",
+        "warped": "skd_evaluator.metrics.frechet:WARPED",
+        "required_deceleration_at_entry": "skd_evaluator.metrics.contact_place:DECELERATION_AT_ENTRY",
     },
 )
 

@@ -1,0 +1,317 @@
+"""Deviation: how far ψ was, at worst, from where φ would have been at the same time.
+
+D(φ, ψ) = max over 0 ≤ t ≤ t_c of |ψ(t) − φ(t)|, t_c the time of the contact, φ held at its last point after its end.
+
+Unlike the Fréchet distance, which compares places alone, it compares places at times: waiting costs as much as another
+way does, and what φ still had to go after t_c costs nothing. It is the supremum metric of paths over one span of time,
+the coupling of times being the identity. It is linear in length, and 0 exactly where ψ walks φ up to the contact.
+
+Both move uniformly within a tick, so their difference is linear in time there and its norm convex: its greatest value
+over a tick is at an end of it. Ticks and the contact therefore suffice, and the value is exact. φ ends at a tick.
+
+The way of least deviation on which the moving car hits, in one trial.
+
+The mean deviation of a car: what a kamikaze needed, over all trials, those that failed included.
+
+A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
+the lucky trials would count. So a trial that fails counts as η_max, and so does one that needed more. That is the
+restricted mean of survival analysis (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013), with the
+deviation in the place of time: ∫ (1 − P(η)) dη from 0 to η_max, where P(η) is the share of trials that hit the car
+within a deviation of η.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.kernels.compilation import kernel
+from skd_sim.world.state import Trajectory
+
+from skd_evaluator.metrics.clustered import DISTANCES, Clustered, clustered_mean
+from skd_evaluator.metrics.measures import Measure
+from skd_evaluator.metrics.statistics import Interval, mean, normal_interval
+
+_ROUNDING = 1e-6  # ticks; a duration is a quotient of times, and a recording may have been computed elsewhere
+
+
+def deviation(phi: npt.ArrayLike, psi: npt.ArrayLike, duration: float) -> float:
+    """Return the deviation of one pair, by the plain formula.
+
+    Args:
+        phi: n × d positions at ticks 0 … n − 1, m; n ≥ 1, finite.
+        psi: m × d positions, m; m ≥ 1, finite: at ticks 0 … m − 2, and the last at the contact.
+        duration: time of the contact, in ticks, from m − 2 to m − 1 (0 where m is 1).
+
+    Returns:
+        D, in the unit of the positions.
+
+    Raises:
+        ValueError: an array is empty, is not n × d, or has a value that is not finite; the two d differ; or the
+            duration is not one of so many positions.
+    """
+    first, second = _points(phi, "phi"), _points(psi, "psi")
+    time = _checked(first, second, duration, "psi")
+    ticks = max(len(second) - 2, 0)
+    held = first[np.minimum(np.arange(ticks + 2), len(first) - 1)]
+    there = np.vstack([held[: len(second) - 1], held[ticks] + (time - ticks) * (held[ticks + 1] - held[ticks])])
+    # Coordinate by coordinate, as the kernel adds them up: numpy sums a row in an order of its own.
+    squared = sum((second[:, axis] - there[:, axis]) ** 2 for axis in range(second.shape[1]))
+    return math.sqrt(float(np.max(squared)))
+
+
+def deviation_pairs(phi: npt.ArrayLike, psis: Sequence[npt.ArrayLike], durations: npt.ArrayLike) -> FloatArray:
+    """Return the deviations of many ψ of one φ, the same bits as `deviation` gives.
+
+    Args:
+        phi: n × d positions at ticks, m; n ≥ 1, finite.
+        psis: K arrays of m_k × d positions, m, each as in `deviation`; may be empty.
+        durations: K times of contact, in ticks.
+
+    Returns:
+        K values, in the unit of the positions.
+
+    Raises:
+        ValueError: as `deviation`; the message says which ψ. Or there are not as many durations as ψ.
+    """
+    first = _points(phi, "phi")
+    curves = [_points(psi, f"psis[{index}]") for index, psi in enumerate(psis)]
+    times = np.array(durations, dtype=np.float64)
+    if times.shape != (len(curves),):
+        raise ValueError(f"there are {len(curves)} psis, and durations of shape {times.shape}")
+    for index, (curve, time) in enumerate(zip(curves, times.tolist(), strict=True)):
+        times[index] = _checked(first, curve, time, f"psis[{index}]")
+    out = np.empty(len(curves))
+    if curves:
+        ends = np.cumsum([len(curve) for curve in curves], dtype=np.int64)
+        _measure(np.ascontiguousarray(first), np.concatenate(curves), ends, times, out)
+    return out
+
+
+@kernel(allocates=False)
+def _measure(phi: FloatArray, psis: FloatArray, ends: IntArray, durations: FloatArray, out: FloatArray) -> None:
+    """Write the deviation of each ψ, rows ends[k − 1] … ends[k] − 1 of `psis`, into out[k]."""
+    last = phi.shape[0] - 1
+    begin = 0
+    for index in range(out.size):
+        contact = ends[index] - begin - 1
+        greatest = 0.0
+        for tick in range(contact):
+            squared = 0.0
+            for axis in range(phi.shape[1]):
+                difference = psis[begin + tick, axis] - phi[min(tick, last), axis]
+                squared += difference * difference
+            greatest = max(greatest, squared)
+        before = max(contact - 1, 0)
+        share = durations[index] - before
+        here, there = min(before, last), min(before + 1, last)
+        squared = 0.0
+        for axis in range(phi.shape[1]):
+            difference = psis[begin + contact, axis] - (phi[here, axis] + share * (phi[there, axis] - phi[here, axis]))
+            squared += difference * difference
+        out[index] = math.sqrt(max(greatest, squared))
+        begin = ends[index]
+
+
+def _points(values: npt.ArrayLike, name: str) -> FloatArray:
+    points: FloatArray = np.array(values, dtype=np.float64)
+    if points.ndim != 2 or points.shape[0] == 0 or points.shape[1] == 0:
+        raise ValueError(f"{name} must be n × d positions with n, d ≥ 1, got shape {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError(f"{name} has a coordinate that is not finite")
+    return points
+
+
+def _checked(phi: FloatArray, psi: FloatArray, duration: float, name: str) -> float:
+    """Return the duration, within the last tick of ψ to the last bit."""
+    if phi.shape[1] != psi.shape[1]:
+        raise ValueError(f"phi has {phi.shape[1]} coordinates a position, {name} has {psi.shape[1]}")
+    low, high = max(len(psi) - 2, 0), len(psi) - 1
+    if not low - _ROUNDING <= duration <= high + _ROUNDING:
+        raise ValueError(
+            f"the duration of {name}, {len(psi)} positions, must be from {low} to {high} ticks, got {duration:g}"
+        )
+    return min(max(float(duration), float(low)), float(high))
+
+
+@dataclass(frozen=True, eq=False)
+class LeastWay:
+    """The way of least deviation that ends in a hit, under the draws of one trial.
+
+    Attributes:
+        distance: deviation of the way, m.
+        trajectory: the adversary's positions per tick, the last of them at the contact, m.
+        duration: time until the contact, ticks.
+        impact_speed: speed of the car at the contact, m/s; at least the scenario's `collision.hit_speed`.
+        gap: the least deviation of all is no more than this below `distance`, m; 0: up to rounding it is `distance`;
+            infinity: that is not known, for the way was found by search.
+    """
+
+    distance: float
+    trajectory: Trajectory
+    duration: float
+    impact_speed: float
+    gap: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """The trials on one φ.
+
+    Attributes:
+        phi: the safe trajectory φ.
+        psis: the trajectories ψ of the trials that collided, each up to its contact.
+        durations: times of the contacts, in ticks since the start, one for each ψ.
+        failed: number of trials that ran to their end and did not collide.
+        measured: deviation of each ψ, m, where it is known already.
+    """
+
+    phi: Trajectory
+    psis: Sequence[Trajectory]
+    durations: Sequence[float]
+    failed: int
+    measured: FloatArray | None = None
+
+    def distances(self) -> FloatArray:
+        """Return the deviation of each ψ, m."""
+        if self.measured is not None:
+            return self.measured
+        return _distances(self.phi, self.psis, self.durations)
+
+
+@dataclass(frozen=True, eq=False)
+class SafeTrajectoryDeviation:
+    """What the trials on one φ needed.
+
+    Attributes:
+        name: name of φ.
+        distances: deviation of each trial that collided, in the order of the ψ given, m.
+        failed: number of trials that did not collide.
+        eta_max: η_max, m: what a trial counts as that failed.
+    """
+
+    name: str
+    distances: FloatArray
+    failed: int
+    eta_max: float
+
+    @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return int(self.distances.size) + self.failed
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What each trial counts as, those that collided first, m."""
+        return np.concatenate([np.minimum(self.distances, self.eta_max), np.full(self.failed, self.eta_max)])
+
+    @property
+    def mean(self) -> float | None:
+        """Restricted mean, m; None without a trial."""
+        return mean(self.restricted) if self.trials else None
+
+    @property
+    def mean_of_successes(self) -> float | None:
+        """Mean over the trials that collided, m; None where none did."""
+        return mean(self.distances) if self.distances.size else None
+
+
+@dataclass(frozen=True, eq=False)
+class MeanDeviation:
+    """The mean deviation and what is reported with it. What cannot be computed is None.
+
+    Attributes:
+        mean: restricted mean over all trials, m; None without a trial.
+        ci95: normal 95 % interval over trials, m; None with fewer than two.
+        clustered: the same mean with what its error over φ is, m; None without a trial.
+        of_successes: mean over the trials that collided, m.
+        of_successes_ci95: normal 95 % interval of the mean over successes, m.
+        eta_max: η_max, m: what a trial counts as that failed.
+        per_safe_trajectory: one entry for each φ, in the order given.
+    """
+
+    mean: float | None
+    ci95: Interval | None
+    clustered: Clustered | None
+    of_successes: float | None
+    of_successes_ci95: Interval | None
+    eta_max: float
+    per_safe_trajectory: tuple[SafeTrajectoryDeviation, ...]
+
+    @property
+    def ci95_clustered(self) -> Interval | None:
+        """Interval of the mean over φ, m; None where fewer than two φ have trials."""
+        return self.clustered.interval if self.clustered else None
+
+    @property
+    def distances(self) -> FloatArray:
+        """Deviation of every trial that collided, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.distances for entry in self.per_safe_trajectory)])
+
+    @property
+    def restricted(self) -> FloatArray:
+        """What every trial counts as, φ by φ, m."""
+        return np.concatenate([np.empty(0), *(entry.restricted for entry in self.per_safe_trajectory)])
+
+    @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return sum(entry.trials for entry in self.per_safe_trajectory)
+
+
+def mean_deviation(
+    trials_by_phi: Iterable[Trials],
+    *,
+    eta_max: float,
+    confidence: float = 0.95,
+) -> MeanDeviation:
+    """Compute the mean deviation of trials on safe trajectories.
+
+    Args:
+        trials_by_phi: the trials on each φ.
+        eta_max: η_max, m, > 0.
+        confidence: confidence of the interval over φ; intervals over trials have 95 %.
+
+    Raises:
+        ValueError: η_max is not positive; or as `deviation_pairs`.
+    """
+    if not eta_max > 0.0:
+        raise ValueError(f"eta_max must be positive, got {eta_max}")
+    entries = tuple(
+        SafeTrajectoryDeviation(
+            one.phi.name,
+            one.distances(),
+            one.failed,
+            eta_max,
+        )
+        for one in trials_by_phi
+    )
+    groups = [entry.restricted for entry in entries]
+    counting = np.concatenate([np.empty(0), *groups])
+    collided = np.concatenate([np.empty(0), *(entry.distances for entry in entries)])
+    return MeanDeviation(
+        mean=mean(counting) if counting.size else None,
+        ci95=normal_interval(counting),
+        clustered=clustered_mean(groups, confidence, prior=DISTANCES, limits=(0.0, eta_max)),
+        of_successes=mean(collided) if collided.size else None,
+        of_successes_ci95=normal_interval(collided),
+        eta_max=eta_max,
+        per_safe_trajectory=entries,
+    )
+
+
+def _distances(phi: Trajectory, psis: Sequence[Trajectory], durations: Sequence[float]) -> FloatArray:
+    return deviation_pairs(phi.positions, [psi.positions for psi in psis], np.asarray(durations, float))
+
+
+DEVIATION = Measure(
+    "deviation",
+    "m",
+    lambda phi, pairs: _distances(phi, [pair.psi for pair in pairs], [pair.duration for pair in pairs]),
+    shown=False,
+    headline=True,
+)

@@ -1,1 +1,0 @@
-"""Distances of a pair (φ, ψ)."""

@@ -1,1 +1,0 @@
-"""Means, rates, intervals and sizes of samples."""

@@ -1,0 +1,422 @@
+"""Crossings in front of any car: whole episodes in which somebody follows the way that the normals say.
+
+Crossings in front of the basic car, all that it does being known: compiled, the same to the bit as episodes.
+
+Crossings in front of a car whose policy answers many episodes at once: the same as those of any car, and faster.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.controllers.basic import basic_acceleration
+from skd_sim.controllers.isolated import LostProcessError, isolated
+from skd_sim.kernels.compilation import kernel
+from skd_sim.scenario.road import road_pose, road_position
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import sweep, to_car_frame
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
+
+from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner
+from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id
+from skd_evaluator.assessment.run.side_by_side import answers_batches, replayed, why_not_side_by_side
+from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.metrics.behaviour.model import walk, walked
+from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight, pose_at_contact
+from skd_evaluator.metrics.risks import Touch
+from skd_evaluator.risk.crossings import (
+    IN_A_CURVE,
+    SAME,
+    CrossingPlan,
+    Crossings,
+    Ends,
+    in_car_frame,
+    missed_by,
+    side_touched,
+)
+
+NOWHERE: Final = (0.0, 0.0, 0.0)
+"""Pose at a contact where there is none."""
+
+
+class AnyCar:
+    """Runs crossings as episodes.
+
+    Attributes:
+        hits: logs of those that were run last in which the car hit.
+    """
+
+    car_normals = 0
+
+    def __init__(self, crossing_plan: CrossingPlan, runner: EpisodeRunner | None) -> None:
+        """Run episodes by `runner`; without one they can only be asked for."""
+        self._crossing_plan, self._runner = crossing_plan, runner
+        self.hits: list[EpisodeLog] = []
+        self._specs: list[Episode] = []
+        scenarios: dict[float, Scenario] = {}
+        for index, phi in enumerate(crossing_plan.safe):
+            # A kamikaze's: its car starts as in an assessment, and is not met by a way that is no φ.
+            spec = crossing_plan.plan.episode(Mode.KAMIKAZE, index, 0, phi)
+            car = replace(spec.scenario.car, meet_safe_trajectory=False, start_gap=spec.start_gap)
+            scenario = scenarios.setdefault(spec.start_gap, replace(spec.scenario, car=car))
+            self._specs.append(replace(spec, mode=Mode.REPLAY, scenario=scenario, public=spec.public_scenario))
+
+    def episodes(self, crossings: Crossings, scale: float) -> list[Episode]:
+        """Return the episodes of crossings."""
+        found = []
+        for phi, normals, draw in zip(crossings.phi.tolist(), crossings.walker, crossings.draw.tolist(), strict=True):
+            spec, intended = self._specs[phi], self._crossing_plan.safe[phi]
+            way = walked(intended.positions, self._crossing_plan.values, normals, scale, intended.time_step)
+            way = until_obstacle(spec.scenario, way)
+            number = episode_id(Stage.RISK, phi, draw)
+            trajectory = Trajectory(way, intended.time_step, intended.name)
+            found.append(replace(spec, episode_id=number, safe_trajectory=trajectory))
+        return found
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        """Run crossings."""
+        assert self._runner is not None
+        logs = list(self._runner.run(self.episodes(crossings, scale)))
+        ends = [end_of(log) for log in logs]
+        self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
+        touch = np.array([one for one, _ in ends], np.int64)
+        ticks = np.array([len(log.adversary) - 1 for log in logs], np.int64)
+        return Ends(touch, np.array([near for _, near in ends], np.float64), ticks)
+
+
+def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:
+    """Return a way as far as the last tick before it runs into an obstacle, but for its first step."""
+    if not len(scenario.rectangles):
+        return way
+    step = np.diff(way, axis=0) / scenario.time_step
+    for tick, (vx, vy) in enumerate(step.tolist()):
+        x, y = way[tick + 1].tolist()
+        if scenario.ran_into_obstacle(AdversaryState(x, y, vx, vy, 0.0)):
+            return way[: max(tick + 1, 2)]
+    return way
+
+
+def end_of(log: EpisodeLog) -> tuple[Touch, float]:
+    """Return how a crossing ended, and the least time by which the front of the moving car missed, s."""
+    if log.outcome == Outcome.ABORTED:
+        return Touch.ABORTED, math.inf
+    scenario, last = log.episode.scenario, len(log.car) - 2
+    collided = log.outcome == Outcome.COLLISION
+    pose, passed = car_at_contact(log) if collided else (NOWHERE, 1.0)
+    headings = np.array([_heading(scenario, log.car[tick : tick + 2]) for tick in range(last + 1)])
+    touch, missed = ended(
+        np.ascontiguousarray(log.adversary), np.ascontiguousarray(log.car), headings,
+        collision_partner(log) == ADVERSARY, passed, pose,
+        collided and not goes_straight(scenario, log.car[-2:]), footprint_of(scenario), scenario.adversary.reach,
+        log.impact_speed, scenario.collision.hit_speed, SAME if scenario.road.straight else IN_A_CURVE,
+        scenario.time_step,
+    )  # fmt: skip
+    return Touch(touch), missed
+
+
+def footprint_of(scenario: Scenario) -> tuple[float, float, float]:
+    """Return front, rear and half width of the car, m."""
+    return scenario.car.front, scenario.car.rear, scenario.car.half_width
+
+
+def _heading(scenario: Scenario, ends: FloatArray) -> float:
+    """Return where the car points in a tick between two of its places, rad: as the road does, for it keeps to it."""
+    if scenario.road.straight:
+        return float(road_pose(scenario.road.line, 0.0)[2])
+    x, y = ends[:, :2].mean(axis=0).tolist()
+    return float(road_pose(scenario.road.line, float(road_position(scenario.road.line, x, y)[0]))[2])
+
+
+@kernel
+def ended(
+    users: FloatArray,
+    cars: FloatArray,
+    headings: FloatArray,
+    touched: bool,
+    passed: float,
+    pose: Pose,
+    carried: bool,
+    footprint: tuple[float, float, float],
+    radius: float,
+    impact: float,
+    hit_speed: float,
+    same: float,
+    time_step: float,
+) -> tuple[int, float]:
+    """Return how a crossing ended, a `Touch`, and the least time by which the front of the moving car missed, s.
+
+    Args:
+        users: places of somebody at ticks, n × 2, m.
+        cars: places (m) and speeds (m/s) of the car at ticks, n × 3.
+        headings: of the car in each tick, n − 1, rad.
+        touched: whether the car touched somebody in the last tick, and not one of the others.
+        passed: share of the last tick that counts: up to the contact, with whomever, or all of it.
+        pose: of the car at the contact, m and rad.
+        carried: whether that is not where it would be between both ends of the tick.
+        footprint: of the car: front, rear and half width, m.
+        radius: of the disc, m.
+        impact: speed of the car at the contact, m/s.
+        hit_speed: of a hit, at the least, m/s.
+        same: how exactly it is known how far beside the car somebody is, m.
+        time_step: duration of a tick, s.
+    """
+    least, path, last = math.inf, np.empty((2, 4)), headings.shape[0] - 1
+    for tick in range(last + 1):
+        for end in range(2):
+            path[end, 0], path[end, 1] = cars[tick + end, 0], cars[tick + end, 1]
+            path[end, 2], path[end, 3] = headings[tick], cars[tick + end, 2]
+        here, there = (users[tick, 0], users[tick, 1]), (users[tick + 1, 0], users[tick + 1, 1])
+        until = passed if tick == last else 1.0
+        if carried and tick == last:  # the tick ends at the contact
+            path[1, 0], path[1, 1], path[1, 2], path[1, 3] = pose[0], pose[1], pose[2], impact
+            there = (here[0] + passed * (there[0] - here[0]), here[1] + passed * (there[1] - here[1]))
+            until = 1.0
+        least = min(least, missed_by(path, here, there, until, footprint, radius, hit_speed, time_step))
+    if not touched:
+        return 0, max(least, 1e-9)
+    ahead, left, _ = in_car_frame(path, here, there, until)
+    side = side_touched(ahead, left, footprint, radius, impact, hit_speed, same)
+    return side, 0.0 if side == 1 else max(least, 1e-9)
+
+
+class Course(NamedTuple):
+    """The scenario in numbers; lengths in m, speeds in m/s, times in s."""
+
+    line: FloatArray  # of the road
+    front: float
+    rear: float
+    half_width: float
+    radius: float
+    start_speed: float
+    gap_range: float
+    trigger: float
+    deceleration: float
+    speed_noise: float
+    acceleration_noise: float
+    time_step: float
+    minimum_impact_speed: float
+    hit_speed: float
+
+
+def course_of(episode: Episode) -> Course:
+    """Return a scenario in numbers."""
+    scenario = episode.scenario
+    car = scenario.car
+    return Course(
+        scenario.road.line,
+        car.front,
+        car.rear,
+        car.half_width,
+        scenario.adversary.reach,
+        car.start_speed,
+        car.start_gap_range,
+        episode.multiplier * car.safe_distance,
+        car.deceleration,
+        car.speed_noise,
+        car.acceleration_noise,
+        scenario.time_step,
+        scenario.collision.minimum_impact_speed,
+        scenario.collision.hit_speed,
+    )
+
+
+@kernel
+def cross(
+    course: Course, way: FloatArray, count: int, gap: float, draws: FloatArray, path: FloatArray
+) -> tuple[int, float, int]:
+    """Let the car meet somebody who walks a way.
+
+    Args:
+        course: the scenario.
+        way: places at ticks, m.
+        count: how many of them.
+        gap: front bumper to the crossing line before the draw, m.
+        draws: uniform in [0, 1): of the start, then of speed and acceleration in each tick.
+        path: 2 × 4, to work in.
+
+    Returns:
+        A `Touch`, the least time by which the front of the moving car missed, s, and the number of ticks, that of the
+        contact included.
+    """
+    s = -(gap + course.gap_range * draws[0]) - course.front
+    x, y, heading = road_pose(course.line, s)
+    speed, least = course.start_speed, math.inf
+    footprint = (course.front, course.rear, course.half_width)
+    for tick in range(count - 1):
+        here, there = (way[tick, 0], way[tick, 1]), (way[tick + 1, 0], way[tick + 1, 1])
+        ahead, _ = to_car_frame(here[0], here[1], x, y, heading)
+        command = basic_acceleration(ahead - course.front, course.trigger, course.deceleration)
+        speed_draw = course.speed_noise * (2.0 * draws[1 + 2 * tick] - 1.0)
+        applied = command + course.acceleration_noise * (2.0 * draws[2 + 2 * tick] - 1.0) * command
+        after = next_speed(speed, applied, speed_draw, course.time_step)
+        distance = travelled(speed, after, course.time_step)
+        path[0, 0], path[0, 1], path[0, 2], path[0, 3] = x, y, heading, speed
+        path[1, 0], path[1, 1] = x + distance * math.cos(heading), y + distance * math.sin(heading)
+        path[1, 2], path[1, 3] = heading, after
+        velocity = ((there[0] - here[0]) / course.time_step, (there[1] - here[1]) / course.time_step)
+        share, impact = sweep(
+            path, here, there, velocity, 0.0, footprint, (course.radius, 0.0, 0.0), course.time_step, 0, 1
+        )
+        until = 1.0
+        contact = share <= 1.0 and impact >= course.minimum_impact_speed
+        if contact:
+            until = share
+        near = missed_by(path, here, there, until, footprint, course.radius, course.hit_speed, course.time_step)
+        least = min(least, near)
+        if contact:
+            ahead, left, _ = in_car_frame(path, here, there, share)
+            side = side_touched(ahead, left, footprint, course.radius, impact, course.hit_speed, SAME)
+            return side, 0.0 if side == 1 else max(least, 1e-9), tick + 1
+        x, y, speed = path[1, 0], path[1, 1], after
+    return 0, max(least, 1e-9), count - 1
+
+
+@kernel
+def cross_many(
+    course: Course,
+    paths: FloatArray,
+    lengths: IntArray,
+    gaps: FloatArray,
+    values: FloatArray,
+    phi: IntArray,
+    walker: FloatArray,
+    car: FloatArray,
+    normal: bool,
+    scale: float,
+    touch: IntArray,
+    missed: FloatArray,
+    lasted: IntArray,
+) -> None:
+    """Run crossings; `car` has standard normals, or what is uniform in [0, 1) already."""
+    ticks = (car.shape[1] - 1) // 2
+    way, path, draws = np.empty((ticks + 1, 2)), np.empty((2, 4)), np.empty(car.shape[1])
+    for row in range(phi.shape[0]):
+        index = phi[row]
+        intended = paths[index, : lengths[index]]
+        count = walk(intended, values, walker[row], scale, course.time_step, way)
+        for at in range(draws.shape[0]):
+            draws[at] = 0.5 * math.erfc(-car[row, at] * math.sqrt(0.5)) if normal else car[row, at]
+        touch[row], missed[row], lasted[row] = cross(course, way, count, gaps[index], draws, path)
+
+
+class KnownCar:
+    """Runs crossings in front of a basic car."""
+
+    def __init__(self, crossing_plan: CrossingPlan) -> None:
+        """Take the scenario apart into numbers."""
+        self.car_normals = 1 + 2 * crossing_plan.ticks
+        episodes = [
+            crossing_plan.plan.episode(Mode.KAMIKAZE, index, 0, phi) for index, phi in enumerate(crossing_plan.safe)
+        ]
+        self._course = course_of(episodes[0])
+        self._values = crossing_plan.values
+        self._lengths = np.array([len(phi) for phi in crossing_plan.safe], np.int64)
+        self._paths = np.zeros((len(crossing_plan.safe), int(self._lengths.max()), 2))
+        for index, phi in enumerate(crossing_plan.safe):
+            self._paths[index, : len(phi)] = phi.positions
+        self._gaps = np.array([episode.start_gap for episode in episodes])
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        """Run crossings by the car's normals."""
+        return self._run(crossings, crossings.car, scale, normal=True)
+
+    def run_drawn(self, crossings: Crossings, draws: FloatArray, scale: float) -> Ends:
+        """Run crossings by what the car has drawn, uniform in [0, 1)."""
+        return self._run(crossings, draws, scale, normal=False)
+
+    def _run(self, crossings: Crossings, car: FloatArray, scale: float, *, normal: bool) -> Ends:
+        touch, missed = np.empty(len(crossings), np.int64), np.empty(len(crossings))
+        lasted = np.empty(len(crossings), np.int64)
+        cross_many(
+            self._course, self._paths, self._lengths, self._gaps, self._values, crossings.phi,
+            np.ascontiguousarray(crossings.walker), np.ascontiguousarray(car), normal, scale, touch, missed, lasted,
+        )  # fmt: skip
+        return Ends(touch, missed, lasted)
+
+
+BLOCK: Final = 250
+"""Crossings side by side; the same whoever computes, so that no figure depends on that."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """Some crossings, in whatever process."""
+
+    crossing_plan: CrossingPlan
+    crossings: Crossings
+    scale: float
+
+
+def batched_car(crossing_plan: CrossingPlan, runner: ExecutorRunner) -> BatchedCar | None:
+    """Return who runs crossings side by side; None where the car's policy, or the scenario, has them one by one."""
+    car = crossing_plan.plan.car
+    if car.is_own or car.is_external:
+        return None
+    one = Crossings(np.array([0]), np.zeros((1, crossing_plan.walker_normals)), np.empty((1, 0)), np.array([0]))
+    if why_not_side_by_side(AnyCar(crossing_plan, runner).episodes(one, 1.0)[0]):
+        return None
+    (takes,) = runner.map(answers_batches, [car])
+    return BatchedCar(crossing_plan, runner) if takes else None
+
+
+class BatchedCar:
+    """Runs crossings side by side, a block at a time."""
+
+    car_normals = 0
+
+    def __init__(self, crossing_plan: CrossingPlan, runner: ExecutorRunner) -> None:
+        """Run blocks by `runner`."""
+        self._crossing_plan, self._runner = crossing_plan, runner
+
+    def run(self, crossings: Crossings, scale: float) -> Ends:
+        """Run crossings; those of a block that a worker has died of, one by one."""
+        rows = [np.arange(at, min(at + BLOCK, len(crossings))) for at in range(0, len(crossings), BLOCK)]
+        jobs = [_Job(self._crossing_plan, crossings.of(one), scale) for one in rows]
+        parts = []
+        for job, found in zip(jobs, self._runner.map(_crossed, jobs, _not_crossed), strict=True):
+            parts.append(
+                AnyCar(self._crossing_plan, self._runner).run(job.crossings, scale) if found is None else found
+            )
+        return Ends.together(parts)
+
+
+def _not_crossed(_job: _Job, _reason: str) -> Ends | None:
+    return None
+
+
+def _crossed(job: _Job) -> Ends | None:
+    try:
+        return isolated(job.crossing_plan.plan.car.user_code, _crossed_here, job)
+    except LostProcessError as error:
+        return _not_crossed(job, error.reason)
+
+
+def _crossed_here(job: _Job) -> Ends:
+    """Run crossings side by side, and judge each."""
+    crossing_plan = job.crossing_plan
+    episodes = AnyCar(crossing_plan, None).episodes(job.crossings, job.scale)
+
+    found = replayed(episodes)
+    scenario = episodes[0].scenario
+    heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
+    touch, missed = np.empty(len(episodes), np.int64), np.empty(len(episodes))
+    for row, (ticks, share, impact) in enumerate(
+        zip(found.ticks.tolist(), found.shares.tolist(), found.impacts.tolist(), strict=True)
+    ):
+        last, collided = ticks - 1, share <= 1.0
+        passed = (last + share) * step / step - last if collided else 1.0  # as of a log, which has times
+        cars, pose = found.cars[row, : ticks + 1], NOWHERE
+        if collided:
+            pose = pose_at_contact(scenario, cars[-2:], passed, impact)
+        touch[row], missed[row] = ended(
+            found.users[row, : ticks + 1], cars, np.full(ticks, heading), collided, passed, pose,
+            collided and not goes_straight(scenario, cars[-2:]),
+            footprint_of(scenario), scenario.adversary.reach, impact, scenario.collision.hit_speed, SAME,
+            scenario.time_step,
+        )  # fmt: skip
+    return Ends(touch, missed, found.ticks)
