@@ -24,7 +24,6 @@ ORDERS = {  # from above to below: a folder imports from those behind it alone
     ),
     "skd_evaluator.assessment": "stages compare files judge run plan",
     "skd_evaluator.margin": "search exact",
-    "skd_evaluator.metrics": "distances surrogate statistics",
 }
 
 
