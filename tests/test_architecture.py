@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -121,3 +122,15 @@ def test_no_data_set_is_in_the_repository():
     assert "pyproject.toml" in files
     assert [name for name in files if "vci_lat" in name.lower() or name.endswith(("_filtered.csv", ".mcap"))] == []
     assert [name for name in files if name.endswith(".csv") and (ROOT / name).stat().st_size > 10_000] == []
+
+
+GONE = re.compile(r"deform|closeness|attempt|encounter|\bstruck\b|foretold|foresight|hit_rate", re.IGNORECASE)
+"""Words for what is called deviation, optimality gap, trial, scenario, collision partner, nominal collision rate."""
+
+
+@pytest.mark.parametrize("folder", ["ros_ws/src", "docs", "examples"])
+def test_words_that_are_gone_stay_away(folder):
+    texts = [
+        path for path in (ROOT / folder).rglob("*") if path.suffix in {".py", ".md", ".msg", ".js", ".j2", ".yaml"}
+    ]
+    assert [f"{path.relative_to(ROOT)}: {word[0]}" for path in texts if (word := GONE.search(path.read_text()))] == []
