@@ -24,9 +24,8 @@ import numpy as np
 from scipy import stats
 from skd_adversary.car_models import fit_car, observe
 from skd_adversary.car_models.car_model_file import car_model_text
-from skd_evaluator.assessment.plan.plan import Plan, kamikaze_sets, safe_trajectories
-from skd_evaluator.assessment.plan.probe import probe_episodes
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, kamikaze_sets, probe_episodes, safe_trajectories
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd

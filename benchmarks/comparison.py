@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from margin_variances import margins
-from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.pipeline import planners_of
 from skd_evaluator.margin.assessment_margin import warm_up_margins

@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.from_options import scenario_for
+from skd_evaluator.assessment.options import SYNTHETIC
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.asked import scenario_for
 from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.world.episode import Mode

@@ -21,8 +21,8 @@ from cars.catalogue import CARS, Car, available
 from cars.memory import MEMORY_CARS
 from rich.console import Console
 from rich.table import Table
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.options import SYNTHETIC
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import in_processes

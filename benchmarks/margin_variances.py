@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
 from skd_evaluator.metrics.clustered import variance_components

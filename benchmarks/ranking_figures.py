@@ -8,8 +8,8 @@ from typing import TypedDict
 
 from cars.catalogue import Car
 from contacts import run_of
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.search.search import IN_PROCESS

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from fusion_trials import walks
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,

@@ -35,7 +35,7 @@ from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier

@@ -16,8 +16,8 @@ from itertools import chain
 import numpy as np
 from cars.catalogue import Car
 from contacts import Run, counted, run_of
-from skd_evaluator.assessment.plan.plan import Stage, episode_id
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Stage, episode_id
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory

@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.arrays import FloatArray
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario

@@ -20,10 +20,8 @@ ROS_FOLDERS = ("ros",)
 ORDERS = {  # from above to below: a folder imports from those behind it alone
     "skd_sim": "ros simulators controllers world options kernels inputs",
     "skd_adversary": "ros safe_trajectories crossing car_models pomdp",
-    "skd_evaluator": (
-        "extensions cli ros driving assessment.stages assessment.learning risk margin report bags assessment metrics"
-    ),
-    "skd_evaluator.assessment": "stages compare files judge run plan",
+    "skd_evaluator": ("extensions cli ros driving assessment.stages risk margin report bags assessment metrics"),
+    "skd_evaluator.assessment": "stages compare files run",
     "skd_evaluator.margin": "search exact",
 }
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from skd_adversary.car_models import Observations, observe
-from skd_evaluator.assessment.plan.probe import probe_episodes
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import probe_episodes
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of
 from skd_sim.controllers import BasicController, Controller, control_period_of, with_control_period
 from skd_sim.scenario.scenario import Scenario, load_scenario

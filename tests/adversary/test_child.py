@@ -13,7 +13,7 @@ from road_user_limits import beyond
 from skd_adversary.crossing.on_foot import nearest_walked
 from skd_adversary.crossing.road_users import check_kind
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

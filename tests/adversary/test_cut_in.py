@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from road_user_limits import beyond
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import load_scenario

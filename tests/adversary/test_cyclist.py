@@ -27,7 +27,7 @@ from skd_adversary.crossing.on_wheels import (
 )
 from skd_adversary.crossing.road_users import CYCLIST, road_user_named
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

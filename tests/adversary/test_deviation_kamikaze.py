@@ -17,7 +17,7 @@ from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -10,7 +10,7 @@ from skd_adversary.crossing.model import CAR_S, compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
 from skd_adversary.crossing.on_foot import ACTION_COUNT, action_velocity
 from skd_adversary.pomdp.model import Pomdp
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.contact import first_contact

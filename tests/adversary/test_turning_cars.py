@@ -11,7 +11,7 @@ import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from skd_adversary.crossing.roads import CURVED
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.protocol import regulatory_trajectories

@@ -17,7 +17,7 @@ from cars.stop_and_go import StopAndGo
 from cars.view import Eyes, View
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH

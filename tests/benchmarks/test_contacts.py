@@ -10,7 +10,7 @@ from contacts import Run, counted, run_of, side_of_contact
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from shapely import box, distance, points
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import Trajectory

@@ -11,7 +11,7 @@ from contacts import run_of
 from pair_orders import Pair, agreed_pairs, ordered_share, safer_of
 from ranking import Row, Store, exceptions, ranked
 from ranking_figures import FIGURES, Work
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.deviation import deviation
 from skd_sim.scenario.scenario import load_scenario

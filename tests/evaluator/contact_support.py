@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.metrics.risks import Touch
 from skd_sim.controllers import Controller
 from skd_sim.scenario.scenario import Scenario

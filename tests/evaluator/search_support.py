@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from skd_evaluator.assessment.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.metrics.deviation import LeastWay

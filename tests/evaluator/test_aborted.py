@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.assessment import Rating
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.episodes_npz import _risk_columns, read_episodes
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.files.verification import rating_of
-from skd_evaluator.assessment.judge.held_kamikazes import held_to
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import WALKERS
-from skd_evaluator.assessment.stages.findings import any_aborted, too_many_aborted, why_failed
+from skd_evaluator.assessment.options import WALKERS
+from skd_evaluator.assessment.stages.bounded_kamikazes import held_to
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import aborted_lines, at_worst, lost_in
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
+from skd_evaluator.report.presentation import any_aborted, too_many_aborted, why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
 from skd_sim.options.adversary import Objective

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import (
     HIGHEST,

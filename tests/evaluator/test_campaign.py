@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
+from skd_evaluator.assessment.assessment import Rating, rate
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import (
+from skd_evaluator.assessment.options import SYNTHETIC
+from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,
     EpisodeRunner,
     Plan,

@@ -22,7 +22,7 @@ import pytest
 from cli_support import names, one_line
 from common import assert_valid, wait_until
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import pipeline
 from skd_evaluator.errors import AssessmentError, OutOfReachError

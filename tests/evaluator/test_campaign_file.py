@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 from cli_support import CROSSING
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED
+from skd_evaluator.assessment.options import SYNTHETIC
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED
 from skd_evaluator.extensions.campaign.campaign_file import read_campaign
 from skd_evaluator.extensions.campaign.cells import make_cells
 from skd_sim.errors import UsageError

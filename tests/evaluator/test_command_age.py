@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.judge.command_age import command_age
+from skd_evaluator.assessment.episode_figures import command_age
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.timing import Timing

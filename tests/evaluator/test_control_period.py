@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.assessment.plan.plan import OWN, Plan, safe_trajectories
-from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.plan import OWN, Plan, probe_episodes, safe_trajectories
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one

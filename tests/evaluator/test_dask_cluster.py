@@ -12,8 +12,8 @@ from common import wait_until
 pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
 
 from local_dask import local_cluster, start_worker
-from skd_evaluator.assessment.judge.assessment import assess
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.objective_result import assess
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.errors import AssessmentError

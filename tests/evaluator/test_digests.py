@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior, car_model_text
+from skd_evaluator.assessment.assessment import Rating
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
-from skd_evaluator.assessment.judge.assessment import assess
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.objective_result import assess
+from skd_evaluator.assessment.options import OWN, SYNTHETIC
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario

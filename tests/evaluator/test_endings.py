@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from search_support import search_margin
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_trajectory
+from skd_evaluator.assessment.plan import MANOEUVRES, Plan, probe_trajectory
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.errors import UsageError

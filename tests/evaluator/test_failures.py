@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import signal, stats
+from skd_evaluator.assessment import failures as module
+from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.judge import failures as module
-from skd_evaluator.assessment.judge.failures import HARDLY, Walkers, failures_of, nine_normals
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of
 from skd_evaluator.metrics.risks import ScaleRisk, Touch

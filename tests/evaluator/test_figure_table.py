@@ -8,9 +8,8 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.files.assessment_json import as_text, assessment_schema
-from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
-from skd_evaluator.assessment.judge.figure_table import (
+from skd_evaluator.assessment.assessment import rate
+from skd_evaluator.assessment.figure_table import (
     AT_THE_TOP,
     FIGURES,
     OF_OBJECTIVES,
@@ -18,8 +17,9 @@ from skd_evaluator.assessment.judge.figure_table import (
     Of,
     shown_in,
 )
-from skd_evaluator.assessment.judge.rating import rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.files.assessment_json import as_text, assessment_schema
+from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.assessment_risk import risk_asked, with_risks

@@ -15,11 +15,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line
+from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits
 from skd_evaluator.assessment.files.assessment_json import check_figure, figure, scalar_figures
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.judge.rating import rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.cli.gate import Gate

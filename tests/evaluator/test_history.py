@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from cli_support import one_line
 from matplotlib.image import imread
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.result_folder import MANIFEST
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.terminal import print_table

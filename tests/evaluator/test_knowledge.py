@@ -14,12 +14,11 @@ from cli_support import one_line, skd
 from skd_adversary.adversary import make_adversary, predicted_car
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.learning import lesson, waiting
-from skd_evaluator.assessment.learning.kept_models import folder_of, kept_models
-from skd_evaluator.assessment.learning.lesson import learned, needs_learning
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.from_options import plan_of
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.asked import plan_of
+from skd_evaluator.assessment.stages import learning
+from skd_evaluator.assessment.stages.learning import folder_of, kept_models, learned, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
@@ -120,10 +119,10 @@ def test_who_plans_with_what() -> None:
 
 @pytest.fixture
 def small_lessons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(lesson, "PROBES", 24)
-    monkeypatch.setattr(lesson, "TRIALS", 4)
-    monkeypatch.setattr(waiting, "TRIALS", 2)
-    monkeypatch.setattr(lesson, "SAFE", 2)
+    monkeypatch.setattr(learning, "PROBES", 24)
+    monkeypatch.setattr(learning, "TRIALS", 4)
+    monkeypatch.setattr(learning, "WAITING_TRIALS", 2)
+    monkeypatch.setattr(learning, "SAFE", 2)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 

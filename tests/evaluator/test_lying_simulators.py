@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cli_support import SMALL, skd_from_nothing
 from skd_evaluator import assess
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_sim.controllers import BasicController
 from skd_sim.options.car_under_test import SIMULATORS

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from search_support import CROSSING, bent, kamikaze_episode
-from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities

@@ -11,12 +11,12 @@ import sys
 import pytest
 from cli_support import names, one_line, skd
 from matplotlib.image import imread
-from skd_evaluator.assessment.stages.library import assess
 from skd_evaluator.extensions.ncap import command as ncap
 from skd_evaluator.extensions.ncap import result as verification
 from skd_evaluator.extensions.ncap.layout import headline
 from skd_evaluator.extensions.ncap.page import views_of
 from skd_evaluator.extensions.ncap.result import RESULT, Cell, read_ncap
+from skd_evaluator.library import assess
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from skd_evaluator.assessment.run.static_test import static_tests
+from skd_evaluator.assessment.stages.static_tests import static_tests
 from skd_evaluator.extensions.ncap.judging import scenario_of, wanted_cells
 from skd_evaluator.extensions.ncap.layout import headline, layout_of, margin_text, reasons
 from skd_evaluator.extensions.ncap.matrices import Criterion, colour_of, known_scenarios, matrix_of, scenarios_of

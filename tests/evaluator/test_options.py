@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.stages.asked import plan_of
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.from_options import plan_of
+from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.assess import graph_options
 from skd_evaluator.cli.parser import make_parser

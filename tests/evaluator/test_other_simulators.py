@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from common import assert_valid
 from skd_evaluator import assess
-from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
-from skd_evaluator.assessment.stages.asked import check_car
+from skd_evaluator.assessment.episode_figures import simulator_contacts
+from skd_evaluator.assessment.from_options import check_car
 from skd_evaluator.report.formats import contact_warnings
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import SIMULATORS
@@ -110,7 +110,7 @@ def test_a_driver_of_one_simulator_is_refused_elsewhere(simulator, graph, instea
 
 
 def _graph_options():
-    from skd_evaluator.assessment.stages.graph_options import GraphOptions
+    from skd_evaluator.assessment.options import GraphOptions
     from skd_sim.options.options import options_of
 
     return {one.name: one.unsaid for one in options_of(GraphOptions)}

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, SimulatorError, WorldSimulator
 from skd_sim.world.episode import AbortKind, Episode, Mode, Outcome

@@ -12,9 +12,9 @@ import yaml
 from cli_support import one_line, skd
 from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.compare.scenario_difference import scenario_difference
-from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id, safe_trajectories
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.compare.comparability import scenario_difference
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin

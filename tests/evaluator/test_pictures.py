@@ -15,9 +15,9 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
-from skd_evaluator.assessment.judge.assessment import Assessment, judge
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.objective_result import Assessment, judge
+from skd_evaluator.assessment.plan import KamikazeSet, Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins

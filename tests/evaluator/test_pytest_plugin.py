@@ -15,12 +15,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from comparison_support import FIGURES
+from skd_evaluator import library
 from skd_evaluator.assessment.compare.comparison import NOT_TOLD_APART, compare
 from skd_evaluator.assessment.compare.gate import not_worse
 from skd_evaluator.assessment.files import results as stored_result
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.assessment.stages import library
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin import common_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
@@ -30,7 +30,7 @@ from skd_sim.scenario.scenario import load_scenario
 CONFTEST = """
 import json, pathlib
 from types import SimpleNamespace
-from skd_evaluator.assessment.stages import library
+from skd_evaluator import library
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.errors import AssessmentError
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.assessment import Rating, in_order, rate
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.judge.assessment import standing_contacts
-from skd_evaluator.assessment.judge.rating import Rating, in_order, rate
-from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.objective_result import standing_contacts
+from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.written import picture_names
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
+from skd_evaluator.report.presentation import picture_names
 from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.scenario.scenario import load_scenario

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.judge.held_kamikazes import with_budgets
-from skd_evaluator.assessment.judge.rating import rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.bounded_kamikazes import with_budgets
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.risk.assessment_risk import risk_asked, with_risks
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES

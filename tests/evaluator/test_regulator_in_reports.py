@@ -11,10 +11,9 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from skd_evaluator.assessment.judge.static_tests import place_of
-from skd_evaluator.assessment.run.static_test import static_tests
-from skd_evaluator.assessment.stages.library import assess
+from skd_evaluator.assessment.stages.static_tests import place_of, static_tests
 from skd_evaluator.extensions.ncap.page import views_of
+from skd_evaluator.library import assess
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_sim.options.car_under_test import CarUnderTest

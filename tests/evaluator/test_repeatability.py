@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_support import skd
-from skd_evaluator.assessment.judge.repeatability import (
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.repeatability import (
     DRIVES,
     SAMPLE,
     Drive,
@@ -24,9 +25,8 @@ from skd_evaluator.assessment.judge.repeatability import (
     standing,
     undisturbed_drives,
 )
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers import Controller, make_controller

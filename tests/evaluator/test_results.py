@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_evaluator.assessment.files.result_folder import MANIFEST, ResultFolder, write_json
-from skd_evaluator.assessment.stages.written import write_with_scratch
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.report.presentation import write_with_scratch
 from skd_sim.errors import UsageError
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
 from scipy import special, stats
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.plan import Plan, Stage, safe_trajectories, split_episode_id
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.compare.comparison import (
     LESS_SAFE,
     NOT_TOLD_APART,
@@ -15,8 +16,7 @@ from skd_evaluator.assessment.compare.comparison import (
     compare,
 )
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
-from skd_evaluator.assessment.judge.rating import rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from contact_support import Seen, distances, watched
-from skd_evaluator.assessment.judge.collision_partner import closing_speed, collision_partner
-from skd_evaluator.assessment.judge.surrogate_figures import surrogates_of
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.episode_figures import closing_speed, collision_partner, surrogates_of
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contact, last_car_position

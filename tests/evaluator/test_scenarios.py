@@ -10,12 +10,19 @@ from typing import cast
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_evaluator.assessment.judge.assessment import judge
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, Stage, episode_id
-from skd_evaluator.assessment.plan.probe import MANOEUVRES, probe_scenario, probe_trajectory
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.objective_result import judge
+from skd_evaluator.assessment.plan import (
+    MANOEUVRES,
+    KamikazeSet,
+    Plan,
+    Stage,
+    episode_id,
+    probe_scenario,
+    probe_trajectory,
+)
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.contact_place import last_car_position

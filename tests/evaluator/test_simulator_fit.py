@@ -13,7 +13,7 @@ import pytest
 from common import run_skd
 from report_support import edited
 from scipy import special, stats
-from skd_evaluator.assessment.stages.propagated import draw_warnings, propagated
+from skd_evaluator.assessment.stages.calibrated_simulator import draw_warnings, propagated
 from skd_evaluator.extensions.fusion.calibrate_command import warnings_of
 from skd_evaluator.extensions.fusion.calibration import (
     Recorded,
@@ -132,7 +132,7 @@ def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
 
 
 def _places(shown: ShownRecording, world, other: np.ndarray, states: np.ndarray) -> np.ndarray:
-    from skd_evaluator.assessment.run.runner import run_episode
+    from skd_evaluator.assessment.run.episodes import run_episode
     from skd_sim.world.episode import Episode, Mode
     from skd_sim.world.state import Trajectory
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.run.static_test import StaticTest, static_tests, without_noise
+from skd_evaluator.assessment.stages.static_tests import StaticTest, static_tests, without_noise
 from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.protocol import regulatory_trajectories

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
+from skd_evaluator.assessment.assessment import Rating, rate
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.margin.assessment_margin import with_margins
 from skd_evaluator.margin.common_trajectories import check_not_worse

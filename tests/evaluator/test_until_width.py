@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from skd_evaluator.assessment.assessment import Rating, rate
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.judge.until_width import LOOKS, rate_until_width
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.sequential import LOOKS, rate_until_width
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError

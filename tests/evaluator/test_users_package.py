@@ -84,8 +84,8 @@ def test_one_of_each(package: Path, tmp_path: Path):
 RIDE = """
 import json, sys
 import numpy as np
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim import Episode, Mode, Trajectory, load_scenario
 scenario = Plan(load_scenario("cargo_bike.yaml")).scenario
 phi = Trajectory(np.column_stack([-8.0 + 1.2 * np.arange(12), np.zeros(12)]), scenario.time_step)

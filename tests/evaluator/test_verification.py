@@ -17,12 +17,12 @@ from cli_support import one_line
 from edited_results import change_array, edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from skd_evaluator.assessment.assessment import judge_all
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.judge.rating import judge_all
-from skd_evaluator.assessment.plan.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.report.html.page import render

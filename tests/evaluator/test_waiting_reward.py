@@ -12,8 +12,8 @@ import pytest
 from skd_adversary.adversary import predicted_car
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_from, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.learning.waiting import CHOICES, TRIALS, with_waiting_reward
-from skd_evaluator.assessment.plan.plan import Plan, split_episode_id
+from skd_evaluator.assessment.plan import Plan, split_episode_id
+from skd_evaluator.assessment.stages.learning import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective
@@ -68,7 +68,7 @@ def test_all_have_the_same_draws_and_none_of_those_that_the_car_was_learned_from
     _, runner = chosen({one: [0.0] for one in CHOICES})
     ids = [[one.episode_id for one in episodes] for _, episodes in runner.asked]
     assert ids[0] == ids[1] == ids[2]
-    assert len(ids[0]) == TRIALS
+    assert len(ids[0]) == WAITING_TRIALS
     assert min(split_episode_id(one)[2] for one in ids[0]) >= 100
     assert all(one.objective == Objective.DEVIATION for _, episodes in runner.asked for one in episodes)
 
@@ -81,7 +81,7 @@ def test_what_a_law_has_by_itself_is_tried_first() -> None:
 def test_trials_that_are_aborted_do_not_count_unless_all_are() -> None:
     reward, _ = chosen({USUAL: [0.0, math.nan], **{one: [1.0, math.nan] for one in OTHERS}})
     assert reward == OTHERS[0]
-    with pytest.raises(AssessmentError, match=f"all {TRIALS} trials that wait at"):
+    with pytest.raises(AssessmentError, match=f"all {WAITING_TRIALS} trials that wait at"):
         chosen({one: [math.nan] for one in CHOICES})
 
 

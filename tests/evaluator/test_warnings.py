@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.stages.findings import figure_warnings, too_many_aborted, undefined
+from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.report.formats import margin_warnings
+from skd_evaluator.report.presentation import figure_warnings, too_many_aborted, undefined
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason

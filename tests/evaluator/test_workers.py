@@ -15,7 +15,7 @@ import pytest
 from common import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario

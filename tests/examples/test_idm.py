@@ -12,7 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_idm import HighwayIdm
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import Controller, with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import HEADING_NORTH

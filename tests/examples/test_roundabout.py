@@ -24,8 +24,8 @@ SPEED = 20.0 / 3.6
 RIDE = """
 import json, sys
 from skd_adversary.safe_trajectories import REGULATORY
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim import Mode, load_scenario
 plan = Plan(load_scenario("roundabout_exit"), safe=REGULATORY, safe_count=3, multiplier=1.0, simulations=60)

@@ -19,10 +19,10 @@ from common import new_domain
 from compile_kernels import compile_planners
 from graph_nodes import fork_server
 from graph_support import CAMPAIGN, MULTIPLIERS, Campaign, Skd, in_domain
-from skd_evaluator.assessment.learning import kept_models, lesson, waiting
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.stages import learning
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
@@ -84,11 +84,11 @@ def domain() -> Iterator[int]:
 @pytest.fixture
 def small_lesson(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Cars are learned by this process from fewer episodes than by default, which changes nothing of how; where to."""
-    monkeypatch.setattr(kept_models, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
-    monkeypatch.setattr(lesson, "PROBES", 60)
-    monkeypatch.setattr(lesson, "TRIALS", 6)
-    monkeypatch.setattr(lesson, "SAFE", 2)
-    monkeypatch.setattr(waiting, "TRIALS", 2)
+    monkeypatch.setattr(learning, "kept_models", lambda: tmp_path / "models")  # the cache has the kernels, too
+    monkeypatch.setattr(learning, "PROBES", 60)
+    monkeypatch.setattr(learning, "TRIALS", 6)
+    monkeypatch.setattr(learning, "SAFE", 2)
+    monkeypatch.setattr(learning, "WAITING_TRIALS", 2)
     return tmp_path / "models"
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from common import PATIENCE, assert_same_episodes, new_domain, run_skd, wait_until
 from forked_skd import TOKEN, ForkedSkd
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.report.progress import PREPARING
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graphs_session

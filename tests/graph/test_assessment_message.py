@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier

@@ -12,7 +12,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.assessment.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, aborted
 from skd_evaluator.ros.recording import BagRecorder
 from skd_msgs.msg import Episode as EpisodeMsg

@@ -23,8 +23,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_msgs.msg import Episode as EpisodeMsg
 from skd_msgs.msg import EpisodeResult

@@ -18,7 +18,7 @@ from common import PATIENCE, new_domain, wait_until
 from graph_support import assert_all_gone, in_domain, whole_graph
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros import processes
 from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, EpisodeLog

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from common import assert_valid
 from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.options.adversary import Objective

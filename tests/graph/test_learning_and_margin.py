@@ -14,11 +14,11 @@ import pytest
 from common import PATIENCE
 from graph_support import assert_same_log, skd, skd_here, whole_graph
 from skd_adversary.car_models.car_model_file import car_model_text
-from skd_evaluator.assessment.learning import lesson
-from skd_evaluator.assessment.plan.plan import Plan, walks_a_way
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.plan import Plan, walks_a_way
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.stages import learning
 from skd_evaluator.assessment.stages.pipeline import learned_plan
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
@@ -121,7 +121,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
 
     ours = dataclasses.replace(plan, controller=f"{__name__}:Law", knowledge=Knowledge.LEARNED)
     in_process = Counted(InProcessRunner(1))
-    known = lesson.lesson_of(ours, in_process)
+    known = learning.lesson_of(ours, in_process)
     taught = [one for one in in_process.logs if one.episode.mode != Mode.SAFE]
     for mine, its in zip(taught, graph.logs, strict=True):
         assert_same_log(mine, its)

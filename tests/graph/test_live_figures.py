@@ -9,7 +9,7 @@ import pytest
 import shapely
 from skd_adversary.adversary import BelievedCar
 from skd_adversary.ros.adversary_node import belief_to_odometry
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.driving.situation import figures_of
 from skd_sim.scenario.road import road_pose
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome

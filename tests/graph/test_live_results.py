@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from graph_nodes import evaluator
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.evaluator import refuted
 from skd_sim.world.episode import Episode

@@ -13,7 +13,7 @@ import pytest
 from common import PATIENCE
 from graph_nodes import ADVERSARY, CONTROLLER, SIMULATOR, evaluator, running, start_node
 from graph_support import assert_same_log
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of

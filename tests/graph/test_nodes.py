@@ -21,7 +21,7 @@ from graph_support import HERE, assert_same_log, whole_graph
 from rclpy.signals import SignalHandlerOptions
 from rosbags.highlevel import AnyReader
 from skd_adversary.ros.adversary_node import AdversaryNode
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator_node import EvaluatorProcess
 from skd_sim.ros.controller_node import CarController

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from common import PATIENCE
 from graph_support import HERE, pids_with, whole_graph
-from skd_evaluator.assessment.judge.command_age import command_age
-from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.stages.asked import with_asked_period
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.episode_figures import command_age
+from skd_evaluator.assessment.from_options import with_asked_period
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.scenario.scenario import Scenario

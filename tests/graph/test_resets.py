@@ -20,8 +20,8 @@ from graph_support import HERE, Program, assert_same_log, pids_with, skd_command
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, Outcome

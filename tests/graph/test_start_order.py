@@ -31,8 +31,8 @@ from graph_support import (
     skd_here,
     whole_graph,
 )
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 

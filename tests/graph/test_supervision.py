@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from common import wait_until
 from graph_support import of_node, whole_graph
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros.processes import GraphError, Program, Supervisor
 from skd_sim.world.episode import AbortKind, Episode, Outcome, kind_of
 

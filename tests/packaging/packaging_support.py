@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from skd_evaluator.assessment.plan.options import CampaignOptions
+from skd_evaluator.assessment.options import CampaignOptions
 from skd_evaluator.cli.parser import make_parser
 from skd_sim.options.options import SimulatorOptions, options_of
 

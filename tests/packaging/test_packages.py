@@ -16,8 +16,7 @@ from packaging_support import (
     settings,
     setup_arguments,
 )
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 from skd_sim.options.options import SimulatorOptions
 from skd_sim.ros.support import settings_of
 

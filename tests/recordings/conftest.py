@@ -11,7 +11,7 @@ import pytest
 from bag_forge import Sent, campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import Replayed, crossing, trials
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Outcome
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 

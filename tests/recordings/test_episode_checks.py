@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bag_forge import ADVERSARY, CAR, EPISODE, RESULT, Sent, campaign_messages, changed, forged
 from skd_evaluator.assessment.plausibility import examine
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import make_controller
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 

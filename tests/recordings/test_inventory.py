@@ -13,7 +13,7 @@ from bag_forge import Sent, campaign_messages, write_mcap
 from recordings_support import crossing, trials
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.bags.checks import find_recordings
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario

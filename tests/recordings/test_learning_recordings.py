@@ -10,9 +10,9 @@ from bag_forge import Sent, campaign_messages
 from recordings_support import Replayed
 from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
-from skd_evaluator.assessment.learning.trials import own_trials
-from skd_evaluator.assessment.plan.plan import Plan, Stage, episode_id
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.stages.learning import own_trials
 from skd_evaluator.ros.recording import bag_name
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

@@ -9,7 +9,7 @@ import pytest
 from bag_forge import campaign_messages, write_mcap
 from common import run_skd
 from recordings_support import crossing, trials
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
 

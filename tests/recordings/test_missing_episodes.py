@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.bags.checks import missing_episodes
 
 _numbered = st.sets(st.tuples(st.integers(0, 3), st.integers(0, 4)), max_size=8)

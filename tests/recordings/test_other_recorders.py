@@ -12,8 +12,8 @@ import pytest
 from bag_forge import ADVERSARY, CAR, RESULT, Sent, campaign_messages, forged
 from recordings_support import crossing
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import make_controller
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario

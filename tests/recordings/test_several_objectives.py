@@ -12,9 +12,9 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
 from recordings_support import crossing, trials
+from skd_evaluator.assessment.assessment import Rating, judge_all
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.judge.rating import Rating, judge_all
-from skd_evaluator.assessment.plan.plan import Plan, kamikaze_set, split_episode_id
+from skd_evaluator.assessment.plan import Plan, kamikaze_set, split_episode_id
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.stages.asked import with_asked_period
+from skd_evaluator.assessment.from_options import with_asked_period
 from skd_sim.errors import UsageError
 from skd_sim.ros_environment import installation, is_sourced
 from skd_sim.ros_environment.installation import MessagePackage, ensure_messages

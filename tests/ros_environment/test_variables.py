@@ -9,7 +9,7 @@ import sys
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros import session
 from skd_evaluator.ros.processes import CONTROLLER, graph_programs
 from skd_sim.errors import UsageError

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome

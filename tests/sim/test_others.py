@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from skd_adversary.adversary import ReplayAdversary
-from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, closing_speed, collision_partner
+from skd_evaluator.assessment.episode_figures import ADVERSARY, closing_speed, collision_partner
 from skd_evaluator.assessment.plausibility import ROUNDING, implausible, recompute, touches
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.controllers import takes_scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from skd_sim.public import exported
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.judge.rating import Rating as Rating
-    from skd_evaluator.assessment.plan.plan import Plan as Plan
-    from skd_evaluator.assessment.run.runner import run_episode as run_episode
-    from skd_evaluator.assessment.stages.library import assess as assess
-    from skd_evaluator.assessment.stages.library import load_result as load_result
+    from skd_evaluator.assessment.assessment import Rating as Rating
+    from skd_evaluator.assessment.plan import Plan as Plan
+    from skd_evaluator.assessment.run.episodes import run_episode as run_episode
     from skd_evaluator.errors import AssessmentError as AssessmentError
+    from skd_evaluator.library import assess as assess
+    from skd_evaluator.library import load_result as load_result
     from skd_evaluator.metrics.clustered import clustered_mean as clustered_mean
     from skd_evaluator.metrics.clustered import clustered_rate as clustered_rate
     from skd_evaluator.metrics.deviation import deviation as deviation
@@ -41,15 +41,15 @@ __all__ = [
 _WHERE = {
     "AssessmentError": "skd_evaluator.errors",
     "Measure": "skd_evaluator.metrics.measures",
-    "Plan": "skd_evaluator.assessment.plan.plan",
-    "Rating": "skd_evaluator.assessment.judge.rating",
-    "assess": "skd_evaluator.assessment.stages.library",
+    "Plan": "skd_evaluator.assessment.plan",
+    "Rating": "skd_evaluator.assessment.assessment",
+    "assess": "skd_evaluator.library",
     "clustered_mean": "skd_evaluator.metrics.clustered",
     "clustered_rate": "skd_evaluator.metrics.clustered",
     "deviation": "skd_evaluator.metrics.deviation",
     "difference": "skd_evaluator.metrics.difference",
     "discrete_frechet": "skd_evaluator.metrics.frechet",
-    "load_result": "skd_evaluator.assessment.stages.library",
-    "run_episode": "skd_evaluator.assessment.run.runner",
+    "load_result": "skd_evaluator.library",
+    "run_episode": "skd_evaluator.assessment.run.episodes",
 }
 __getattr__, __dir__ = exported(__name__, _WHERE)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.judge.rating import Rating
+    from skd_evaluator.assessment.assessment import Rating
 
 _OUT = "--skd-out"
 
@@ -166,10 +166,10 @@ class Skd:
             AssessmentError: its figures are not credible, or `skd assess` would end with exit code 1 for
                 another reason, so that no test of them says anything.
         """
-        from skd_evaluator.assessment.stages.findings import undefined
-        from skd_evaluator.assessment.stages.library import assess
         from skd_evaluator.errors import AssessmentError
+        from skd_evaluator.library import assess
         from skd_evaluator.metrics.aborted import not_credible
+        from skd_evaluator.report.presentation import undefined
 
         controller = car if isinstance(car, str) else f"{car.__module__}:{car.__qualname__}"
         key = f"{controller} {sorted(options.items())!r}"

@@ -1,1 +1,1 @@
-"""Which episodes an assessment has, how they are run in process, and which figures follow from them."""
+"""Assessments: their plan, the stages that run it, the figures that follow, and files and comparisons of them."""

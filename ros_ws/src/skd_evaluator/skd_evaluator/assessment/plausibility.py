@@ -36,7 +36,7 @@ from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import make_world
 
 from skd_evaluator.assessment.files.episodes_npz import FARTHEST, within_reach
-from skd_evaluator.assessment.plan.plan import STAGES, Stage, split_episode_id, walks_a_way
+from skd_evaluator.assessment.plan import STAGES, Stage, split_episode_id, walks_a_way
 
 ROUNDING = 1e-9
 """m, m/s, s: what another processor's rounding may change."""

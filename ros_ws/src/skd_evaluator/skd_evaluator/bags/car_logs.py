@@ -20,8 +20,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.episodes_npz import Array, Column, episode_columns, read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.plan.plan import Stage, split_episode_id
-from skd_evaluator.assessment.plan.probe import probed
+from skd_evaluator.assessment.plan import Stage, probed, split_episode_id
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, holds_recordings, not_credible_beside
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible

@@ -16,7 +16,7 @@ from skd_sim.inputs.files import is_there, read_json, read_text, real_path, sha2
 from skd_sim.world.episode import EpisodeLog, Outcome, counts_in_words
 
 from skd_evaluator.assessment.files.result_folder import MANIFEST, read_manifest
-from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Stage, split_episode_id
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Stage, split_episode_id
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.metrics.aborted import not_credible
 
@@ -146,7 +146,7 @@ def missing_episodes(
     """Return which episodes the campaign must have had beside those that are recorded, a line each.
 
     Trials are numbered from 0 without gaps, and every φ is tried until as many have collided as for the others or a
-    cap is reached (`skd_evaluator.assessment.plan.plan`). If the last trials of every φ are missing alike, nobody can
+    cap is reached (`skd_evaluator.assessment.plan`). If the last trials of every φ are missing alike, nobody can
     tell.
 
     Args:

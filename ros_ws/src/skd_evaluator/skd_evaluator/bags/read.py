@@ -17,7 +17,7 @@ from skd_sim.options.options import shared_options
 from skd_sim.ros.from_messages import from_stamp, message_to_episode, odometry_to_adversary, odometry_to_car
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
-from skd_evaluator.assessment.plan.plan import model_digest
+from skd_evaluator.assessment.plan import model_digest
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message, stamps
 from skd_evaluator.bags.checks import Damage, LocatedLog, accept, find_recordings
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages, shortened, types_in, typestore

@@ -11,10 +11,9 @@ from skd_sim.options.options import options_of, shared_options
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
-from skd_evaluator.assessment.judge.repeatability import standing
-from skd_evaluator.assessment.plan.options import RECORDED
-from skd_evaluator.assessment.plan.plan import (
+from skd_evaluator.assessment.assessment import Rating, in_order, judge_all
+from skd_evaluator.assessment.options import RECORDED
+from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,
     KamikazeSet,
     Plan,
@@ -23,6 +22,7 @@ from skd_evaluator.assessment.plan.plan import (
     split_episode_id,
     walks_a_way,
 )
+from skd_evaluator.assessment.repeatability import standing
 from skd_evaluator.bags.checks import (
     Damage,
     aborted_episodes,

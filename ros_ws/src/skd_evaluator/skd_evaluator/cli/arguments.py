@@ -10,8 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from skd_sim.options.options import Option, options_of
 
-from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED, MOST_WORKERS, AssessmentOptions, CampaignOptions
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import (
+    MAXIMUM_ABORTED,
+    MOST_WORKERS,
+    AssessmentOptions,
+    CampaignOptions,
+    GraphOptions,
+)
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.result_folder import ResultFolder
@@ -285,7 +290,7 @@ def result_folder(arguments: argparse.Namespace) -> ResultFolder:
         UsageError: it cannot be taken, or holds what the command reads.
     """
     from skd_evaluator.assessment.files.result_folder import ResultFolder
-    from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+    from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
 
     out = output_path(arguments)
     refuse_to_replace(out, inputs_of(vars(arguments)))
@@ -296,7 +301,7 @@ def output_path(arguments: argparse.Namespace) -> Path:
     """Return --out, or a new folder named for the command and the time."""
     if arguments.out is not None:
         return Path(arguments.out)
-    from skd_evaluator.assessment.stages.asked import (
+    from skd_evaluator.assessment.from_options import (
         default_folder,  # this module is imported at every start, and has to be light
     )
 

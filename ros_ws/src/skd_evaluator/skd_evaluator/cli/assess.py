@@ -18,25 +18,24 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import EpisodeLog, Mode, counts_in_words
 from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.assessment import Rating, judge_all
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.judge.rating import Rating, judge_all
-from skd_evaluator.assessment.judge.repeatability import fresh_process
-from skd_evaluator.assessment.plan.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
-from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessment.stages.findings import most_frequent, warnings_of, why_failed
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
+from skd_evaluator.assessment.repeatability import fresh_process
 from skd_evaluator.assessment.stages.pipeline import (
     Further,
     Runners,
     assess_in_process,
     compile_for_graph,
 )
-from skd_evaluator.assessment.stages.written import fill, save_with_scratch
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.presentation import fill, most_frequent, save_with_scratch, warnings_of, why_failed
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import (
     counted,

@@ -14,14 +14,14 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
 from skd_sim.scenario.scenario import scenario_from_dict
 
+from skd_evaluator.assessment.compare.comparability import scenario_difference
 from skd_evaluator.assessment.compare.comparison import MARGIN, Comparison, compare, ranking_figure
-from skd_evaluator.assessment.compare.scenario_difference import scenario_difference
+from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import understood
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.judge.figure_table import columns
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.stages.asked import scenario_for
+from skd_evaluator.assessment.from_options import scenario_for
+from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.files import tails

@@ -12,7 +12,7 @@ from skd_sim.options.car_under_test import CONTROLLERS
 from skd_sim.options.registry import Registry
 from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS
 
-from skd_evaluator.assessment.plan.options import GENERATED, NO_BEHAVIOUR
+from skd_evaluator.assessment.options import GENERATED, NO_BEHAVIOUR
 from skd_evaluator.cli.parser import commands_of, make_parser
 from skd_evaluator.metrics.behaviour import WALKERS
 

@@ -20,16 +20,15 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import episode_summary
-from skd_evaluator.assessment.plan.options import GENERATED, SYNTHETIC, CampaignOptions
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.from_options import check_car, default_folder, plan_of, scenario_for
+from skd_evaluator.assessment.options import GENERATED, SYNTHETIC, CampaignOptions, GraphOptions
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.asked import check_car, default_folder, plan_of, scenario_for
-from skd_evaluator.assessment.stages.findings import episode_line
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.driving.hand import Controls, Drive, Hand, LeftError, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal
 from skd_evaluator.errors import AssessmentError
+from skd_evaluator.report.presentation import episode_line
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session, prepare_ros
 

@@ -11,14 +11,13 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.results import episode_summary
+from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.run.workers import single_episode
-from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessment.stages.findings import episode_line
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, learned_plan
-from skd_evaluator.assessment.stages.written import fill_episode, write_with_scratch
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.presentation import episode_line, fill_episode, write_with_scratch
 from skd_evaluator.risk.assessment_risk import behaviour_asked, single_crossing
 from skd_evaluator.ros.processes import GraphSetting, log_of
 from skd_evaluator.ros.session import graph_session, prepare_ros

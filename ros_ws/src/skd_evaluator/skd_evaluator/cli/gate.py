@@ -175,7 +175,7 @@ def gate_of(arguments: argparse.Namespace) -> Gate:
         if not os.access(real_path(path).parent, os.W_OK | os.X_OK):
             raise UsageError(f"--{name} {path}: must be a file in a folder that can be written")
     if files:
-        from skd_evaluator.assessment.stages.inputs import inputs_of, lies_in, refuse_to_replace
+        from skd_evaluator.assessment.from_options import inputs_of, lies_in, refuse_to_replace
 
         inputs = inputs_of(vars(arguments))
         for name, path in files.items():

@@ -12,7 +12,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.scenario.scenario import scenario_from_dict
 
-from skd_evaluator.assessment.compare.scenario_difference import has_tyres, scenario_difference
+from skd_evaluator.assessment.compare.comparability import has_tyres, scenario_difference
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.terminal import counted, print_table
 from skd_evaluator.report.trend import Run, find_runs, runs_table

@@ -8,7 +8,7 @@ from typing import Any
 
 from skd_sim.options.adversary import OBJECTIVES
 
-from skd_evaluator.assessment.plan.options import AssessmentOptions, CampaignOptions
+from skd_evaluator.assessment.options import AssessmentOptions, CampaignOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
     add_campaign_arguments,

@@ -135,8 +135,8 @@ def _source(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> _
 
 
 def _paired_source(first: StoredResult, second: StoredResult, figure: str) -> _Source:
+    from skd_evaluator.assessment.compare.comparability import PLANNED
     from skd_evaluator.assessment.compare.comparison import compare
-    from skd_evaluator.assessment.judge.planned_figures import PLANNED
 
     held = compare(first, second)
     if held.refusals:

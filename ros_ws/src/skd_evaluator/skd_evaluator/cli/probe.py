@@ -17,17 +17,16 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
-from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress, Recorder
-from skd_evaluator.assessment.plan.probe import probe_episodes
+from skd_evaluator.assessment.from_options import check_car
+from skd_evaluator.assessment.plan import EpisodeRunner, Progress, Recorder, probe_episodes
+from skd_evaluator.assessment.repeatability import fresh_process, repeatability
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
-from skd_evaluator.assessment.stages.asked import check_car
-from skd_evaluator.assessment.stages.written import write_with_scratch
 from skd_evaluator.bags.car_logs import EPISODES, write_logs
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.metrics.aborted import not_credible
+from skd_evaluator.report.presentation import write_with_scratch
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import fresh_graph, graphs_session, prepare_ros

@@ -17,8 +17,8 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.assessment.plan.options import SYNTHETIC
-from skd_evaluator.assessment.plan.plan import Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.options import SYNTHETIC
+from skd_evaluator.assessment.plan import Plan, Progress, safe_trajectories
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json

@@ -9,7 +9,6 @@ from dataclasses import replace
 from skd_sim.errors import UsageError
 
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
-from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.read import read_bags
 from skd_evaluator.bags.replay import rating_from
@@ -19,6 +18,7 @@ from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.presentation import fill
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import say_damage, say_left_out
 

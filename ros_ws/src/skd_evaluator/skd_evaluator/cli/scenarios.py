@@ -17,8 +17,8 @@ from skd_sim.scenario.scenario_file import SCENARIOS, is_named
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+from skd_evaluator.assessment.from_options import inputs_of, refuse_to_replace
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.errors import AssessmentError

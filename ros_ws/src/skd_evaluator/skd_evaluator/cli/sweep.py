@@ -14,20 +14,19 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import objectives_named
 
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.judge.figure_table import columns
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.assessment.plan.plan import safe_trajectories
-from skd_evaluator.assessment.stages.asked import plan_of, scenario_for
-from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
+from skd_evaluator.assessment.from_options import plan_of, scenario_for
+from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
+from skd_evaluator.assessment.plan import safe_trajectories
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, planners_of
-from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.margin.assessment_margin import margins_compiled_beside
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.presentation import fill, warnings_of, why_failed
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import sweep_table
 from skd_evaluator.report.terminal import print_table

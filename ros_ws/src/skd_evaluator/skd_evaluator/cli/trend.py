@@ -10,9 +10,9 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 
 from skd_evaluator.assessment.compare.comparison import Comparison, compare
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import read_result
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import is_read, print_json
 from skd_evaluator.report.terminal import print_table

@@ -23,7 +23,7 @@ from skd_sim.simulators.simulator import Frame, NamedSimulator
 from skd_sim.world.episode import Episode, EpisodeLog
 from skd_sim.world.state import CarState
 
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.driving.situation import Onlooker, Situation
 
 _DIRECTIONS: Final = {

@@ -26,9 +26,9 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import MAXIMUM_ABORTED
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.options import MAXIMUM_ABORTED
+from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner, available_workers, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin

@@ -39,7 +39,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.margin.actions import has_exact_margin, velocities
 from skd_evaluator.margin.exact.exact import exact_margin

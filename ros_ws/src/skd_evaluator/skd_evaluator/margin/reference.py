@@ -18,7 +18,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.plan import Plan, Progress
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.basic_margins import yardstick

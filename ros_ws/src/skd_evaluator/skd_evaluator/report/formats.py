@@ -10,8 +10,8 @@ from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
 from skd_sim.scenario.scenario import Scenario
 
-from skd_evaluator.assessment.judge.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
+from skd_evaluator.assessment.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
+from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.metrics.margins import GAP_WARNING, UPPER_BOUNDS, stopped_at
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES
 

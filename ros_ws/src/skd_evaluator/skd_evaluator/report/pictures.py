@@ -19,10 +19,10 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.judge.assessment import Assessment
-from skd_evaluator.assessment.judge.figure_table import Kind
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import KamikazeSet
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.figure_table import Kind
+from skd_evaluator.assessment.objective_result import Assessment
+from skd_evaluator.assessment.plan import KamikazeSet
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import PAGE, TYPE, car_outline, draw_car, draw_fronts, draw_road, save_picture

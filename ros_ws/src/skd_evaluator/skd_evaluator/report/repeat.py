@@ -14,8 +14,8 @@ from skd_sim.scenario.scenario import load_scenario
 from skd_sim.scenario.scenario_file import is_named
 from skd_sim.world.episode import Mode
 
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.plan.plan import split_episode_id
+from skd_evaluator.assessment.options import CampaignOptions
+from skd_evaluator.assessment.plan import split_episode_id
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 

@@ -8,7 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.report.formats import BARE, TERMINAL, bounded, interval, number, percent
 from skd_evaluator.report.terminal import bounded_cell, counted, credibility, narrow_table, one_line_cells
 

@@ -13,8 +13,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from skd_evaluator.assessment.compare.gate import Check
+from skd_evaluator.assessment.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
 from skd_evaluator.assessment.files.assessment_json import scalar_figures
-from skd_evaluator.assessment.judge.figure_table import CI95, FIGURES, THESE_PHI, Told, shown_in
 from skd_evaluator.report.formats import BARE, margin_warnings, ninety
 from skd_evaluator.report.terminal import car_name, headline
 

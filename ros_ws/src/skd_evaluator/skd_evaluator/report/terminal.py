@@ -17,7 +17,7 @@ from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
 from skd_sim.options.car_under_test import CarUnderTest
 
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, shown_in
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, shown_in
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import GAP_WARNING

@@ -17,9 +17,9 @@ from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json, real_path
 
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Kind
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Kind
 from skd_evaluator.files import PREFIX
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search

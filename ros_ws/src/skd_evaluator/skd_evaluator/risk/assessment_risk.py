@@ -22,11 +22,11 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Role, generator
 
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.judge.failures import Walkers, failures_of
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import NO_BEHAVIOUR
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.options import NO_BEHAVIOUR
+from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
 from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin

@@ -22,9 +22,9 @@ from skd_sim.world.contact import sweep, to_car_frame
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
 
-from skd_evaluator.assessment.judge.collision_partner import ADVERSARY, collision_partner
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Stage, episode_id
-from skd_evaluator.assessment.run.side_by_side import answers_batches, replayed, why_not_side_by_side
+from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
+from skd_evaluator.assessment.plan import EpisodeRunner, Stage, episode_id
+from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_side_by_side
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.metrics.behaviour.model import walk, walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight, pose_at_contact

@@ -21,7 +21,7 @@ from skd_sim.kernels.compilation import kernel
 from skd_sim.world.contact import to_car_frame
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.behaviour.model import normals_of
 
 

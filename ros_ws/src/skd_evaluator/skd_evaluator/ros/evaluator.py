@@ -55,12 +55,12 @@ from skd_sim.world.timing import NANOSECONDS, next_start, tick_stamp
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.assessment_json import figure
-from skd_evaluator.assessment.judge.figure_table import Of, keys_of
-from skd_evaluator.assessment.judge.rating import Rating
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result, Samples, aborted, result_from_message
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes
 from skd_evaluator.ros.recording import SETTLE, BagRecorder

@@ -21,18 +21,29 @@ from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder
-from skd_evaluator.assessment.learning.lesson import learned
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.from_options import (
+    default_folder,
+    inputs_of,
+    plan_of,
+    refuse_to_replace,
+    scenario_for,
+    with_asked_period,
+)
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, managed_nodes
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import check_controller, single_episode
-from skd_evaluator.assessment.stages.asked import default_folder, plan_of, scenario_for, with_asked_period
-from skd_evaluator.assessment.stages.findings import episode_line, warnings_of, why_failed
-from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions, managed_nodes
-from skd_evaluator.assessment.stages.inputs import inputs_of, refuse_to_replace
+from skd_evaluator.assessment.stages.learning import learned
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, compile_for_graph
-from skd_evaluator.assessment.stages.written import fill, fill_episode, write_with_scratch
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
+from skd_evaluator.report.presentation import (
+    episode_line,
+    fill,
+    fill_episode,
+    warnings_of,
+    why_failed,
+    write_with_scratch,
+)
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import campaign_name
 from skd_evaluator.ros.stack import resetting

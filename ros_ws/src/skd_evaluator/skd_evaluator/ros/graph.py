@@ -34,8 +34,8 @@ from skd_sim.errors import UsageError
 from skd_sim.ros.commands import car_commands
 from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.stages.graph_options import RESTART, managed_nodes
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.options import RESTART, managed_nodes
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_evaluator.ros.processes import (

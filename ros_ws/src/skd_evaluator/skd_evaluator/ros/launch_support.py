@@ -19,8 +19,7 @@ from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
 from skd_sim.options.options import SimulatorOptions, options_of
 from skd_sim.start import remedy_for_executables
 
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.stages.graph_options import EvaluatorOptions
+from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 
 SIMULATOR, EVALUATOR = "vehicle_simulator", "evaluator"
 _TRUE, _FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")

@@ -29,7 +29,7 @@ from skd_sim.options.car_under_test import WORLD, CarUnderTest
 from skd_sim.ros_environment import foreign_variables, is_sourced, node_variables
 from skd_sim.world.episode import AbortKind, EpisodeLog, Outcome, abort_reason, kind_of
 
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.errors import AssessmentError
 
 CONTROLLER, ADVERSARY, SIMULATOR = "car_controller", "adversary", "vehicle_simulator"

@@ -36,7 +36,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.assessment.plan.plan import model_digest, walks_a_way
+from skd_evaluator.assessment.plan import model_digest, walks_a_way
 from skd_evaluator.assessment.run.assembly import EpisodeKey, Result
 from skd_evaluator.bags.write import RecordedMessage, write_bag
 from skd_evaluator.ros.visualization import fixed_markers, moving_markers, recorded_figures

@@ -19,10 +19,10 @@ from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 from skd_sim.world.episode import counts_in_words
 
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.judge.repeatability import Fresh
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.options import GraphOptions
+from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.repeatability import Fresh
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes, GraphSetting, log_of

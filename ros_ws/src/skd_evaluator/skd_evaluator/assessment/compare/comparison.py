@@ -19,17 +19,20 @@ from typing import Any
 import numpy as np
 from skd_sim.arrays import FloatArray
 
-from skd_evaluator.assessment.compare.unlike_results import (
+from skd_evaluator.assessment.compare.comparability import (
+    OF_SKD,
+    PLANNED,
     different_phi,
     different_roads,
     refusals,
     shared,
     unlike_behaviours,
+    unlike_plans,
+    unlike_skd,
     warnings,
 )
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Better, Of, shown_in
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Better, Of, shown_in
-from skd_evaluator.assessment.judge.planned_figures import OF_SKD, PLANNED, unlike_plans, unlike_skd
 from skd_evaluator.metrics.difference import Difference, difference
 from skd_evaluator.metrics.margins import CONVERGED_WITHIN, stopped_at
 from skd_evaluator.metrics.risks import RANKS

@@ -19,8 +19,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, read_json
 from skd_sim.inputs.yaml_file import short
 
-from skd_evaluator.assessment.judge import figure_table as table
-from skd_evaluator.assessment.judge.figure_table import (
+from skd_evaluator.assessment import figure_table as table
+from skd_evaluator.assessment.figure_table import (
     AT_THE_TOP,
     OF_OBJECTIVES,
     OF_PHI,

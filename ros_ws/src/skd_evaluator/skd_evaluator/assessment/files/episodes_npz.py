@@ -25,9 +25,9 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, until_contact
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.failures import Walkers, failures_of
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import Stage, episode_id, split_episode_id
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.failures import Walkers, failures_of
+from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.deviation import LeastWay, deviation_pairs
@@ -327,7 +327,7 @@ class StoredEpisodes:
         objective: objective of each kamikaze; empty for a run along φ.
         safe_index: number of the φ of each episode, counted from 0.
         outcome: how each episode ended (`skd_sim.world.episode.Outcome`).
-        episode_id: id of each episode, as `skd_evaluator.assessment.plan.plan.episode_id` makes it.
+        episode_id: id of each episode, as `skd_evaluator.assessment.plan.episode_id` makes it.
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
         hit_speed: speed of the car, m/s, from which on a collision is a hit.

@@ -16,14 +16,13 @@ from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.episode_figures import SURROGATES, command_age
+from skd_evaluator.assessment.figure_table import figures_html
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, write_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged, write_json
 from skd_evaluator.assessment.files.verification import stored_risks
-from skd_evaluator.assessment.judge.command_age import command_age
-from skd_evaluator.assessment.judge.html import figures_html
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.judge.surrogate_figures import SURROGATES
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.risks import Risks, Touch
 from skd_evaluator.metrics.skd import prefix_distances

@@ -21,13 +21,13 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.assessment import Rating, judge_all
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Told
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
 from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, read_manifest
-from skd_evaluator.assessment.judge.assessment import CONFIDENCE
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Told
-from skd_evaluator.assessment.judge.rating import Rating, judge_all
-from skd_evaluator.assessment.plan.plan import KamikazeSet, Plan, kamikaze_set
+from skd_evaluator.assessment.objective_result import CONFIDENCE
+from skd_evaluator.assessment.plan import KamikazeSet, Plan, kamikaze_set
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import Excess, Margins
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch

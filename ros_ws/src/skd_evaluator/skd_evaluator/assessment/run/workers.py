@@ -46,9 +46,9 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
 _Item = TypeVar("_Item")

@@ -1,1 +1,1 @@
-"""From options to an assessment on disk, in the same way for the command line, campaigns and the graph's evaluator."""
+"""The stages of an assessment, from safe trajectories to checks."""

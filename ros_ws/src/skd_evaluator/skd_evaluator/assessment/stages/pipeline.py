@@ -13,19 +13,24 @@ from skd_sim.options.options import options_of
 from skd_sim.world.episode import Episode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.held_kamikazes import with_budgets
-from skd_evaluator.assessment.judge.rating import Rating, rate
-from skd_evaluator.assessment.judge.repeatability import Fresh, driving, fresh_process, repeatability, standing
-from skd_evaluator.assessment.judge.static_tests import with_static_tests
-from skd_evaluator.assessment.judge.until_width import rate_until_width
-from skd_evaluator.assessment.learning.lesson import learned, needs_learning
-from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, GENERATED, OWN
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, GENERATED, OF_NO_RESULT, OWN, GraphOptions
+from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.repeatability import (
+    Fresh,
+    driving,
+    fresh_process,
+    repeatability,
+    standing,
+    with_simulation,
+)
 from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
-from skd_evaluator.assessment.stages.findings import aborted_lines
-from skd_evaluator.assessment.stages.graph_options import OF_NO_RESULT, GraphOptions
-from skd_evaluator.assessment.stages.simulated import with_simulation
+from skd_evaluator.assessment.stages.bounded_kamikazes import with_budgets
+from skd_evaluator.assessment.stages.learning import learned, needs_learning
+from skd_evaluator.assessment.stages.sequential import rate_until_width
+from skd_evaluator.assessment.stages.static_tests import with_static_tests
 from skd_evaluator.margin.assessment_margin import margins_compiled_beside, with_margins
+from skd_evaluator.report.presentation import aborted_lines
 from skd_evaluator.risk.assessment_risk import NOTHING_ASKED, RiskAsked, warm_up_risk, with_risks
 
 

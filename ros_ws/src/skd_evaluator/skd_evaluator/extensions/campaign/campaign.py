@@ -16,13 +16,12 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.options.options import further_options
 
-from skd_evaluator.assessment.judge.planned_figures import unlike_rows
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.judge.repeatability import fresh_process
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.compare.comparability import unlike_rows
+from skd_evaluator.assessment.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.repeatability import fresh_process
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan
-from skd_evaluator.assessment.stages.written import fill
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign.cells import (
     DONE,
@@ -46,6 +45,7 @@ from skd_evaluator.extensions.campaign.episode_store import (
 )
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
 from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
+from skd_evaluator.report.presentation import fill
 from skd_evaluator.ros.session import rated_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again

@@ -33,15 +33,15 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option, options_of, read_options
 from skd_sim.scenario.scenario_file import SCENARIOS, is_named
 
-from skd_evaluator.assessment.plan.options import (
+from skd_evaluator.assessment.options import (
     NO_BEHAVIOUR,
     OWN,
     SYNTHETIC,
     WALKERS,
     AssessmentOptions,
     CampaignOptions,
+    GraphOptions,
 )
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
 
 MOST_CELLS = 10_000
 _SCENARIO, _OF_WHOLE = "scenario", "graphs"

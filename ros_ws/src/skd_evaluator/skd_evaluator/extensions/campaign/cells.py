@@ -21,22 +21,21 @@ from skd_sim.options.options import further_options, options_of, values_of
 from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchanged
 from skd_evaluator.assessment.files.verification import rating_of
-from skd_evaluator.assessment.judge.figure_table import columns
-from skd_evaluator.assessment.judge.held_kamikazes import BUDGETS, held_trials
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
-from skd_evaluator.assessment.plan.plan import TRIALS_PER_REQUESTED, Plan, safe_trajectories
+from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
+from skd_evaluator.assessment.options import GENERATED, OF_NO_RESULT, CampaignOptions, GraphOptions
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.asked import check_car, plan_of, scenario_for
-from skd_evaluator.assessment.stages.findings import warnings_of, why_failed
-from skd_evaluator.assessment.stages.graph_options import OF_NO_RESULT, GraphOptions
+from skd_evaluator.assessment.stages.bounded_kamikazes import BUDGETS, held_trials
 from skd_evaluator.extensions.campaign.campaign_file import Combination
 from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
 from skd_evaluator.provenance import CodeFiles, code_files, environment
+from skd_evaluator.report.presentation import warnings_of, why_failed
 from skd_evaluator.risk.assessment_risk import RiskAsked, risk_asked
 
 

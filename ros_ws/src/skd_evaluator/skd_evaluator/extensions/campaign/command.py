@@ -14,8 +14,8 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.world.episode import Episode
 
+from skd_evaluator.assessment.from_options import inputs_of
 from skd_evaluator.assessment.run.workers import available_workers
-from skd_evaluator.assessment.stages.inputs import inputs_of
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
 from skd_evaluator.cli.arguments import output_path, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED

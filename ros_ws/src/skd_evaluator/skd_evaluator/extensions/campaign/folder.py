@@ -24,7 +24,7 @@ from skd_sim.inputs.files import read_json, sha256_of
 from skd_sim.inputs.yaml_file import short
 
 from skd_evaluator.assessment.files.result_folder import write_manifests
-from skd_evaluator.assessment.stages.inputs import lies_in
+from skd_evaluator.assessment.from_options import lies_in
 from skd_evaluator.extensions.campaign.cells import CHECKED, Cell
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME as STORE
 from skd_evaluator.extensions.campaign.episode_store import flat

@@ -32,7 +32,7 @@ from skd_sim.simulators.simulator import Frame, WorldSimulator
 from skd_sim.world.episode import Episode, Mode, Outcome
 from skd_sim.world.state import CarState, Trajectory
 
-from skd_evaluator.assessment.run.runner import run_episode
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS
 from skd_evaluator.metrics.clustered import student_quantile

@@ -14,11 +14,10 @@ from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
 
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.judge.repeatability import fresh_process, repeatability
-from skd_evaluator.assessment.plan.options import CampaignOptions
-from skd_evaluator.assessment.plan.plan import Plan
-from skd_evaluator.assessment.stages.asked import check_car
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.assessment.from_options import check_car
+from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.repeatability import fresh_process, repeatability
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid, scenario_of, wanted_cells

@@ -15,12 +15,11 @@ from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.assessment import judge
-from skd_evaluator.assessment.judge.repeatability import undisturbed_drives
-from skd_evaluator.assessment.judge.static_tests import Tested
-from skd_evaluator.assessment.plan.plan import Plan, Progress, kamikaze_sets, safe_trajectories
-from skd_evaluator.assessment.run.static_test import static_episodes
+from skd_evaluator.assessment.objective_result import judge
+from skd_evaluator.assessment.plan import Plan, Progress, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.repeatability import undisturbed_drives
 from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, Matrix, MatrixPoint, colour_of, matrix_of
 from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Cell, Grid, rounded_kmh

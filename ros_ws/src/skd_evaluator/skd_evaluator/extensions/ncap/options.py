@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from skd_evaluator.assessment.plan.options import AssessmentOptions
+from skd_evaluator.assessment.options import AssessmentOptions
 from skd_evaluator.cli.arguments import (
     CAR_GROUP,
     add_options,

@@ -13,7 +13,7 @@ from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import lineage
 
-from skd_evaluator.assessment.judge.static_tests import Tested, place_of
+from skd_evaluator.assessment.stages.static_tests import Tested, place_of
 from skd_evaluator.extensions.ncap.judging import (
     KMH,
     SAME,

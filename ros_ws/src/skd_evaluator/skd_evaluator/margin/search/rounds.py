@@ -9,9 +9,9 @@ from skd_sim.controllers import make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Progress
-from skd_evaluator.assessment.run.runner import run_episode
-from skd_evaluator.assessment.run.side_by_side import replayed, why_not_side_by_side
+from skd_evaluator.assessment.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.run.batches import replayed, why_not_side_by_side
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import ExecutorRunner
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.search import Rounds, SearchedMargins

@@ -12,7 +12,7 @@ import altair as alt
 import numpy as np
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.judge.figure_table import CI95, SHARE, Figure, shown_in
+from skd_evaluator.assessment.figure_table import CI95, SHARE, Figure, shown_in
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.report.curves import RatedCar, basic_cars, floor_of, interval_band, labelled, rated_car
 from skd_evaluator.report.html.figures import scenarios_of

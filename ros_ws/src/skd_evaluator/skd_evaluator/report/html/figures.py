@@ -10,7 +10,7 @@ from typing import Any
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.world.episode import Mode
 
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.metrics.aborted import aborted_lines
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import (

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (

@@ -1,4 +1,4 @@
-"""Many episodes side by side, in all of which somebody walks a given way: a policy is asked for all of them at once.
+"""Many episodes at once, in all of which the adversary follows a trajectory: a policy is asked for all together.
 
 The worlds are compiled, and the same to the bit as those of whole episodes. When all is over, the single form of the
 policy is asked as well: in every control period of some episodes, by a controller of each one's own, and in one control

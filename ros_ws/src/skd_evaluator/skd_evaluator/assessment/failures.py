@@ -27,7 +27,7 @@ from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Role, generator
 
-from skd_evaluator.assessment.plan.plan import Stage, episode_id
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES, OF_PERSON, OF_TICK, normals_of, smooth, walked
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 

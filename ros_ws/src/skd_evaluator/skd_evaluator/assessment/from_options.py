@@ -1,9 +1,10 @@
-"""What options ask for: scenario, car and plan. Options that do not go together are refused before any work."""
+"""Scenario, car and plan of options, and the files that options name; what does not go together is refused."""
 
 from __future__ import annotations
 
+import csv
 import datetime
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,19 @@ from typing import Any
 from skd_adversary.car_models.car_model_file import car_model_for_scenario, file_of
 from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import real_path
 from skd_sim.options.adversary import Knowledge, check_knowledge, default_knowledge, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.scenario import Scenario, changed_scenario, check_control_period, load_scenario
+from skd_sim.scenario.scenario_file import SCENARIOS, is_named, lineage
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
-from skd_evaluator.assessment.plan.options import GENERATED, CampaignOptions
-from skd_evaluator.assessment.plan.plan import Plan
+from skd_evaluator.assessment.options import GENERATED, NO_BEHAVIOUR, OWN, SYNTHETIC, CampaignOptions, GraphOptions
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import check_controller
-from skd_evaluator.assessment.stages.graph_options import GraphOptions
+from skd_evaluator.metrics.behaviour import WALKERS
+from skd_evaluator.provenance import code_paths
 
 
 def scenario_for(name: str | None, safe: str, changes: Mapping[str, Any] | None = None) -> Scenario:
@@ -122,3 +126,84 @@ def default_folder(task: str) -> Path:
     """Return a new folder named for the task and the time."""
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
     return Path("skd_results") / f"{task}-{stamp}"
+
+
+_WRITTEN = ("out", "junit", "markdown", "csv")
+"""Options that name what is written."""
+_WORDS = (None, "", SYNTHETIC, OWN, REGULATORY, WALKERS, NO_BEHAVIOUR)
+"""Values that name no file where a path is expected."""
+
+
+def inputs_of(values: Mapping[str, Any]) -> list[Path]:
+    """Return the files and folders that options name to be read, whether they are there or not.
+
+    A node's own command line is no such option: what it reads is not known.
+
+    Args:
+        values: values of options by name, of the command line, of a campaign's cell or of the evaluator's node.
+    """
+    found = [one for name, value in values.items() if name not in _WRITTEN for one in _paths(value)]
+    if values.get("safe") not in _WORDS:
+        found.append(Path(str(values["safe"])))
+    models = [values.get(name) for name in ("car_model", "behaviour")]
+    found += [_expanded(str(name)) for name in models if name not in _WORDS]
+    found += map(_expanded, values.get("message_folder") or ())
+    scenarios = [values.get("scenario"), *(values.get("names") or ())]
+    if isinstance(listed := values.get("scenarios"), str):
+        scenarios += [name.strip() for row in csv.reader([listed]) for name in row]
+    found += [path for name in scenarios if name for path in _files_of_scenario(str(name))]
+    if values.get("controller"):
+        found += code_paths(CarUnderTest(str(values["controller"])))
+    return list(dict.fromkeys(found))
+
+
+def refuse_to_replace(out: Path, paths: Iterable[Path], option: str = "--out") -> None:
+    """Refuse an output that is, or holds, what is read: it would be replaced.
+
+    Args:
+        out: where the file is to be, or the folder.
+        paths: what is read.
+        option: the option that names the output, for error lines.
+
+    Raises:
+        UsageError: it is so.
+    """
+    for path in (one for one in paths if lies_in(one, out)):
+        if out.is_file():
+            raise UsageError(f"{option} {out}: is read by this command; give another file")
+        raise UsageError(f"{option} {out}: holds {path}, which this command reads; give another folder")
+
+
+def lies_in(path: Path, folder: Path) -> bool:
+    """Return whether a path leads into a folder, or through a link that is in it, whatever other links lead there."""
+    links = (one for one in (path, *path.parents) if one.is_symlink())
+    try:
+        places = [real_path(path), *(real_path(link.parent) / link.name for link in links)]
+        return any(one.is_relative_to(real_path(folder)) for one in places)
+    except ValueError:  # a name with a zero in it leads nowhere
+        return False
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    """Yield the paths in a value of an option."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, (list, tuple)):
+        yield from (one for one in value if isinstance(one, Path))
+
+
+def _expanded(name: str) -> Path:
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:  # of a home that nobody has
+        return Path(name)
+
+
+def _files_of_scenario(name: str) -> list[Path]:
+    """Return a scenario's file, if it has one, and those of the scenarios that it builds upon."""
+    try:
+        sources = lineage(name)
+    except UsageError:  # it cannot be read, which is said elsewhere, or is a result
+        sources = [name]
+    files = (one for one in sources if one not in SCENARIOS.own)
+    return [Path(one) for one in files if Path(one).is_file() or not is_named(one)]

@@ -1,4 +1,4 @@
-"""Assessments that go on until they are certain enough: more φ, batch by batch, and a look after each.
+"""Sequential stopping: more φ, batch by batch, until the interval of the mean deviation is narrow enough.
 
 Every look has the intervals of `nominal_confidence`, so that they hold with 95 % at whichever one it stops: see
 `metrics/sample_size.py`. Each batch has new φ, with as many kamikazes and runs along each; the result is the
@@ -18,9 +18,9 @@ from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.rating import Rating, in_order, judge_all
-from skd_evaluator.assessment.plan.options import GENERATED
-from skd_evaluator.assessment.plan.plan import (
+from skd_evaluator.assessment.assessment import Rating, in_order, judge_all
+from skd_evaluator.assessment.options import GENERATED
+from skd_evaluator.assessment.plan import (
     EpisodeRunner,
     KamikazeSet,
     Plan,

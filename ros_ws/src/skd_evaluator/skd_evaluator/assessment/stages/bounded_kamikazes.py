@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from skd_sim.world.episode import Episode, Mode, Outcome
 
-from skd_evaluator.assessment.judge.assessment import Assessment
-from skd_evaluator.assessment.judge.rating import Rating
-from skd_evaluator.assessment.plan.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.objective_result import Assessment
+from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 

@@ -1,22 +1,161 @@
-"""What two assessments do not have in common: why they are not compared, or how sure a verdict of them is."""
+"""Whether two assessments can be compared, in all or in part: what they do not have in common."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from skd_sim.inputs.files import one_line
-from skd_sim.options.car_under_test import WORLD
+from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, first_of
+from skd_sim.options.car_under_test import BASIC, DYNAMICS, WORLD
+from skd_sim.options.options import FIELDS, EpisodeOptions, options_of
 
-from skd_evaluator.assessment.compare.scenario_difference import (
-    FRICTION,
-    differences,
-    phi_differences,
-    scenario_difference,
-)
+from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.results import StoredResult
-from skd_evaluator.assessment.judge.planned_figures import hit_speed
-from skd_evaluator.assessment.plan.options import OWN, SYNTHETIC, WALKERS
+from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
 from skd_evaluator.metrics.aborted import UNDISTURBED, in_one_line, not_credible
+
+PLANNED = keys_of(Of.RANKING, Of.SKD)
+"""Figures of planned kamikazes; all others are of the car alone."""
+OF_SKD = keys_of(Of.SKD)
+"""Those of them that are of the kamikazes that SKD is of."""
+
+_PLANNING = tuple(one for one in options_of(EpisodeOptions) if one.planning and one.name not in {*FIELDS, "knowledge"})
+
+
+def hit_speed(figures: Mapping[str, Any]) -> float:
+    """Return the speed of the car from which on a collision counted as a hit, m/s; 0 in old results, where any did."""
+    return float(figures["scenario"]["collision"].get("hit_speed", 0.0))
+
+
+def unlike_plans(figures: Iterable[Mapping[str, Any]]) -> str:
+    """Return how the planned kamikazes of some results differ, in a few words; empty if they can be compared.
+
+    Args:
+        figures: content of each assessment.json, under the keys of today.
+    """
+    known = [
+        {
+            "knowledge of the car": str(one["knowledge"]),
+            "objective": first_of(RANKING_OBJECTIVES, one["objectives"]),
+            "η_max (m)": f"{one['eta_max']:g}",
+            "hit speed (m/s)": f"{hit_speed(one):g}",
+            "maximum distance (m)": _or_none(one.get("maximum_distance")),
+            **_planning(one.get("options") or {}),
+        }
+        for one in figures
+    ]
+    return _unlike(known)
+
+
+def unlike_skd(figures: Iterable[Mapping[str, Any]]) -> str:
+    """Return how the kamikazes that give SKD differ, beside `unlike_plans`; empty if they do not."""
+    return _unlike([{"objective": first_of(SKD_OBJECTIVES, one["objectives"])} for one in figures])
+
+
+def unlike_rows(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return how the planned kamikazes of a campaign's rows differ, as `unlike_plans`; only rows with figures count.
+
+    Args:
+        rows: rows of a campaign, each with the further options of its cell as `options`.
+    """
+    known = [
+        {
+            "knowledge of the car": str(row["knowledge"]),
+            "objective": str(row["ranking_objective"]),
+            "η_max (m)": f"{row['eta_max']:g}",
+            **_planning(row["options"]),
+        }
+        for row in rows
+        if row["eta_max"] is not None
+    ]
+    return _unlike(known)
+
+
+def _planning(options: Mapping[str, Any]) -> dict[str, str]:
+    """Return by what else kamikazes were planned, by name: all further options that change what is planned."""
+    return {one.name.replace("_", " "): _text(options.get(one.name, one.plain(one.default))) for one in _PLANNING}
+
+
+def _text(value: Any) -> str:
+    """Return the value of an option in words; 0 stands for what is usual."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value or "the usual number")
+
+
+def _unlike(known: list[dict[str, str]]) -> str:
+    """Return the names whose values differ, each with these in their first order."""
+    found = []
+    for name in known[0] if known else ():
+        values = list(dict.fromkeys(one[name] for one in known))
+        if len(values) > 1:
+            found.append(f"{name} {', '.join(values[:-1])} and {values[-1]}")
+    return "; ".join(found)
+
+
+def _or_none(value: float | None) -> str:
+    return "none" if value is None else f"{value:g}"
+
+
+_SAYS_NOTHING = frozenset({"name", "description", "sensor", "control_period"})
+"""Keys of a scenario that say nothing about the scenario, and on which no safe trajectory depends."""
+_FREE = (
+    _SAYS_NOTHING
+    | {f"car.{key}" for key in ("front", "rear", "width", "deceleration", "speed_noise", "acceleration_noise")}
+    | {f"car.{key}" for key in ("dynamics", "brake_delay", "brake_rate", "brake_limit", "antilock")}
+)
+"""Keys of a scenario that are the car's own, or say nothing about the scenario."""
+FRICTION = "road.friction"
+
+Different = tuple[str, Any, Any]
+"""A key, with its value in each of two scenarios."""
+
+
+def scenario_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> Different | None:
+    """Return the first key in which two scenarios differ, with its value in each; None if they are the same.
+
+    The road's friction is of the scenario where both cars have tyres. A car without tyres has no other than 1.
+
+    Args:
+        one: a scenario as plain data.
+        other: the other scenario, in the same form.
+    """
+    tyres = all(has_tyres(scenario) for scenario in (one, other))
+    return next(differences(one, other, _FREE if tyres else _FREE | {FRICTION}), None)
+
+
+def phi_differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[Different]:
+    """Return all keys in which two scenarios differ that safe trajectories can depend on, the car's own among them."""
+    return list(differences(one, other, _SAYS_NOTHING))
+
+
+def has_tyres(scenario: Mapping[str, Any]) -> bool:
+    """Return whether the car of a scenario, as plain data, has tyres: only they feel the road's friction."""
+    return DYNAMICS[str(scenario["car"].get("dynamics", BASIC))].tyres
+
+
+def differences(
+    one: Mapping[str, Any], other: Mapping[str, Any], free: frozenset[str] = frozenset()
+) -> Iterator[Different]:
+    """Yield the keys in which plain data differ, `section.key`, in their order; those that are free may."""
+    first, second = _flat(one, free), _flat(other, free)
+    for key in sorted(first.keys() | second.keys()):
+        if first.get(key) != second.get(key):
+            yield key, first.get(key), second.get(key)
+
+
+def _flat(data: Mapping[str, Any], free: frozenset[str], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        name = f"{prefix}{key}"
+        if name in free:
+            continue
+        if isinstance(value, Mapping):
+            flat |= _flat(value, free, f"{name}.")
+        else:
+            flat[name] = value
+    return flat
 
 
 def unlike_behaviours(first: StoredResult, second: StoredResult) -> str:

@@ -1,12 +1,13 @@
 """The table of figures: what stands in assessment.json, a row each, in the order in which it is written.
 
 Whoever writes, shows, checks or compares figures goes through this table. So a new one is its row here, and the entry
-under its key where it is computed: in `Margins.figures`, `Assessment.figures` or `Rating.as_dict`.
+under its key where it is computed: in `Margins.figures`, `ObjectiveResult.figures` or `Assessment.as_dict`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import html
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Any
@@ -377,3 +378,29 @@ def shown_in(output: str) -> list[Figure]:
 def columns(output: str) -> tuple[str, ...]:
     """Return the keys of the figures that an output has side by side, in its order, with those of their intervals."""
     return tuple(key for one in shown_in(output) for key in (one.keys[:1] if one.bare else one.keys))
+
+
+def figures_html(figures: Mapping[str, Any], warnings: Sequence[str] = ()) -> str:
+    """Return the figures that are looked at first, with their intervals, as a table.
+
+    Args:
+        figures: content of assessment.json.
+        warnings: why they are not credible, a line each.
+    """
+    known = [one for one in shown_in("summary") if isinstance(figures.get(one.key), (int, float))]
+    rows = "".join(_row(one, figures) for one in known)
+    what = f"{figures['controller']} in {figures['scenario']['name']}"
+    head = "<tr><th></th><th>value</th><th>95 % interval</th></tr>"
+    said = "".join(f"<br>{html.escape(line)}" for line in warnings)
+    return f"<table><caption>{html.escape(what)}{said}</caption>{head}{rows}</table>"
+
+
+def _row(one: Figure, figures: Mapping[str, Any]) -> str:
+    value, interval = figures[one.key], figures.get(f"{one.key}_ci95")
+    label = f"{one.label} ({one.kind.unit})" if one.kind.unit else one.label
+    ends = "" if interval is None or None in interval else f"[{_shown(one, interval[0])}, {_shown(one, interval[1])}]"
+    return f"<tr><td>{html.escape(label)}</td><td>{_shown(one, value)}</td><td>{ends}</td></tr>"
+
+
+def _shown(one: Figure, value: float) -> str:
+    return f"{one.kind.scale * value:.{one.kind.digits}f}"

@@ -19,8 +19,8 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan.options import DEFAULT_MARGIN_LIMIT, WALKERS
-from skd_evaluator.assessment.plan.plan import Plan, Progress
+from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, WALKERS
+from skd_evaluator.assessment.plan import Plan, Progress
 from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted

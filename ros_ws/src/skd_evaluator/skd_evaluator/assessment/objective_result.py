@@ -13,8 +13,8 @@ from skd_sim.errors import UsageError
 from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.collision_partner import closing_speed
-from skd_evaluator.assessment.plan.plan import (
+from skd_evaluator.assessment.episode_figures import closing_speed
+from skd_evaluator.assessment.plan import (
     EpisodeRunner,
     KamikazeSet,
     Plan,

@@ -15,13 +15,10 @@ from skd_sim.options.options import further_options
 from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.judge.assessment import CONFIDENCE, Assessment, judge, standing_contacts
-from skd_evaluator.assessment.judge.command_age import command_age
-from skd_evaluator.assessment.judge.figure_table import AT_THE_TOP, Of, keys_of, ordered, taken
-from skd_evaluator.assessment.judge.html import figures_html
-from skd_evaluator.assessment.judge.simulator_contacts import simulator_contacts
-from skd_evaluator.assessment.judge.surrogate_figures import Surrogates, surrogates_of
-from skd_evaluator.assessment.plan.plan import (
+from skd_evaluator.assessment.episode_figures import Surrogates, command_age, simulator_contacts, surrogates_of
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, figures_html, keys_of, ordered, taken
+from skd_evaluator.assessment.objective_result import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.assessment.plan import (
     EpisodeRunner,
     KamikazeSet,
     Plan,

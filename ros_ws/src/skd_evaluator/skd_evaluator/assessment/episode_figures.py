@@ -1,0 +1,204 @@
+"""What single episodes say beside the planned figures: collision partner, surrogate measures, ages of commands.
+
+Surrogate measures depend on who walks: along φ nobody aims at the car, and kamikazes want to be hit. So the two are
+never put together, and nothing is rated by them.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TextIO
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import EpisodeLog, Outcome
+from skd_sim.world.state import RoadUserState
+
+from skd_evaluator.assessment.plan import split_episode_id
+from skd_evaluator.metrics.contact_place import Pose, car_at_contact
+from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
+from skd_evaluator.metrics.surrogate_scenes import Scene, course_of
+
+ADVERSARY = -1
+
+
+def collision_partner(log: EpisodeLog) -> int | None:
+    """Return who was touched: `ADVERSARY`, or the number of one of the others; None without a collision.
+
+    It is the one who is nearest to the car at the impact, whose place within the tick is interpolated.
+    """
+    scenario = log.episode.scenario
+    if log.outcome != Outcome.COLLISION:
+        return None
+    if not scenario.others:
+        return ADVERSARY
+    pose, share = car_at_contact(log)
+    body = scenario.adversary
+    apart = [_apart(log, pose, body.shape, log.trajectory.positions[-1], body.last_heading(log.adversary))]
+    for other, (before, after) in zip(scenario.others, _others_in_last_tick(log), strict=True):
+        state = before.moved(after, share * scenario.time_step)
+        apart.append(_apart(log, pose, other.shape, np.array(state[:2]), state.heading))
+    return int(np.argmin(apart)) - 1
+
+
+def closing_speed(log: EpisodeLog) -> float:
+    """Return the speed of the car relative to whom it touched, m/s; nan without a collision.
+
+    Euro NCAP's impact speeds of pedestrians are the car's own; of two vehicles what counts is this.
+    """
+    who = collision_partner(log)
+    if who is None:
+        return math.nan
+    heading = car_at_contact(log)[0][2]
+    vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+    if who != ADVERSARY:
+        vx, vy = _others_in_last_tick(log)[who][1][2:4]
+    return math.hypot(log.impact_speed * math.cos(heading) - vx, log.impact_speed * math.sin(heading) - vy)
+
+
+def speed_ahead(log: EpisodeLog) -> float:
+    """Return how fast the adversary moves the way that the car points, when the two collide, m/s."""
+    heading = car_at_contact(log)[0][2]
+    vx, vy = (log.adversary[-1] - log.adversary[-2]) / log.episode.scenario.time_step
+    return float(vx * math.cos(heading) + vy * math.sin(heading))
+
+
+def _others_in_last_tick(log: EpisodeLog) -> list[tuple[RoadUserState, RoadUserState]]:
+    """Return the states of each of the others when the last tick begins and when it ends."""
+    scenario, tick = log.episode.scenario, len(log.adversary) - 2
+    return list(zip(scenario.others_at(tick), scenario.others_at(tick + 1), strict=True))
+
+
+def _apart(log: EpisodeLog, pose: Pose, shape: tuple[float, float, float], place: FloatArray, heading: float) -> float:
+    """Return the distance of the car at a pose to somebody at a place (m) with a heading (rad), m."""
+    car = log.episode.scenario.car
+    footprint, nobody_moves = (car.front, car.rear, car.half_width), np.zeros((1, 2))
+    states, turned = np.array([[*pose, 0.0]]), np.array([heading])
+    return float(clearances(Scene(np.zeros(1), states, place[None], nobody_moves, turned, footprint, shape))[0])
+
+
+KEY: Final = "simulator_contacts"
+
+
+def simulator_contacts(logs: Iterable[EpisodeLog]) -> dict[str, Any]:
+    """Return the entry of assessment.json under its key; nothing where the simulator has no shapes of its own.
+
+    Args:
+        logs: episodes; aborted ones do not count.
+    """
+    asked = [log for log in logs if log.own_contact is not None and log.outcome != Outcome.ABORTED]
+    if not asked:
+        return {}
+    pairs = [(log.impact_time, float(log.own_contact or 0.0)) for log in asked]
+    found = [(not math.isnan(ours), not math.isnan(its)) for ours, its in pairs]
+    gaps = [abs(ours - its) for ours, its in pairs if not math.isnan(ours - its)]
+    return {
+        KEY: {
+            "both": found.count((True, True)),
+            "geometry_alone": found.count((True, False)),
+            "simulator_alone": found.count((False, True)),
+            "episodes": len(asked),
+            "greatest_gap": max(gaps, default=None),
+        }
+    }
+
+
+def command_age(logs: Iterable[EpisodeLog]) -> dict[str, Any] | None:
+    """Return the figures of episodes that ran to their end; None if nothing is known, as for episodes in process.
+
+    Ages are s of wall time, over all control periods of all episodes; `held` counts the control periods for which no
+    new command had come, and `greatest_delay` (s) is by how much the latest control period of real time was late.
+    """
+    timings = [log.timing for log in logs if log.outcome != Outcome.ABORTED and log.timing.ages]
+    if not timings:
+        return None
+    ages = np.concatenate([timing.ages for timing in timings])
+    median, late = np.percentile(ages, (50.0, 99.0))
+    return {
+        "median": float(median),
+        "p99": float(late),
+        "worst": float(ages.max()),
+        "control_periods": len(ages),
+        "held": sum(timing.held for timing in timings),
+        "greatest_delay": max(timing.delay for timing in timings),
+    }
+
+
+SURROGATES = "surrogate_measures.csv"
+ALONG_PHI, KAMIKAZES = "along_phi", "kamikazes"
+DEPENDS_ON = {
+    ALONG_PHI: "the car and φ: nobody aims at the car",
+    KAMIKAZES: "the car, φ, and kamikazes that aim at being hit",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Surrogates:
+    """Surrogate safety measures of episodes.
+
+    Attributes:
+        logs: the episodes, aborted ones left out.
+        objectives: objective of each; empty of a run along φ.
+        values: of each measure by its name, one an episode; nan: not defined, or it never came about.
+    """
+
+    logs: tuple[EpisodeLog, ...]
+    objectives: tuple[str, ...]
+    values: dict[str, FloatArray]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what they come to: the entry of assessment.json."""
+        objectives = np.array(self.objectives, str)
+        names = [name for name in dict.fromkeys(self.objectives) if name]
+        return {
+            ALONG_PHI: self._group(objectives == "", ALONG_PHI),
+            KAMIKAZES: {name: self._group(objectives == name, KAMIKAZES) for name in names},
+        }
+
+    def write_csv(self, file: TextIO) -> None:
+        """Write the content of surrogate_measures.csv, row by row: an episode each, blank where not defined."""
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["objective", "episode_id", "phi", "trial", "outcome", *self.values])
+        for log, objective, *values in zip(self.logs, self.objectives, *self.values.values(), strict=True):
+            number = log.episode.episode_id
+            _, phi, trial = split_episode_id(number)
+            told = [f"{one:.9g}" if math.isfinite(one) else "" for one in values]
+            rows.writerow([objective, number, phi, trial, log.outcome.name.lower(), *told])
+
+    def _group(self, rows: Any, who: str) -> dict[str, Any]:
+        found: dict[str, Any] = {"depends_on": DEPENDS_ON[who], "episodes": int(np.count_nonzero(rows))}
+        for name, measure in SURROGATE_MEASURES.items():
+            values = self.values[name][rows] if self.logs else np.empty(0)
+            known = values[np.isfinite(values)]
+            worst = known.min if measure.worst == "min" else known.max
+            found[name] = {
+                "median": float(np.median(known)) if known.size else None,
+                "worst": float(worst()) if known.size else None,
+                "defined": int(known.size),
+            }
+        return found
+
+
+def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]) -> Surrogates:
+    """Return the measures of episodes in a scenario, each with its objective; those of the adversary and the car.
+
+    An episode that ended because the car touched one of the others counts as one in which it did not touch the
+    adversary.
+    """
+    kept = [(log, objective) for log, objective in episodes if log.outcome != Outcome.ABORTED and len(log.car) > 1]
+    logs: Sequence[EpisodeLog] = [log for log, _ in kept]
+    courses = (
+        course_of(
+            scenario,
+            log.adversary,
+            log.car,
+            (log.impact_time, log.impact_speed) if log.outcome == Outcome.COLLISION else None,
+        )
+        for log in logs
+    )
+    collided = np.array([collision_partner(log) == ADVERSARY for log in logs], bool)
+    return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))

@@ -1,1 +1,0 @@
-"""Learning a car before it is rated."""

@@ -1,0 +1,390 @@
+"""The car model: what the adversary learns of a car before it is assessed.
+
+Probes show how the car reacts, a model is made of them, kamikazes that plan with it show more, and a better model is
+made. The episodes are the same for every campaign of the same car and scenario, whatever its seed, its φ and its
+budget, so that a model can be kept, and none of their draws is one of a campaign's.
+
+A model is kept under a digest of all that it follows from, as far as that is known: the files of the car
+(`fingerprint`), the command that starts it, the scenario, how the graph is run, and SKD itself. Where it is known that
+these are not all of its files, none is kept. SKD cannot see what a controller reads elsewhere, from the environment or
+from a server: if that changes, delete the folder.
+
+How long kamikazes should wait is tried against the car itself. The search knows what it would see next, and so
+overrates what waiting gains; but with a car that can be hit while it creeps, too much haste costs as much.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import importlib.metadata
+import json
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from skd_adversary.car_models import RecordedEpisode, learn_car, observe
+from skd_adversary.car_models.car_model_file import FittedCar, car_model_for_scenario, car_model_text, write_car_model
+from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
+from skd_sim.errors import UsageError
+from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge, Objective
+from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import Trajectory
+
+from skd_evaluator.assessment.plan import (
+    EpisodeRunner,
+    Plan,
+    Progress,
+    Stage,
+    episode_id,
+    probe_episodes,
+    safe_trajectories,
+)
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.bags.car_logs import recording_of
+from skd_evaluator.errors import AssessmentError
+from skd_evaluator.files import make_temporary
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.measures import pair_of
+from skd_evaluator.provenance import CodeFiles, code_files, environment
+from skd_evaluator.version import version
+
+PROBES: Final = 300
+"""Episodes that show how the car reacts: as good as 1,000."""
+TRIALS: Final = 150
+"""Episodes of kamikazes who plan with what the probes showed, in order to learn where they will go."""
+SAFE: Final = 15
+"""Number of φ from which they start."""
+
+_LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What was learned, and from what.
+
+    Attributes:
+        text: the model as text, as an episode carries it.
+        folder: folder in which the model is kept; None: it is not kept.
+        fresh: whether it was learned just now.
+        seconds: wall-clock time that it took.
+        compared: with what a model that was learned before goes, or why none is kept, in words.
+    """
+
+    text: str
+    folder: Path | None
+    fresh: bool
+    seconds: float
+    compared: str = ""
+
+    def line(self) -> str:
+        """Return what a user should know, in one line."""
+        where = f", {self.compared}" if self.compared else ""
+        where += "" if self.folder is None else f", kept in {self.folder}"
+        done = f"{PROBES} probes and {TRIALS} trials of kamikazes in {self.seconds:.0f} s"
+        said = f"learned the car from {done}{where}" if self.fresh else f"the car was learned before{where}"
+        return f"{said}; --knowledge nothing does without"
+
+
+def needs_learning(plan: Plan) -> bool:
+    """Return whether the car of a plan is to be learned first."""
+    return plan.knows == Knowledge.LEARNED and not plan.car_model
+
+
+def learned(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress = lambda *_told: None,
+    *,
+    say: Callable[[str], None] = lambda _line: None,
+    command: str | None = None,
+    graph: Mapping[str, Any] | None = None,
+) -> Plan:
+    """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
+
+    Args:
+        plan: what is to be rated.
+        runner: runs the episodes; it has been started.
+        progress: called with how far the work is.
+        say: called with one line: what was done, and how to do without it.
+        command: command that starts the car's own node, if it has one.
+        graph: how the node graph is run, as plain data; None: episodes run in process.
+
+    Raises:
+        AssessmentError: none of the probes could be run to its end.
+    """
+    if not needs_learning(plan):
+        return plan
+    with _LEARNING:
+        lesson = _lesson(plan, runner, progress, command, graph)
+    say(lesson.line())
+    return replace(plan, car_model=lesson.text)
+
+
+def _lesson(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress,
+    command: str | None,
+    graph: Mapping[str, Any] | None,
+) -> Lesson:
+    begin = time.perf_counter()
+    folder, files = folder_of(plan, command, graph), files_of(plan, command)
+    known = None if folder is None else kept_model(folder, plan.scenario)
+    if known is not None:
+        same = f"on {day_of(folder)} with the same files" if folder else ""
+        same += " (all that its command names)" if plan.car.is_external else ""
+        return Lesson(known, folder, fresh=False, seconds=0.0, compared=same)
+    car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1))
+    # Unless files of the car have changed since it began to be learned.
+    kept = folder is not None and folder_of(plan, command, graph) == folder and keep_model(folder, car)
+    seconds = time.perf_counter() - begin
+    why_not = files.why_not and f"and keeps no model of it because {files.why_not}"
+    return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=seconds, compared=why_not)
+
+
+def lesson_of(
+    plan: Plan,
+    runner: EpisodeRunner,
+    progress: Progress = lambda *_told: None,
+    of_reference: EpisodeRunner | None = None,
+) -> FittedCar:
+    """Return what probes and own trials show of a plan's car; neither its seed nor its φ matter.
+
+    Args:
+        plan: what is to be rated.
+        runner: runs the episodes; it has been started.
+        progress: called with how far the work is.
+        of_reference: runs episodes of the reference car, in process; by default the same runner.
+
+    Raises:
+        AssessmentError: none of the probes could be run to its end.
+    """
+    probes = [
+        replace(one, simulator=plan.simulator)
+        for one in probe_episodes(
+            plan.scenario, PROBES, seed=SEED, controller=plan.controller, multiplier=plan.multiplier
+        )
+    ]
+    recordings = _recordings(runner, probes, "probes", progress)
+    first, _ = learn_car(observe(recordings), version=version(), folds=1)
+    safe = _starts(plan.scenario, of_reference or runner)
+    trials = own_trials(plan, car_model_text(first), safe, TRIALS)
+    recordings += _recordings(runner, trials, "trials to learn from", progress)
+    car, _ = learn_car(observe(recordings), version=version(), folds=2)
+    return with_waiting_reward(plan, car, safe, runner, progress)
+
+
+def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
+    """Return φ to start from: synthetic ones of the scenario, those of the reference car."""
+    try:
+        return safe_trajectories(Plan(scenario, seed=SEED, safe_count=SAFE), runner)
+    except UsageError as error:
+        raise AssessmentError(
+            f"the car cannot be learned: {error}; give --knowledge nothing, or --car-model"
+        ) from error
+
+
+def _recordings(
+    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress
+) -> list[RecordedEpisode]:
+    return [recording_of(log) for log in finished(runner, episodes, label, progress)]
+
+
+SEED: Final = 2_718_281_828
+"""Of every draw; no campaign's, unless somebody asks for it."""
+
+
+def own_trials(
+    plan: Plan,
+    car_model: str,
+    safe: Sequence[Trajectory],
+    count: int,
+    *,
+    begin: int = 0,
+    objectives: Sequence[Objective] = DEFAULT_OBJECTIVES,
+) -> list[Episode]:
+    """Return kamikazes that plan with a model; the objectives take turns.
+
+    Args:
+        plan: the plan of the assessment, whose car they meet.
+        car_model: the model of the car with which they plan, as an episode carries it.
+        safe: φ, from which they start in turn.
+        count: how many kamikazes there are.
+        begin: number of the first; trials of the same number have their draws in common.
+        objectives: the objectives of the kamikazes.
+    """
+    return [
+        Episode(
+            plan.scenario,
+            Mode.KAMIKAZE,
+            SEED,
+            episode_id(Stage.LEARNING, number % len(safe), number // len(safe)),
+            safe_trajectory=safe[number % len(safe)],
+            controller=plan.controller,
+            multiplier=plan.multiplier,
+            simulator=plan.simulator,
+            car_model=car_model,
+            objective=objectives[number // len(safe) % len(objectives)],
+        )
+        for number in range(begin, begin + count)
+    ]
+
+
+def finished(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[EpisodeLog]:
+    """Run episodes; return the logs of those that were not aborted, in order.
+
+    Raises:
+        AssessmentError: all of them were aborted.
+    """
+    found: list[EpisodeLog] = []
+    reason = ""
+    for count, log in enumerate(runner.run(episodes), start=1):
+        progress(label, count, len(episodes))
+        if log.outcome == Outcome.ABORTED:
+            reason = log.reason
+        else:
+            found.append(log)
+    if not found:
+        raise AssessmentError(f"the car cannot be learned: all {len(episodes)} {label} were aborted ({reason})")
+    return found
+
+
+CHOICES: Final = (FOREST_WAITING_REWARD, WAITING_REWARD, -0.4)
+"""m of deviation for each step after φ's end."""
+WAITING_TRIALS: Final = 60
+"""Trials with each choice, which have their draws in common."""
+_FIRST: Final = 100  # number of each φ's first trial, beyond those that the car is learned from
+_ENOUGH: Final = 0.98  # of the trials hit: what is left to be gained is not in the waiting
+
+
+def with_waiting_reward(
+    plan: Plan,
+    car: FittedCar,
+    safe: Sequence[Trajectory],
+    runner: EpisodeRunner,
+    progress: Progress,
+) -> FittedCar:
+    """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.
+
+    If nearly all are hit with the reward that this kind of model has, it is kept, and nothing else is tried.
+
+    Args:
+        plan: the plan of the assessment, whose car it is.
+        car: the learned car.
+        safe: φ, from which they start in turn.
+        runner: runs the episodes; it has been started.
+        progress: called with how far the work is.
+
+    Raises:
+        AssessmentError: all trials with one of the choices were aborted.
+    """
+    usual = WAITING_REWARD if car.forest is None else FOREST_WAITING_REWARD
+    best, least = usual, np.inf
+    for choice in (usual, *(one for one in CHOICES if one != usual)):
+        model = car_model_text(replace(car, waiting_reward=choice))
+        trials = own_trials(
+            plan, model, safe, WAITING_TRIALS, begin=_FIRST * len(safe), objectives=(Objective.DEVIATION,)
+        )
+        logs = finished(runner, trials, f"trials that wait at {-choice:g} m a step", progress)
+        mean = float(np.mean([_strayed(log) for log in logs]))
+        if mean < least:
+            best, least = choice, mean
+        if choice == usual and np.mean([log.hit for log in logs]) >= _ENOUGH:
+            break
+    return replace(car, waiting_reward=best)
+
+
+def _strayed(log: EpisodeLog) -> float:
+    """Return the deviation of a trial, m; η_max where it did not hit."""
+    episode = log.episode
+    assert episode.safe_trajectory is not None
+    if not log.hit:
+        return episode.scenario.eta_max
+    pair = pair_of(log)
+    found = deviation(episode.safe_trajectory.positions, pair.psi.positions, pair.duration)
+    return min(found, episode.scenario.eta_max)
+
+
+_MODEL = "car_model.yaml"
+
+
+def kept_models() -> Path:
+    """Return the folder of the models: `skd/car_models` in the user's cache (XDG_CACHE_HOME)."""
+    cache = os.environ.get("XDG_CACHE_HOME") or ""
+    base = Path(cache) if Path(cache).is_absolute() else Path.home() / ".cache"
+    return base / "skd" / "car_models"
+
+
+def folder_of(plan: Plan, command: str | None, graph: Mapping[str, Any] | None) -> Path | None:
+    """Return where the model of a plan's car is kept, or would be; None if not all that says which car it is is known.
+
+    Args:
+        plan: what is to be rated.
+        command: command that starts the car's own node; empty or None where there is none.
+        graph: how the node graph is run, as plain data; None: episodes run in process.
+    """
+    files = files_of(plan, command)
+    if files.why_not:
+        return None
+    with suppress(importlib.metadata.PackageNotFoundError):
+        graph = {**(graph or {}), "scikit-learn": importlib.metadata.version("scikit-learn")}
+    follows_from = {
+        "controller": plan.controller,
+        "multiplier": plan.car.stated_multiplier,
+        "command": command or "",
+        "simulator": plan.simulator,
+        "scenario": plan.scenario.as_dict(),
+        "graph": dict(graph or {}),
+        "files": dict(files.digests),
+        "environment": dict(environment()),
+    }
+    found = hashlib.sha256(json.dumps(follows_from, sort_keys=True).encode())
+    return kept_models() / found.hexdigest()[:32]
+
+
+def files_of(plan: Plan, command: str | None) -> CodeFiles:
+    """Return the files of a plan's car, and of a simulator that is not SKD's own."""
+    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
+    return code_files(plan.car, command or "", others)
+
+
+def day_of(folder: Path) -> str:
+    """Return the day (UTC) of which a model is that is kept; empty where there is none."""
+    with suppress(OSError, OverflowError):
+        changed = (folder / _MODEL).stat().st_mtime
+        return datetime.datetime.fromtimestamp(changed, datetime.UTC).date().isoformat()
+    return ""
+
+
+def kept_model(folder: Path, scenario: Scenario) -> str | None:
+    """Return the text of a model that is kept; None where there is none, or none that can be read."""
+    with suppress(UsageError, OSError):
+        return car_model_for_scenario(folder, scenario) if folder.is_dir() else None
+    return None
+
+
+def keep_model(folder: Path, car: FittedCar) -> bool:
+    """Keep a model, by one rename of what is complete; return whether that was possible."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = make_temporary(folder.parent)
+        try:
+            write_car_model(made / _MODEL, car)
+            if folder.is_dir():  # of somebody who learned it at the same time, or one that cannot be read
+                shutil.rmtree(folder, ignore_errors=True)
+            made.rename(folder)
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+    except OSError:
+        return folder.is_dir()
+    return True

@@ -1,1 +1,0 @@
-"""Whether an episode can have happened: of recordings, and of other simulators."""
