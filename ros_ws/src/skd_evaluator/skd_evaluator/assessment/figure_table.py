@@ -230,7 +230,7 @@ FIGURES = (
     Figure("risk_note", TEXT, "why the risk is not known", told=Told.ASKED, campaign=29),
     Figure("margin_note", TEXT, "why the margin is not known", told=Told.SEARCH, compare=5),
     Figure("optimality_gap", RATIO, "planned deviation over margin, in the same trials",
-           label="optimality_gap, planned / margin", better=Better.NEAR_1, by_phi=True,
+           label="optimality gap, planned / margin", better=Better.NEAR_1, by_phi=True,
            summary=6, first=True, campaign=7, sweep=5, compare=17, junit=7),
     Figure("deviation", LENGTH, "restricted mean deviation of planned kamikazes over all trials; one that the "
            "moving car does not hit counts as eta_max, m", _DEVIATION, "planned deviation", _MORE, by_phi=True,
