@@ -23,7 +23,7 @@ PATIENCE = 300.0
 """s to wait for what must happen: a test that passes never waits so long, however busy the machine is."""
 
 _reserved: deque[socket.socket] = deque()
-_KEPT = 20  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
+_KEPT = 25  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
 _PARTICIPANTS = 8  # of one domain on this machine: each has a port
 
 

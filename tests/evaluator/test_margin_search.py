@@ -75,7 +75,7 @@ class Driver:
         self.driven += episodes
         return [run_episode(episode, self.controller) for episode in episodes]
 
-    def rounds(self, groups: Sequence[Group], budget: int) -> list[Group]:
+    def rounds(self, groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
         search(groups, budget, self.run)
         return list(groups)
 
@@ -272,7 +272,7 @@ def test_a_car_that_does_not_repeat_itself_is_noticed():
 
 
 def test_a_search_all_of_whose_episodes_are_aborted_is_an_error():
-    def abort(groups: Sequence[Group], budget: int) -> list[Group]:
+    def abort(groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
         def lost(some: Sequence[Episode]) -> list[EpisodeLog]:
             return [replace(run_episode(one), outcome=Outcome.ABORTED, reason="no answer") for one in some]
 

@@ -51,7 +51,7 @@ NOT_RECOMPUTED = {
 
 
 OF_THE_CAR = (
-    "objectives.", "collision_", "clustering.contact_rate", "vulnerability", "margin", "optimality_gap",
+    "objectives.", "collision_", "contact_rate", "clustering.contact_rate", "vulnerability", "margin", "optimality_gap",
     "nominal_collision_rate", "impact_speed", "risk", "surrogate_measures",
 )  # fmt: skip
 """Figures that are of no objective."""
@@ -121,7 +121,7 @@ def its_source(figure: str, said: dict[str, Any]) -> str:
             return f"objectives.{objective}.{'clustering.' * (within != figure)}{rest}"
     objective = "deviation" if within.startswith(("deviation", "measures")) else "paper"
     if match := re.match(r"per_safe_trajectory\.\d+\.(\w+)$", figure):
-        if match[1].startswith("collision"):
+        if match[1].startswith(("collision", "contact_rate")):
             return figure
         objective = "deviation" if match[1].startswith("deviation") else "paper"
     return f"objectives.{objective}.{figure}"

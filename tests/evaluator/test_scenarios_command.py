@@ -34,7 +34,7 @@ def test_shown_ones_are_drawn(skd_here, here):
     done = skd_here("scenarios", "show", "cpnco-50", "ccftap", "cut_out", "--out", "shown")
     assert done.returncode == 0, done.stderr
     pictures = ["ccftap.png", "cpnco-50.png", "cut_out.png"]
-    assert names(here / "shown") == [*pictures, "scenarios.json", "manifest.sha256"]
+    assert names(here / "shown") == [*pictures, "manifest.sha256", "scenarios.json"]
     assert all(imread(here / "shown" / name).shape[1] > 300 for name in pictures)
     assert "2 parked" in done.stdout
     assert skd_here("scenarios", "show", "cpna", "--out", "shown", "--overwrite").returncode == 0
