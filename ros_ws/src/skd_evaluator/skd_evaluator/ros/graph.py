@@ -279,6 +279,7 @@ class GraphPool:
 
 _HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1
+_PARTICIPANTS = 8  # of a domain that are looked for
 _reserved: list[socket.socket] = []
 """Held until this process ends, so that no other chooses the same domain before its nodes are up."""
 
@@ -328,12 +329,17 @@ def _reserve(domain: int) -> bool:
 
 
 def _in_use(domain: int) -> bool:
-    """Whether a participant of this machine holds the domain's first unicast discovery port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("0.0.0.0", _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST))
-        except OSError:
-            return True
+    """Whether a participant of this machine holds one of the domain's first unicast discovery ports.
+
+    That of the first participant alone says nothing: it may have ended before the others.
+    """
+    first = _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST
+    for participant in range(_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("0.0.0.0", first + 2 * participant))
+            except OSError:
+                return True
     return False
 
 
