@@ -289,13 +289,13 @@ class Honest:
         return -6.0 if near else 0.001 * self.asked
 
 class Counting(Honest):
-    "Brakes for nobody in every other episode, whichever that is."
+    "Stands in every other episode, whichever that is, and brakes for nobody in the others."
     episodes = 0
     def reset(self, scenario, rng):
         super().reset(scenario, rng)
         Counting.episodes += 1
     def command(self, car, adversary):
-        return super().command(car, adversary) if Counting.episodes % 3 else 0.0
+        return -6.0 if Counting.episodes % 2 else 0.0
 
 class Stands(Honest):
     def command(self, car, adversary):
@@ -330,8 +330,9 @@ def test_an_assessment_fails_by_a_car_that_is_not_credible(cars: Path, name: str
     lines = json.loads((cars / "out" / "assessment.json").read_text())["warnings"]
     found = [line for line in lines if line.startswith(NOT_CREDIBLE)]
     assert (done.returncode == 0) == (not said), done.stderr
-    for line, part in zip(found[-1:], said, strict=True):
-        assert part in line
+    assert bool(found) == bool(said)
+    for part in said:
+        (line,) = [one for one in found if part in one]
         assert line in done.stderr
         assert "deviation ≥ 0: error, not judged" in done.stderr
 
@@ -344,5 +345,6 @@ def test_a_campaign_fails_by_such_a_car_and_again_when_it_is_read_back(cars: Pat
     for further in ([], ["--resume"]):
         done = skd("campaign", "campaign.yaml", "--workers", "1", "--out", "cells", "--quiet", *further, cwd=cars)
         assert done.returncode == 1
-        (line,) = [line for line in done.stderr.splitlines() if NOT_CREDIBLE in line]
-        assert "Counting" in line
+        lines = [line for line in done.stderr.splitlines() if NOT_CREDIBLE in line]
+        assert lines
+        assert all("Counting" in line for line in lines)

@@ -108,7 +108,12 @@ def when(message: Any) -> int:
 
 
 def timeless(message: Any) -> str:
-    """Return all that a message says, but how long somebody took; its bytes have gaps, in which anything may be."""
+    """Return all that a message says, but how long somebody took and the campaign's name, which is another each time.
+
+    Its bytes have gaps, in which anything may be.
+    """
+    if hasattr(message, "campaign"):
+        message.campaign = ""
     if isinstance(message, EpisodeResult):
         message.command_ages, message.greatest_delay = array("f"), 0.0
     return repr(message)
