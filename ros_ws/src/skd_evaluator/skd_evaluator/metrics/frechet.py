@@ -1,36 +1,29 @@
-"""The compiled part of the discrete Fréchet distance.
+"""Discrete Fréchet distance between point sequences in R^n, its kernels, and dynamic time warping.
 
-The table c[i, j] = max(|p_i − q_j|², min(c[i−1, j], c[i, j−1], c[i−1, j−1])) is filled one anti-diagonal
-after the other: the cells of an anti-diagonal do not depend on one another, so the processor can work on
-several at once, which row order forbids. Three diagonals are kept, so memory is linear. Several curves q
-against one p go through the table side by side ("lanes", interleaved point by point), which keeps short
-curves efficient too.
+Eiter and Mannila, "Computing discrete Fréchet distance", TR CD-TR 94/64, TU Vienna, 1994: over all couplings that start
+at the two first points, end at the two last, and at each step move on by one point on either curve *or on both*, the
+smallest possible value of the longest link.
 
-Only cells that can matter are filled. A coupling found in linear time gives a limit from above, the caller's
-bound another; values never fall along a coupling, so none that leads to an answer within the limit has a cell
-beyond it. The range of rows taken on to the next diagonal is narrowed from both ends while its predecessors
-are beyond the limit, and a range that becomes empty ends the sweep. (The idea of a limit from a quick
-coupling is in Devogele et al., "Optimized discrete Fréchet distance between trajectories", BigSpatial 2017.)
+The table c[i, j] = max(|p_i − q_j|², min(c[i−1, j], c[i, j−1], c[i−1, j−1])) is filled one anti-diagonal after the
+other: the cells of an anti-diagonal do not depend on one another, so the processor can work on several at once, which
+row order forbids. Three diagonals are kept, so memory is linear. Several curves q against one p go through the table
+side by side ("lanes", interleaved point by point), which keeps short curves efficient too.
 
-Every cell within the limit sees the same correctly rounded operations whatever the number of lanes, the bound
-and the range, so all ways of asking give the same bits.
+Only cells that can matter are filled. A coupling found in linear time gives a limit from above, the caller's bound
+another; values never fall along a coupling, so none that leads to an answer within the limit has a cell beyond it. The
+range of rows taken on to the next diagonal is narrowed from both ends while its predecessors are beyond the limit, and
+a range that becomes empty ends the sweep. (The idea of a limit from a quick coupling is in Devogele et al., "Optimized
+discrete Fréchet distance between trajectories", BigSpatial 2017.)
 
-Discrete Fréchet distance between point sequences in R^n.
+Every cell within the limit sees the same correctly rounded operations whatever the number of lanes, the bound and the
+range. So the bits of a distance do not depend on how it is computed: alone or in a batch, with or without a bound, on
+one thread or several.
 
-Eiter and Mannila, "Computing discrete Fréchet distance", TR CD-TR 94/64, TU Vienna, 1994: over all couplings
-that start at the two first points, end at the two last, and at each step move on by one point on either curve
-*or on both*, the smallest possible value of the longest link.
-
-`frechet_kernels` says how it is computed. The bits of a distance do not depend on how it was asked for: alone
-or in a batch, with or without a bound that it keeps, on one thread or several.
-
-Dynamic time warping: how far ψ is from φ on average, where each may wait for the other.
-
-The time-normalised distance of Sakoe and Chiba ("Dynamic programming algorithm optimization for spoken word
-recognition", IEEE Transactions on Acoustics, Speech, and Signal Processing 26, 1978), symmetric form without a slope
-constraint: the least sum of d(φ_i, ψ_j) over couplings that step by one in i, in j or in both, where a step in both
-counts twice, over the number of points of φ and ψ together. φ is cut at the duration of ψ, as for the prefix distance.
-Unlike the discrete Fréchet distance it is a mean and no maximum: one wide turn weighs little in it.
+Dynamic time warping is the time-normalised distance of Sakoe and Chiba ("Dynamic programming algorithm optimization for
+spoken word recognition", IEEE Transactions on Acoustics, Speech, and Signal Processing 26, 1978), symmetric form
+without a slope constraint: the least sum of d(φ_i, ψ_j) over couplings that step by one in i, in j or in both, where a
+step in both counts twice, over the number of points of φ and ψ together. φ is cut at the duration of ψ, as for the
+prefix distance. Unlike the discrete Fréchet distance it is a mean and no maximum: one wide turn weighs little in it.
 """
 
 from __future__ import annotations

@@ -1,16 +1,14 @@
-"""All surrogate safety measures of episodes: one number each, and over time.
+"""Surrogate safety measures of episodes, one number each and over time.
 
-How far apart the outlines of car and other are, at every moment and at the least.
-
+**Clearance**: how far apart the outlines of the car and the other road user are, at every moment and at the least.
 Between two moments the other's centre runs along a straight segment in the car's frame. The distance of two convex
 bodies is convex along it, so the least one between two moments is found exactly by bisection of its course.
 
-Time to collision: how soon two road users would touch if nothing changed (Hayward 1972).
-
+**Time to collision**: how soon two road users would touch if nothing changed.
 J. C. Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record 384, 1972: both keep
 their velocities. The contact is that of their outlines, and exact.
 
-How hard the car has to brake: required deceleration, brake threat number and time headway.
+**Braking**: how hard the car has to brake.
 
 * Required deceleration (J. Jansson, Collision Avoidance Theory, Linköping 2005, section 5.3.5, of a road user that does
   not accelerate): the constant deceleration after which the gap ahead no longer closes when it is used up, w²/(2·gap),
@@ -20,13 +18,12 @@ How hard the car has to brake: required deceleration, brake threat number and ti
   of the one that the car has; above 1 braking alone no longer helps.
 * Time headway (SAE J2944, section 8.1): how long the front takes to be where the rear of who is ahead is now.
 
-Post-encroachment time: how long after the one has left the place where their ways cross does the other come.
-
+**Post-encroachment time**: how long after one road user has left the place where their paths cross the other arrives.
 B. L. Allen, B. T. Shin and P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation Research Record
 667, 1978. The way of the car is the strip that its outline sweeps, that of the other what its outline takes while it
 reaches into this strip; both as they went, and nothing is predicted. It is defined on a straight way of the car.
 
-What a contact does: closing speed, change of the car's speed and of the other's, and a pedestrian's risk to die.
+**Impact**: what a contact does to both.
 
 * Closing speed: how fast the two come together at the contact, the amount of their relative velocity.
 * Delta-v: how much each one's velocity changes where both go on together, as in a plastic impact without rotation:

@@ -4,11 +4,9 @@ A trial's draws do not depend on what the adversary does, and what the basic car
 known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,
 `LeastWay.gap` says how far the result may be from the least.
 
-Kernels behind the exact margin: tick by tick, all places that the adversary can reach within a limit.
-
-A node is a place, a state of the car, and the least deviation of a way that leads there. A node is left out if the
-reachability bound shows that no hit can follow. Sequences that come to the same place merge: a place is the sum of
-moves, whatever their order.
+The kernels go through all places that the adversary can reach within a limit, tick by tick. A node is a place, a state
+of the car, and the least deviation of a way that leads there. A node is left out if the reachability bound shows that
+no hit can follow. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
 """
 
 from __future__ import annotations
