@@ -71,6 +71,11 @@ class Short(Anticipating):
     def commands(self, cars, adversaries):
         return np.zeros(len(cars.x) + 1) if np.ndim(cars.x) else 0.0
 
+class Masked(Anticipating):
+    def commands(self, cars, adversaries):
+        found = super().commands(cars, adversaries)
+        return np.ma.array(found, mask=adversaries.x > 0.0) if np.ndim(cars.x) else found
+
 class Dies(Anticipating):
     def commands(self, cars, adversaries):
         if np.ndim(cars.x):
@@ -141,9 +146,10 @@ def test_two_forms_that_differ_are_said(policy, count, safe):
         crossed(f"own_policies:{policy}", safe, count)
 
 
-def test_an_answer_of_another_length_is_said(safe):
+@pytest.mark.parametrize("policy", ["Short", "Masked"])
+def test_an_answer_of_another_length_or_without_values_is_said(policy, safe):
     with pytest.raises(AssessmentError, match=r"commands must return an array of \d+ finite numbers"):
-        crossed("own_policies:Short", safe, 20)
+        crossed(f"own_policies:{policy}", safe, 20)
 
 
 def test_a_policy_whose_process_dies_of_commands_has_no_figure(safe):

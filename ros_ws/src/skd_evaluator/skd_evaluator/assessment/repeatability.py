@@ -234,7 +234,8 @@ def _stands_far_off(log: EpisodeLog) -> bool:
 def _undisturbed(plan: Plan, number: int) -> Episode:
     """Return an episode in which nobody is on the road, and the adversary stands a kilometre away."""
     clocked = with_control_period(plan.scenario, plan.car.control_period, plan.controller)
-    scenario = replace(clocked, car=replace(clocked.car, meet_safe_trajectory=False), others=())
+    public = replace(clocked, others=())
+    scenario = replace(public, car=replace(public.car, meet_safe_trajectory=False))
     ticks = min(scenario.ticks, round(_SECONDS / scenario.time_step))
     away = np.tile([-_FAR * scenario.end.crossing, _FAR], (ticks + 1, 1))
     nowhere = Trajectory(beside_road(scenario.road.line, away), scenario.time_step, "nobody near")
@@ -244,7 +245,7 @@ def _undisturbed(plan: Plan, number: int) -> Episode:
         plan.seed,
         episode_id(Stage.RISK, 0xFFFF, _LAST - number),
         nowhere,
-        public=clocked,
+        public=public,
         controller=plan.controller,
         multiplier=plan.multiplier,
     )

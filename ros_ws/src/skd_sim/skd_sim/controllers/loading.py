@@ -105,7 +105,8 @@ class UserController:
         answer = self._call("commands", lambda: inner.commands(cars, scenes))
         count = states.shape[1]
         found = np.asarray(answer)
-        if found.dtype.kind not in "fiu" or found.shape != (count,) or not np.isfinite(found).all():
+        is_array = found.dtype.kind in "fiu" and found.shape == (count,) and not np.ma.is_masked(answer)
+        if not is_array or not np.isfinite(found).all():
             raise NoNumberError(
                 f"controller {self._name}: commands must return an array of {count} finite numbers (m/s²), got "
                 f"{short(answer)}"
