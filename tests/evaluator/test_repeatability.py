@@ -223,7 +223,7 @@ def test_cars_that_avoid_people_drive_undisturbed_in_every_scenario(name: str) -
         runner = Runner(make_controller(car, 2.0))
         assert driving(plan, runner) == ()
         for log in runner.logs:
-            assert log.episode.scenario.others == ()
+            assert log.episode.scenario.others == log.episode.public_scenario.others == ()
             assert np.hypot(*(log.adversary - log.car[:, :2]).T).min() > 1000.0
 
 
