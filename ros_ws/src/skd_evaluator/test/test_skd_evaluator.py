@@ -44,7 +44,7 @@ def test_parameters_are_those_of_the_shipped_file(watcher, start, tmp_path):
     states = {"/ego/odometry", "/adversary/odometry", "/skd/episode_result"}
     recorded = {"/clock", "/ego/acceleration_command", "/adversary/velocity_command"}
     recorded |= {"/robot_description", "/tf", "/tf_static"}
-    said = {"/skd/assessment", "/skd/episode", "/skd/markers", "/skd/clearance", "/skd/deviation"}
+    said = {"/skd/assessment", "/skd/episode", "/skd/markers"}
     topics = (said, states | recorded)
     assert topics_of(watcher, "evaluator", topics) == topics
     code, output = interrupt(process)

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Outcome
+from skd_sim.world.episode import Episode
 from skd_sim.world.state import CarState, RoadUserState
 
 from skd_evaluator.metrics.deviation import deviation
-from skd_evaluator.metrics.surrogate_measures import clearance_at, clearances
-from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
+from skd_evaluator.metrics.surrogate_measures import clearance_at
 
 
 @dataclass(frozen=True)
@@ -104,22 +103,3 @@ class Onlooker:
         return Situation(
             self._scenario, time, car, adversary, walked, self._phi, command, self._unit, age, apart, strayed
         )
-
-
-def figures_of(log: EpisodeLog) -> tuple[list[float], list[float]]:
-    """Return clearance and deviation so far at each tick of an episode, m; of the last one at the contact.
-
-    Without φ, or where the car was not seen, there are none.
-    """
-    scenario = log.episode.scenario
-    ended = (log.impact_time, log.impact_speed) if log.outcome == Outcome.COLLISION else None
-    apart: list[float] = []
-    if len(log.car) > 1 and np.isfinite(log.car).all():
-        apart = clearances(scene_of(scenario, *course_of(scenario, log.adversary, log.car, ended))).tolist()
-    if log.episode.safe_trajectory is None:
-        return apart, []
-    phi, psi = log.episode.safe_trajectory.positions, log.trajectory.positions
-    whole = [float(count) for count in range(len(psi))]
-    if ended is not None:
-        whole[-1] = log.impact_time / scenario.time_step
-    return apart, [deviation(phi, psi[: count + 1], whole[count]) for count in range(len(psi))]

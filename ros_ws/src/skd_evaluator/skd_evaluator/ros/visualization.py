@@ -1,35 +1,23 @@
-"""What RViz and Foxglove show: lanes, car, adversary, φ and the path walked as markers, and two figures as numbers.
-
-The figures are how far car and adversary are from each other, and the adversary from φ. They are published where
-somebody listens; a recording has both.
-"""
+"""What RViz and Foxglove show: lanes, car, adversary, φ and the path walked, as markers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 from geometry_msgs.msg import Point
-from rclpy.node import Node
-from rclpy.serialization import serialize_message
 from skd_sim.options.options import MAP_FRAME
 from skd_sim.ros.state_publisher import CAR_HEIGHT
-from skd_sim.ros.support import CLEARANCE, DEVIATION, STREAM
 from skd_sim.ros.to_messages import to_stamp
 from skd_sim.scenario.road import Road, road_pose, road_position
 from skd_sim.scenario.road_user import Body, height_of
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog
-from skd_sim.world.state import AdversaryState, CarState
-from skd_sim.world.timing import period_of, tick_stamp
-from std_msgs.msg import Float64
+from skd_sim.world.episode import Episode
 from visualization_msgs.msg import Marker, MarkerArray
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
-from skd_evaluator.bags.write import RecordedMessage
-from skd_evaluator.driving.situation import Onlooker, figures_of
 
 _LANES, _CAR, _ADVERSARY, _SAFE, _WALKED, _LANE_LINES, _OBSTACLES = range(7)  # obstacles last: there may be many
 _LANE_ENDS = (-40.0, 40.0)  # m along a lane
@@ -166,64 +154,3 @@ def episode_markers(episode: Episode, samples: Samples, stamp: int) -> MarkerArr
     elapsed = 1e-9 * (stamp - min(samples.adversary, default=stamp))
     moving = moving_markers(episode.scenario, place, walked, elapsed, stamp)
     return MarkerArray(markers=[*fixed_markers(episode, stamp), *moving])
-
-
-class LiveFigures:
-    """Publishes the figures of each moment, where somebody has subscribed when the episode begins."""
-
-    def __init__(self, node: Node) -> None:
-        """Make the topics; `node` publishes on them."""
-        self._clearance = node.create_publisher(Float64, CLEARANCE, STREAM)
-        self._deviation = node.create_publisher(Float64, DEVIATION, STREAM)
-        self._onlooker: Onlooker | None = None
-
-    def begin(self, episode: Episode, start: int) -> None:
-        """Begin an episode.
-
-        Args:
-            episode: what is run.
-            start: stamp of its tick 0, ns.
-        """
-        listeners = self._clearance.get_subscription_count() + self._deviation.get_subscription_count()
-        self._onlooker = Onlooker(episode) if listeners else None
-        self._scenario, self._start = episode.scenario, start
-        self._cars: dict[int, CarState] = {}
-        self._adversaries: dict[int, AdversaryState] = {}
-
-    def take_car(self, stamp: int, car: CarState) -> None:
-        """Take a state of the car, stamped in ns."""
-        if self._onlooker is not None:
-            self._cars[stamp] = car
-            self._publish(stamp)
-
-    def take_adversary(self, stamp: int, adversary: AdversaryState) -> None:
-        """Take a state of the adversary, stamped in ns."""
-        if self._onlooker is not None:
-            self._adversaries[stamp] = adversary
-            self._publish(stamp)
-
-    def _publish(self, stamp: int) -> None:
-        """Publish the figures of a moment of which both states are there."""
-        place = period_of(stamp, self._start, self._scenario.time_step, self._scenario.control_periods)
-        if self._onlooker is None or place is None or not (stamp in self._cars and stamp in self._adversaries):
-            return
-        seen = self._onlooker.see(*place, self._cars.pop(stamp), self._adversaries.pop(stamp), math.nan, math.nan)
-        self._clearance.publish(Float64(data=seen.clearance))
-        if not math.isnan(seen.strayed):
-            self._deviation.publish(Float64(data=seen.strayed))
-
-
-def recorded_figures(log: EpisodeLog, start: int, names: Mapping[str, str]) -> list[RecordedMessage]:
-    """Return the figures of an episode for its recording.
-
-    Args:
-        log: what happened.
-        start: stamp of tick 0, ns.
-        names: names of the two topics, resolved.
-    """
-    step = log.episode.scenario.time_step
-    return [
-        RecordedMessage(names[topic], Float64, tick_stamp(start, tick, step), serialize_message(Float64(data=value)))
-        for topic, values in zip((CLEARANCE, DEVIATION), figures_of(log), strict=True)
-        for tick, value in enumerate(values)
-    ]
