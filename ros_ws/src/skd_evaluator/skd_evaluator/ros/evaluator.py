@@ -219,8 +219,6 @@ class Evaluator(GraphNode):
         self._key = EpisodeKey("", -1, 0)
         self._recorder: BagRecorder | None = None
         self._looked = 0.0
-        self._is_ready = False
-        self._hindrance: str | None = None
         self._streams: list[Any] = []
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self)
@@ -392,29 +390,13 @@ class Evaluator(GraphNode):
             self.failures.note(log)
             yield log
 
-    def prepare(self, patience: float = 0.0) -> None:
-        """Make the stack ready for the next episode; one that is ready already stays so.
-
-        Args:
-            patience: how long to wait for somebody who publishes commands of the car, wall seconds.
-        """
-        if self._is_ready:
-            return
-        self._is_ready = True
-        self._hindrance = self._before_episode()
-        latest = time.monotonic() + patience
-        while not self._hindrance and time.monotonic() < latest and not living_publishers(self, self._drive_topic):
-            self._hindrance = self._look_after_processes()
-            time.sleep(_WAKE)
-
     def run_episode(self, episode: Episode) -> EpisodeLog:
         """Run one episode to its end; one that cannot be finished comes back as ABORTED with the reason.
 
         Raises:
             AssessmentError: there are two simulators or evaluators, or the graph's processes die again and again.
         """
-        self.prepare()
-        self._is_ready = False
+        problem = self._before_episode()
         recorder = self._recorder if self._recorder is not None and self._recorder.takes(episode) else None
         first = recorder is not None and (self._anew or self._next_start == NANOSECONDS)
         self._find_publishers(max(_DISCOVERY, min(_FIRST_DISCOVERY, self._silence_limit)) if first else _DISCOVERY)
@@ -431,7 +413,6 @@ class Evaluator(GraphNode):
             self._recorder.begin(self._key, latest_end)
         specification = episode_to_message(episode, self._campaign, start)
         self._heard = time.monotonic()
-        problem = self._hindrance
         if problem is None:
             self._announce(episode, specification)
             self._first_commands.begin(start)

@@ -1,31 +1,25 @@
-"""Whole graphs: processes, domain and evaluator of one, and a pool of several that run the episodes of one campaign.
+"""Whole graphs: processes, domain and evaluator of one, and several that share the episodes of one campaign.
 
-**Pool.** Each graph runs in a thread and takes the next episode when its stack is ready for it: while one starts its
-controller anew, another drives. Which graph runs an episode does not matter to what becomes of it. A thread starts all
-processes of its graph, and lives longer than they.
-
-**Domains.** No two graphs of one machine see each other. The last node of a context takes its participant with it, and
-that may hang for ever in the middleware, in a loop that holds Python's global lock (eProsima/Fast-DDS issue 6513), with
-an assessment that is not written yet. So a graph that has ended leaves its context and its nodes as they are. The next
-graph of this process in that domain takes both over: then its predecessor's nodes go, but not the participant, which a
-node without anything keeps. Python's own end takes down all that is left, within a bound (`skd_sim.start`).
+No two graphs of one machine see each other: each has a ROS domain of its own. The last node of a context takes its
+participant with it, and that may hang for ever in the middleware, in a loop that holds Python's global lock
+(eProsima/Fast-DDS issue 6513). So a domain's context stays, with a node that keeps its participant, and a graph's own
+nodes go when the next one of this process begins there. Python's own end takes down all that is left, within a bound
+(`skd_sim.start`).
 """
 
 from __future__ import annotations
 
 import atexit
-import contextlib
 import os
 import random
 import socket
 import sys
 import threading
-import time
-from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
-from types import TracebackType
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from queue import SimpleQueue
 
 import rclpy
 from rclpy.context import Context
@@ -96,11 +90,11 @@ def running_graph(
 
     with ExitStack() as stack:
         supervisor = stack.enter_context(Supervisor(programs, setting.log_folder, setting.say))
-        context, done = stack.enter_context(context_of(domain))
+        context, nodes = stack.enter_context(_place_in(domain))
         evaluator = Evaluator(context, name, options if composed else None, start_parameter_services=False)
-        done.append(evaluator)  # it goes later: its end may hang, and nothing is written yet
+        nodes.append(evaluator)
         if watched is not None:
-            done.append(stack.enter_context(watched.adversary(context)))
+            nodes.append(stack.enter_context(watched.adversary(context)))
         reset = stack.enter_context(
             resetting(
                 context,
@@ -126,82 +120,20 @@ def running_graph(
         yield evaluator
 
 
-_POLL = 0.25  # s
-_FAREWELL = 30.0  # s that a graph's thread has to end its processes, which have three times three
-_ECHO = 8.0  # s: graphs that wait for the same began within a few, and repeat themselves after ten
-
-
-class _Stopped(BaseException):
-    """The pool is to end; no episode is worth waiting for any more."""
-
-
-MakeGraph = Callable[[int, Callable[[], None]], AbstractContextManager[Evaluator]]
-"""Runs the graph of a number, counted from 0, which calls the function while it waits, to be stopped by it."""
-
-
-def without_echo(say: Callable[[str], None]) -> Callable[[str], None]:
-    """Return what says a line once where several graphs say the same at the same time."""
-    lock = threading.Lock()
-    said: dict[str, float] = {}
-
-    def say_once(line: str) -> None:
-        with lock:
-            now = time.monotonic()
-            if now - said.get(line, -_ECHO) >= _ECHO:
-                said[line] = now
-                say(line)
-
-    return say_once
+class _StoppedError(Exception):
+    """The campaign has ended, and with it the episodes that are still running."""
 
 
 class GraphPool:
-    """Runs episodes in as many graphs as it has; an `EpisodeRunner`."""
+    """Runs the episodes of one campaign in several graphs; an `EpisodeRunner`."""
 
-    def __init__(self, count: int, make: MakeGraph, failures: AbortedEpisodes, patience: float) -> None:
-        """Start nothing yet.
-
-        Args:
-            count: how many graphs there are.
-            make: makes each, in its own thread.
-            failures: takes note of every episode.
-            patience: how long a stack that was started anew may take to be there, wall seconds.
-        """
-        self._make = make
-        self._failures = failures
-        self._patience = patience
-        self._changed = threading.Condition()
-        self._stopping = False
-        self._waiting: deque[tuple[int, Episode]] = deque()
-        self._logs: dict[int, EpisodeLog] = {}
-        self._asked = 0  # episodes, in all batches; one that nobody waits for any more takes no other's place
-        self._error: BaseException | None = None
-        self._evaluators: dict[int, Evaluator] = {}
-        self._threads = [threading.Thread(target=self._serve, args=(number,), daemon=True) for number in range(count)]
-
-    def __enter__(self) -> GraphPool:
-        for thread in self._threads:
-            thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with self._changed:
-            self._stopping = True
-            self._waiting.clear()
-            self._changed.notify_all()
-        interrupted: KeyboardInterrupt | None = None
-        # A signal in the middle of an import may leave Python's import lock taken for good, and with it a thread that
-        # has something to import. Whatever such a thread has started is ended with this process.
-        latest = time.monotonic() + _FAREWELL
-        for thread in self._threads:
-            while thread.is_alive() and time.monotonic() < latest:
-                try:
-                    thread.join(_POLL)
-                except KeyboardInterrupt as again:  # the processes are being ended already, each with its deadline
-                    interrupted = again
-        if interrupted is not None and kind is None:
-            raise interrupted
+    def __init__(self, evaluators: Sequence[Evaluator], failures: AbortedEpisodes) -> None:
+        """Take the graphs' evaluators, all of them idle, and what takes note of every episode."""
+        self._evaluators, self._failures = evaluators, failures
+        self._idle: SimpleQueue[Evaluator] = SimpleQueue()
+        for evaluator in evaluators:
+            self._idle.put(evaluator)
+        self._executor = ThreadPoolExecutor(len(evaluators), "skd-graph")
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
         """Run episodes and yield their logs in the order of the episodes.
@@ -209,72 +141,55 @@ class GraphPool:
         Raises:
             AssessmentError: a graph cannot go on, or one episode after the other fails at its start.
         """
-        with self._changed:
-            first, self._asked = self._asked, self._asked + len(episodes)
-            self._waiting.extend(enumerate(episodes, first))
-            self._changed.notify_all()
+        futures = [self._executor.submit(self._run_episode, episode) for episode in episodes]
         try:
-            for number in range(first, first + len(episodes)):
-                log = self._log_of(number)
+            for future in futures:
+                log = future.result()
                 self._failures.note(log)
                 yield log
         finally:
-            with self._changed:
-                self._waiting.clear()
+            for future in futures:
+                future.cancel()
+
+    def _run_episode(self, episode: Episode) -> EpisodeLog:
+        evaluator = self._idle.get()
+        try:
+            return evaluator.run_episode(episode)
+        finally:
+            self._idle.put(evaluator)
 
     def publish_assessment(self, rating: Rating) -> None:
-        """Publish an assessment in the first graph's domain, as soon as it is there: others may have done all the work.
-
-        Raises:
-            AssessmentError: that graph cannot start.
-        """
-        with self._changed:
-            while 0 not in self._evaluators:
-                if self._error is not None:
-                    raise self._error
-                self._changed.wait(_POLL)
+        """Publish an assessment in the first graph's domain."""
         self._evaluators[0].publish_assessment(rating)
 
-    def _log_of(self, number: int) -> EpisodeLog:
-        with self._changed:
-            while number not in self._logs:
-                if self._error is not None:
-                    raise self._error
-                self._changed.wait(_POLL)
-            return self._logs.pop(number)
+    def close(self) -> None:
+        """Wait for the episodes that are running, and begin no other."""
+        self._executor.shutdown(cancel_futures=True)
 
-    # --- in a graph's thread
 
-    def _serve(self, number: int) -> None:
+@contextmanager
+def running_graphs(setting: GraphSetting, failures: AbortedEpisodes) -> Iterator[GraphPool]:
+    """Run as many graphs as the options say and yield what runs episodes in them; see `running_graph`."""
+    stopping = threading.Event()
+
+    def refuse_to_go_on() -> None:
+        if stopping.is_set():
+            raise _StoppedError
+
+    with ExitStack() as stack:
+        evaluators = []
+        for number in range(setting.options.graphs):
+            which = f"{number + 1}" if number else ""  # the first is as if it were the only one
+            folder = setting.log_folder / f"graph{which}" if which else setting.log_folder
+            folder.mkdir(exist_ok=True)
+            one, domain = replace(setting, log_folder=folder), free_domain() if number else choose_domain()
+            evaluators.append(stack.enter_context(running_graph(one, domain, f"evaluator{which}", refuse_to_go_on)))
+        pool = GraphPool(evaluators, failures)
         try:
-            with self._make(number, self._refuse_to_go_on) as evaluator:
-                with self._changed:
-                    self._evaluators[number] = evaluator
-                    self._changed.notify_all()
-                while True:
-                    evaluator.prepare(self._patience)
-                    place, episode = self._next()
-                    log = evaluator.run_episode(episode)
-                    with self._changed:
-                        self._logs[place] = log
-                        self._changed.notify_all()
-        except _Stopped:
-            pass
-        except BaseException as error:
-            with self._changed:
-                self._error = self._error or error
-                self._changed.notify_all()
-
-    def _next(self) -> tuple[int, Episode]:
-        with self._changed:
-            while not self._waiting:
-                self._refuse_to_go_on()
-                self._changed.wait(_POLL)
-            return self._waiting.popleft()
-
-    def _refuse_to_go_on(self) -> None:
-        if self._stopping:
-            raise _Stopped
+            yield pool
+        finally:
+            stopping.set()
+            pool.close()
 
 
 _HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
@@ -298,18 +213,16 @@ def choose_domain() -> int:
     return int(given)
 
 
-def free_domain(others: Collection[int] = ()) -> int:
-    """Return a domain that nobody on this machine uses, or in which a graph of this process has ended.
-
-    Args:
-        others: domains that are taken, although nobody may be there yet.
+def free_domain() -> int:
+    """Return a domain in which a graph of this process has ended, else one that nobody on this machine uses.
 
     Raises:
         UsageError: there is none.
     """
-    candidates = random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN)
-    for domain in [*_idle, *candidates]:
-        if domain not in others and (domain in _idle or (not _in_use(domain) and _reserve(domain))):
+    if _idle:
+        return _idle[0][0]
+    for domain in random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN):
+        if not _in_use(domain) and _reserve(domain):
             return domain
     raise UsageError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")
 
@@ -343,54 +256,35 @@ def _in_use(domain: int) -> bool:
     return False
 
 
-@dataclass
-class _DomainContext:
-    """A context, the node that keeps its participant, and nodes that have done their work."""
-
-    context: Context
-    keeper: Node
-    done: list[Node] = field(default_factory=list)
-
-    def clear(self) -> None:
-        while self.done:
-            self.done.pop().destroy_node()
-
-    def end(self) -> None:
-        self.clear()
-        self.keeper.destroy_node()
-        rclpy.try_shutdown(context=self.context)
+_idle: list[tuple[int, Context, list[Node]]] = []
+"""Domains in which a graph has ended: the context, the node that keeps its participant, and the graph's own nodes."""
 
 
-_idle: dict[int, _DomainContext] = {}
-_lock = threading.Lock()  # of these
-
-
-@contextlib.contextmanager
-def context_of(domain: int) -> Iterator[tuple[Context, list[Node]]]:
-    """Yield a context of a domain, and a list for nodes that are to live as long as it does."""
-    with _lock:
-        place = _idle.pop(domain, None)
+@contextmanager
+def _place_in(domain: int) -> Iterator[tuple[Context, list[Node]]]:
+    """Yield the context of a domain, and a list for nodes that are to live until the next graph begins there."""
+    place = next((one for one in _idle if one[0] == domain), None)
     if place is None:
         context = Context()
         rclpy.init(args=[], context=context, domain_id=domain)
         keeper = Node("_skd_context", context=context, start_parameter_services=False, enable_rosout=False)
-        place = _DomainContext(context, keeper)
-    place.clear()
+        place = domain, context, [keeper]
+    else:
+        _idle.remove(place)
+    _, context, nodes = place
+    while len(nodes) > 1:
+        nodes.pop().destroy_node()
     try:
-        yield place.context, place.done
+        yield context, nodes
     finally:
-        with _lock:
-            second = _idle.get(domain)  # another graph's in the same domain
-            _idle[domain] = place
-        if second is not None:
-            second.end()
+        _idle.append(place)
 
 
 @atexit.register
 def end_contexts() -> None:
-    """Take down all contexts that nobody uses."""
-    with _lock:
-        places = list(_idle.values())
-        _idle.clear()
-    for place in places:
-        place.end()
+    """Take down all contexts that no graph uses."""
+    while _idle:
+        _, context, nodes = _idle.pop()
+        for node in reversed(nodes):
+            node.destroy_node()
+        rclpy.try_shutdown(context=context)

@@ -6,7 +6,7 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -82,32 +82,18 @@ def graph_session(setting: GraphSetting, watched: Watched | None = None) -> Iter
 def graphs_session(setting: GraphSetting) -> Iterator[Evaluator | GraphPool]:
     """Run as many graphs as the options say and yield what runs episodes in them; otherwise as `graph_session`."""
     try:
-        with graph_session(setting) if setting.options.graphs == 1 else _pool(setting) as runner:
+        with graph_session(setting) if setting.options.graphs == 1 else _several(setting) as runner:
             yield runner
     finally:
         _give_back_memory()
 
 
 @contextmanager
-def _pool(setting: GraphSetting) -> Iterator[GraphPool]:
-    from skd_evaluator.ros.graph import GraphPool, choose_domain, free_domain, running_graph, without_echo
+def _several(setting: GraphSetting) -> Iterator[GraphPool]:
+    from skd_evaluator.ros.graph import running_graphs
 
-    domains = [choose_domain()]
-    while len(domains) < setting.options.graphs:
-        domains.append(free_domain(domains))
     failures = AbortedEpisodes(setting.say, setting.log_folder)
-    setting = replace(setting, say=without_echo(setting.say))
-
-    def make(number: int, refuse_to_go_on: Callable[[], None]) -> AbstractContextManager[Evaluator]:
-        which = f"{number + 1}" if number else ""  # the first is as if it were alone
-        folder = setting.log_folder / f"graph{which}" if which else setting.log_folder
-        folder.mkdir(exist_ok=True)
-        return running_graph(replace(setting, log_folder=folder), domains[number], f"evaluator{which}", refuse_to_go_on)
-
-    with (
-        _telling_of_logs(setting.log_folder, failures),
-        GraphPool(len(domains), make, failures, setting.options.startup_timeout) as pool,
-    ):
+    with _telling_of_logs(setting.log_folder, failures), running_graphs(setting, failures) as pool:
         yield pool
 
 
