@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.episodes_npz import _risk_columns, read_episodes
 from skd_evaluator.assessment.files.results import write_assessment
@@ -36,7 +36,7 @@ MANY = replace(PLAN, kamikaze_count=50, collision_runs=40)
 _FIGURES = ("contact_rate", "nominal_collision_rate", "kamikaze_success_rate", "objectives.paper.success_rate")
 
 
-def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Rating:
+def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY, plan: Any = MANY) -> Assessment:
     """A car of which the first episodes on the first φ end so; kamikazes collide, and of others one in twenty."""
 
     def decide(episode: Episode) -> tuple[Outcome, int]:
@@ -48,7 +48,7 @@ def rating(count: int, lost: Outcome = Outcome.ABORTED, mode: Mode = Mode.REPLAY
     return assessed(decide, plan)
 
 
-def with_risk(*touches: Touch, lost: int = 0) -> Rating:
+def with_risk(*touches: Touch, lost: int = 0) -> Assessment:
     scales = [ScaleRisk(1.0, np.array(touches, np.int64), 2, lost=lost)]
     return replace(rating(0), risks=Risks(load_behaviour(WALKERS).as_dict(), scales))
 
@@ -298,11 +298,11 @@ def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
     class Runner:
         def run(self, episodes: list[Episode]) -> Any:
             for number, episode in enumerate(episodes):
-                (log,) = rating(0).assessments[0].kamikaze[0].logs[:1]
+                (log,) = rating(0).results[0].kamikaze[0].logs[:1]
                 yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
 
     plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEVIATION)
-    point = held_to(replace(rating(0).assessments[0], plan=plan), 0.5, Runner())
+    point = held_to(replace(rating(0).results[0], plan=plan), 0.5, Runner())
     assert (point.trials, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)
     assert (every.probability, budget_points([every])) == (None, [every])

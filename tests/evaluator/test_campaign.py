@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,
-    EpisodeRunner,
     Plan,
+    Runner,
     Stage,
     collision_runs,
     episode_id,
@@ -43,7 +43,7 @@ REPORTED = {
 }  # fmt: skip
 
 
-def rated(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner) -> Rating:
+def rated(plan: Plan, safe: Sequence[Trajectory], runner: Runner) -> Assessment:
     """Rate by the plan's objective alone."""
     return rate(plan, [plan.objective], safe, runner, quiet)
 
@@ -136,7 +136,7 @@ def test_what_reads_a_result_leaves_aborted_episodes_out_too(tmp_path):
     found = rated(SMALL, [straight(), straight(1.0)], StubRunner(decide))
     write_assessment(tmp_path, found)
     (subject,) = read_subjects([tmp_path])
-    (kamikazes,) = found.assessments
+    (kamikazes,) = found.results
     tried = [group.trials - group.aborted for group in kamikazes.kamikaze]
     assert [len(group) for group in subject.episodes.deviations_of(str(SMALL.objective))] == tried
     result, figures = read_result(tmp_path), found.as_dict()

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior, car_model_text
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.objective_result import assess
 from skd_evaluator.assessment.options import OWN, SYNTHETIC
@@ -131,7 +131,7 @@ def digest_of(name: str) -> str:
             plan = replace(plan, safe=str(path))
         assessment = assess(plan, safe_trajectories(plan, runner), runner, lambda *_progress: None)
     file = io.BytesIO()
-    write_episodes(file, Rating((assessment,), 0.0))
+    write_episodes(file, Assessment((assessment,), 0.0))
     file.seek(0)
     digest = hashlib.sha256()
     with np.load(file) as found:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 from skd_evaluator.assessment import failures as module
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import write_assessment
@@ -42,13 +42,13 @@ def quiet(*_told: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def rated() -> Rating:
+def rated() -> Assessment:
     with InProcessRunner(1) as runner:
         return rate(PLAN, [Objective.DEVIATION], safe_trajectories(PLAN, runner), runner, quiet)
 
 
 @pytest.fixture(scope="module")
-def found(rated) -> Rating:
+def found(rated) -> Assessment:
     with InProcessRunner(1) as runner:
         return with_risks(rated, ASKED, runner, quiet)
 
@@ -137,7 +137,7 @@ def test_the_deviation_and_how_many_people_deviate_so(found):
         assert one.people == pytest.approx(stats.chi2.sf(square, 9))
 
 
-def walkers_of(rating: Rating) -> Walkers:
+def walkers_of(rating: Assessment) -> Walkers:
     plan = rating.plan
     return Walkers(plan.scenario, [one.positions for one in rating.safe], plan.seed, WALKERS.values)
 

@@ -15,8 +15,8 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
-from skd_evaluator.assessment.assessment import Rating
-from skd_evaluator.assessment.objective_result import Assessment, judge
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.objective_result import ObjectiveResult, judge
 from skd_evaluator.assessment.plan import KamikazeSet, Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import LeastWay
@@ -30,7 +30,7 @@ CROSSING = load_scenario("crossing")
 pytestmark = pytest.mark.usefixtures("pictures_drawn")
 
 
-def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Assessment:
+def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> ObjectiveResult:
     """Return one with `counts[k]` kamikaze trajectories for φ number k."""
     rng = np.random.default_rng(0)
     x = np.arange(-3.5, 3.0, 0.75)
@@ -50,8 +50,8 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> As
     return judge(Plan(CROSSING, safe_count=len(counts)), safe, sets, [], 1.0)
 
 
-def draw(path: Path, what: Assessment) -> None:
-    save_trajectories(path, Rating((what,), 1.0), what)
+def draw(path: Path, what: ObjectiveResult) -> None:
+    save_trajectories(path, Assessment((what,), 1.0), what)
 
 
 @pytest.fixture(autouse=True)
@@ -172,7 +172,7 @@ def test_each_kamikaze_is_drawn_where_it_walked(tmp_path, figures):
         np.testing.assert_array_equal(phi, group.safe_trajectory.positions)
 
 
-def with_margins(what: Assessment) -> Rating:
+def with_margins(what: ObjectiveResult) -> Assessment:
     """A rating whose trials have a way each, but the last of each φ, in which nobody can be hit."""
     ways = []
     for number, group in enumerate(what.kamikaze):
@@ -188,7 +188,7 @@ def with_margins(what: Assessment) -> Rating:
             for k in range(2 + number)
         ]
         ways.append((*mine, None))
-    return Rating((what,), 1.0, margins=Margins(tuple(ways), CROSSING.eta_max))
+    return Assessment((what,), 1.0, margins=Margins(tuple(ways), CROSSING.eta_max))
 
 
 def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_path, figures):
@@ -254,7 +254,7 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
         dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
         for one, objective in ((assessment([3, 2]), "deviation"), (assessment([2, 2]), "paper"))
     )
-    both = Rating((deviating, paper), 1.0)
+    both = Assessment((deviating, paper), 1.0)
     for number, what in enumerate((deviating, paper)):
         save_trajectories(tmp_path / f"{number}.png", both, what)
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Rating, in_order, rate
+from skd_evaluator.assessment.assessment import Assessment, in_order, rate
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.objective_result import standing_contacts
 from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
@@ -28,14 +28,14 @@ PAPER, FRECHET, DEVIATION = Objective.PAPER, Objective.FRECHET, Objective.DEVIAT
 
 
 @pytest.fixture(scope="module")
-def both() -> Rating:
+def both() -> Assessment:
     # An adversary that hardly thinks, against a careful car: some trials fail.
     plan = replace(PLAN, multiplier=1.1)
     with InProcessRunner(1) as runner:
         return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
 
 
-def alone(objective: Objective, plan: Plan = PLAN) -> Rating:
+def alone(objective: Objective, plan: Plan = PLAN) -> Assessment:
     plan = replace(plan, multiplier=1.1)
     with InProcessRunner(1) as runner:
         return rate(plan, [objective], safe_trajectories(plan, runner), runner, quiet)
@@ -52,15 +52,15 @@ def test_runs_along_phi_are_run_once() -> None:
     assert (found.trials, found.successes) == (8, 8)
 
 
-def test_objectives_have_the_draws_that_they_have_alone(both: Rating) -> None:
-    for assessment in both.assessments:
+def test_objectives_have_the_draws_that_they_have_alone(both: Assessment) -> None:
+    for assessment in both.results:
         objective = assessment.plan.objective
         figures = alone(objective).as_dict()["objectives"][objective]
         assert figures == both.as_dict()["objectives"][objective]
     assert alone(PAPER).contact_rate == both.contact_rate
 
 
-def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Rating) -> None:
+def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Assessment) -> None:
     result = both.as_dict()
     assert list(result["objectives"]) == ["deviation", "paper"]
     of_deviation, of_paper = result["objectives"].values()
@@ -102,7 +102,7 @@ def test_names_of_objectives() -> None:
     assert [objectives_named(str(one)) for one in Objective] == [(one,) for one in Objective]
 
 
-def test_the_mean_deviation_is_recomputable_from_disk(both: Rating, tmp_path) -> None:
+def test_the_mean_deviation_is_recomputable_from_disk(both: Assessment, tmp_path) -> None:
     """By numpy alone: interpolation in time, at ten times in each tick and at the contact."""
     write_assessment(tmp_path, both)
     result = json.loads((tmp_path / "assessment.json").read_text())
@@ -182,7 +182,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
     assert [line.split("│")[2].strip() for line in lines] == ["1", "2", "1"]
 
 
-def test_the_first_figure_of_the_table_is_the_margin(both: Rating) -> None:
+def test_the_first_figure_of_the_table_is_the_margin(both: Assessment) -> None:
     ways = tuple(
         tuple(LeastWay(0.5, phi, len(phi) - 1.0, 4.0, 0.0) for _ in range(PLAN.kamikaze_count)) for phi in both.safe
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
 from scipy import special, stats
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -220,7 +220,7 @@ def test_uniform_draws_of_the_car_come_from_its_normals(safe):
 
 
 @pytest.fixture(scope="module")
-def ratings(safe) -> dict[str, Rating]:
+def ratings(safe) -> dict[str, Assessment]:
     plans = {"basic": replace(PLAN, multiplier=1.5), "carla": replace(PLAN, controller="carla")}
     with InProcessRunner(1) as runner:
         return {name: rate(plan, [Objective.DEVIATION], list(safe), runner, quiet) for name, plan in plans.items()}

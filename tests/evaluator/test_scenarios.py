@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import judge
 from skd_evaluator.assessment.plan import (
     MANOEUVRES,
@@ -148,7 +148,7 @@ def test_the_picture_has_car_lane_and_adversary_in_it(scenario: Scenario, tmp_pa
     kamikazes = [replace(log, episode=replace(log.episode, mode=Mode.KAMIKAZE)) for log in logs]
     sets = [KamikazeSet(phi, tuple(kamikazes), 12)]
     assessment = judge(Plan(scenario, safe_count=1), [phi], sets, [], 1.0)
-    save_trajectories(tmp_path / "picture.png", Rating((assessment,), 1.0), assessment)
+    save_trajectories(tmp_path / "picture.png", Assessment((assessment,), 1.0), assessment)
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     car_at_impact = float(np.median([last_car_position(log) for log in logs]))
     assert -3.0 < car_at_impact < 3.0  # its front or its side is at the crossing line

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.results import read_result, write_assessment
@@ -36,7 +36,7 @@ def quiet(*_told: object) -> None:
 
 
 @pytest.fixture(scope="module")
-def ratings() -> dict[float, Rating]:
+def ratings() -> dict[float, Assessment]:
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
         found = {}
@@ -47,7 +47,7 @@ def ratings() -> dict[float, Rating]:
 
 
 @pytest.fixture(scope="module")
-def folders(ratings: dict[float, Rating], tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
+def folders(ratings: dict[float, Assessment], tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
     found = {}
     for multiplier, rating in ratings.items():
         folder = found[multiplier] = tmp_path_factory.mktemp("margins") / f"{multiplier}"

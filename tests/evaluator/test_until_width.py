@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
@@ -26,7 +26,7 @@ def silent(_label: str, _done: int, _total: int) -> None:
     pass
 
 
-def until(wanted: float, plan: Plan = PLAN) -> tuple[Rating, list[Trajectory]]:
+def until(wanted: float, plan: Plan = PLAN) -> tuple[Assessment, list[Trajectory]]:
     safe: list[Trajectory] = []
     return rate_until_width(plan, [Objective.DEVIATION], wanted, safe, InProcessRunner(1), silent), safe
 

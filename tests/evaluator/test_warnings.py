@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.report.formats import margin_warnings
 from skd_evaluator.report.presentation import figure_warnings, too_many_aborted, undefined
@@ -21,7 +21,7 @@ PLAN = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=40, simulat
 REASON = abort_reason(AbortKind.NO_ANSWER, "the controller is silent")
 
 
-def assessed(decide, plan: Plan = PLAN) -> Rating:
+def assessed(decide, plan: Plan = PLAN) -> Assessment:
     """An assessment of two φ whose episodes end as `decide` says: an outcome, or a pair with commands clipped."""
 
     class Runner:
@@ -37,7 +37,7 @@ def assessed(decide, plan: Plan = PLAN) -> Rating:
     return rate(plan, [plan.objective], safe, Runner(), lambda *_progress: None)
 
 
-def shown(rating: Rating) -> str:
+def shown(rating: Assessment) -> str:
     console = Console(width=150, record=True)
     console.print(headline_table(rating.as_dict()))
     console.print(details_table(rating.as_dict()))
@@ -114,7 +114,7 @@ def test_everything_aborted_names_the_culprit_and_not_the_adversary():
 def test_controller_is_called_what_it_is_called(name):
     found = assessed(lambda episode: (Outcome.COLLISION, 0))
     renamed = replace(
-        found, assessments=tuple(replace(one, plan=replace(one.plan, controller=name)) for one in found.assessments)
+        found, results=tuple(replace(one, plan=replace(one.plan, controller=name)) for one in found.results)
     )
     assert name in shown(renamed)
 

@@ -16,13 +16,13 @@ from common import wait_until
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner, Pace, do, in_background
+from skd_evaluator.assessment.run.workers import InProcessRunner, Pace, Workers, do, in_background
 from skd_evaluator.errors import AssessmentError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Mode, Outcome, abort_reason, counted_reasons, kind_of
 
 
-class Over(ExecutorRunner):
+class Over(Workers):
     """Over an executor that is there; keeps count of what is handed out."""
 
     def __init__(self, executor, workers=2):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import LeastWay
@@ -25,7 +25,7 @@ IN_WORDS = {"equivalent_multiplier", "equivalent_multiplier_ci95", "margin_conve
 """What JSON has as null, for it knows no infinity; or what is false where it is null."""
 
 
-def rated(outcome: Outcome) -> Rating:
+def rated(outcome: Outcome) -> Assessment:
     """Of episodes that all end so; those of different objectives at different places and speeds."""
 
     class Runner:

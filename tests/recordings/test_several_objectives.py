@@ -12,7 +12,7 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
 from recordings_support import crossing, trials
-from skd_evaluator.assessment.assessment import Rating, judge_all
+from skd_evaluator.assessment.assessment import Assessment, judge_all
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.plan import Plan, kamikaze_set, split_episode_id
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
@@ -39,7 +39,7 @@ def messages(by_objective: dict[Objective, list[EpisodeLog]]) -> list[list[Sent]
 
 
 @pytest.fixture(scope="module")
-def live(by_objective: dict[Objective, list[EpisodeLog]]) -> Rating:
+def live(by_objective: dict[Objective, list[EpisodeLog]]) -> Assessment:
     sets = {
         objective: [kamikaze_set(phi, [log for log in logs if _is_of(log, index)]) for index, phi in enumerate(SAFE)]
         for objective, logs in by_objective.items()
@@ -60,7 +60,7 @@ def figures(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_recording_of_both_gives_the_same_assessment(
-    live: Rating, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any], tmp_path: Path
+    live: Assessment, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any], tmp_path: Path
 ) -> None:
     done = replay(recorded(messages))
     assert (done.code, done.err) == (0, "")
@@ -74,7 +74,7 @@ def test_a_recording_of_both_gives_the_same_assessment(
 
 
 def test_recordings_in_two_files_and_any_order_are_one_campaign(
-    live: Rating, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any]
+    live: Assessment, messages: Sequence[Sequence[Sent]], recorded: Write, replay: Callable[..., Any]
 ) -> None:
     first, second = recorded(messages[::2], "one"), recorded(messages[1::2], "two")
     done = replay(second, first)
@@ -98,7 +98,7 @@ def test_what_is_missing_is_said_with_its_objective(
 
 
 def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
-    live: Rating, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    live: Assessment, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_assessment(tmp_path, live)
     assert run_skd("fit", tmp_path / "episodes.npz", "--json", "--out", tmp_path / "model") == 0
@@ -106,7 +106,7 @@ def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
     assert "very states" not in said.err
     states = {
         (log.adversary.tobytes(), log.car.tobytes())
-        for one in live.assessments
+        for one in live.results
         for group in one.kamikaze
         for log in (*group.logs, *group.misses, *live.replays)
     }

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from skd_sim.public import exported
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.assessment import Rating as Rating
+    from skd_evaluator.assessment.assessment import Assessment as Assessment
     from skd_evaluator.assessment.plan import Plan as Plan
     from skd_evaluator.assessment.run.episodes import run_episode as run_episode
     from skd_evaluator.errors import AssessmentError as AssessmentError
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from skd_evaluator.metrics.measures import Measure as Measure
 
 __all__ = [
+    "Assessment",
     "AssessmentError",
     "Measure",
     "Plan",
-    "Rating",
     "assess",
     "clustered_mean",
     "clustered_rate",
@@ -42,7 +42,7 @@ _WHERE = {
     "AssessmentError": "skd_evaluator.errors",
     "Measure": "skd_evaluator.metrics.measures",
     "Plan": "skd_evaluator.assessment.plan",
-    "Rating": "skd_evaluator.assessment.assessment",
+    "Assessment": "skd_evaluator.assessment.assessment",
     "assess": "skd_evaluator.library",
     "clustered_mean": "skd_evaluator.metrics.clustered",
     "clustered_rate": "skd_evaluator.metrics.clustered",

@@ -18,7 +18,7 @@ from skd_sim.options.adversary import objectives_named
 from skd_sim.options.options import option, options_of, read_options
 from skd_sim.world.episode import Mode, Outcome
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import StoredResult, read_result
@@ -62,7 +62,7 @@ def assess(
     max_aborted: float = 100.0 * MAXIMUM_ABORTED,
     progress: Progress | None = None,
     **options: Any,
-) -> Rating:
+) -> Assessment:
     """Assess a car in process, as `skd assess` does: the same options give the same numbers.
 
     Worker processes are started: a script calls this below `if __name__ == "__main__":`. Asked by several threads,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from skd_evaluator.assessment.assessment import Rating
+    from skd_evaluator.assessment.assessment import Assessment
 
 _OUT = "--skd-out"
 
@@ -110,7 +110,7 @@ class Assessed:
         folder: folder with all of it.
     """
 
-    def __init__(self, rating: Rating, folder: Path) -> None:
+    def __init__(self, rating: Assessment, folder: Path) -> None:
         """Take a rating, which is written already."""
         self.figures: dict[str, Any] = rating.as_dict()
         self.folder = folder

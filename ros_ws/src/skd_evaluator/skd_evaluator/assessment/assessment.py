@@ -17,12 +17,12 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import Surrogates, command_age, simulator_contacts, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, figures_html, keys_of, ordered, taken
-from skd_evaluator.assessment.objective_result import CONFIDENCE, Assessment, judge, standing_contacts
+from skd_evaluator.assessment.objective_result import CONFIDENCE, ObjectiveResult, judge, standing_contacts
 from skd_evaluator.assessment.plan import (
-    EpisodeRunner,
     KamikazeSet,
     Plan,
     Progress,
+    Runner,
     collision_runs,
     kamikaze_sets,
     split_episode_id,
@@ -44,11 +44,11 @@ _FEWEST_RUNS = 10
 
 
 @dataclass(frozen=True)
-class Rating:
+class Assessment:
     """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
 
     Attributes:
-        assessments: one assessment for each objective, at least one, in the order of `in_order`.
+        results: one for each objective, at least one, in the order of `in_order`.
         seconds: wall-clock time it took.
         margins: the least way of each trial; None where the margin is not known.
         margin_note: why the margin is not known; else empty.
@@ -65,7 +65,7 @@ class Rating:
         simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
     """
 
-    assessments: tuple[Assessment, ...]
+    results: tuple[ObjectiveResult, ...]
     seconds: float
     margins: Margins | None = None
     margin_note: str = ""
@@ -84,64 +84,64 @@ class Rating:
     @property
     def plan(self) -> Plan:
         """What was assessed; its objective is that of the first assessment."""
-        return self.assessments[0].plan
+        return self.results[0].plan
 
     @property
     def safe(self) -> tuple[Trajectory, ...]:
         """Φ."""
-        return self.assessments[0].safe
+        return self.results[0].safe
 
     @property
     def replays(self) -> tuple[EpisodeLog, ...]:
         """Runs of the car against an adversary that follows φ."""
-        return self.assessments[0].replays
+        return self.results[0].replays
 
     @property
-    def for_skd(self) -> Assessment:
+    def for_skd(self) -> ObjectiveResult:
         """The assessment whose SKD is reported first: by the paper's objective, where that ran."""
         return self._first_of(SKD_OBJECTIVES)
 
     @property
-    def for_deviation(self) -> Assessment:
+    def for_deviation(self) -> ObjectiveResult:
         """The assessment whose deviation is reported first: by objective `deviation`, where that ran."""
         return self._first_of(RANKING_OBJECTIVES)
 
-    def _first_of(self, preferred: Sequence[Objective]) -> Assessment:
-        found = {one.plan.objective: one for one in self.assessments}
+    def _first_of(self, preferred: Sequence[Objective]) -> ObjectiveResult:
+        found = {one.plan.objective: one for one in self.results}
         return found[first_of(preferred, found)]
 
     @property
     def trials(self) -> int:
         """Kamikaze episodes run, aborted ones not counted."""
-        return sum(one.trials for one in self.assessments)
+        return sum(one.trials for one in self.results)
 
     @property
     def successes(self) -> int:
         """Kamikaze episodes that ended in a collision."""
-        return sum(one.successes for one in self.assessments)
+        return sum(one.successes for one in self.results)
 
     @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(group.trials for one in self.assessments for group in one.kamikaze) + len(self.replays)
+        return sum(group.trials for one in self.results for group in one.kamikaze) + len(self.replays)
 
     @property
     def reasons(self) -> list[str]:
         """Why episodes were aborted, one each."""
         of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
-        return [*(reason for one in self.assessments for reason in one.reasons), *of_replays]
+        return [*(reason for one in self.results for reason in one.reasons), *of_replays]
 
     @property
     def clipped(self) -> list[int]:
         """Per episode in which the car was commanded more than it can do, how often."""
         of_replays = [log.clipped for log in self.replays if log.clipped]
-        of_kamikazes = [count for one in self.assessments for group in one.kamikaze for count in group.clipped]
+        of_kamikazes = [count for one in self.results for group in one.kamikaze for count in group.clipped]
         return [*of_kamikazes, *of_replays]
 
     @property
     def kamikaze_logs(self) -> list[EpisodeLog]:
         """Kamikaze episodes that ran to their end."""
-        groups = [group for one in self.assessments for group in one.kamikaze]
+        groups = [group for one in self.results for group in one.kamikaze]
         return [log for group in groups for log in (*group.logs, *group.misses)]
 
     def _logs(self) -> Iterator[EpisodeLog]:
@@ -195,10 +195,7 @@ class Rating:
     def surrogates(self) -> Surrogates:
         """The surrogate safety measures of all episodes, in the order of episodes.npz."""
         kamikazes = [
-            (log, str(one.plan.objective))
-            for one in self.assessments
-            for group in one.kamikaze
-            for log in group.in_order
+            (log, str(one.plan.objective)) for one in self.results for group in one.kamikaze for log in group.in_order
         ]
         return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.replays)])
 
@@ -224,7 +221,7 @@ class Rating:
     @property
     def clustered_contact_rate(self) -> Clustered | None:
         """The contact rate with what its error over φ is."""
-        return clustered_rate(self.hits(), self.assessments[0].confidence)
+        return clustered_rate(self.hits(), self.results[0].confidence)
 
     @property
     def contact_rate(self) -> float | None:
@@ -246,10 +243,10 @@ class Rating:
         `deviation`, or both of the only objective that ran; under `objectives` are all figures of each.
         """
         plan = self.plan
-        objectives = {str(one.plan.objective): one.figures() for one in self.assessments}
+        objectives = {str(one.plan.objective): one.figures() for one in self.results}
         of_skd, of_deviation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deviation))
         close, close_interval = self.optimality_gap()
-        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.assessments[0].confidence)
+        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.results[0].confidence)
         rate = self.contact_rate
         clustered = self.clustered_contact_rate
         clusterings: dict[Of, Mapping[str, Any]] = {
@@ -344,7 +341,7 @@ def judge_all(
     replays: Sequence[EpisodeLog],
     seconds: float,
     confidence: float = CONFIDENCE,
-) -> Rating:
+) -> Assessment:
     """Compute the rating from episodes that have been run, now or long ago.
 
     Args:
@@ -355,20 +352,20 @@ def judge_all(
         seconds: wall-clock time it took.
         confidence: confidence of the intervals over φ.
     """
-    assessments = tuple(
+    results = tuple(
         judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
         for objective in in_order(tuple(kamikaze))
     )
-    return Rating(assessments, seconds)
+    return Assessment(results, seconds)
 
 
 def rate(
     plan: Plan,
     objectives: Sequence[Objective],
     safe: Sequence[Trajectory],
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
-) -> Rating:
+) -> Assessment:
     """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
 
     Args:

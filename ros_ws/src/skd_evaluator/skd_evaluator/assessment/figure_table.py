@@ -20,10 +20,10 @@ class Of(Enum):
     """Whose a figure is, which says where it stands and what computes it.
 
     At the top stand those of the margin (`Margins.figures`), of the risk (`Risks.figures`), of the car
-    (`Rating.as_dict`) and settings, which no gate may ask for. Those of the deviation, by which planned kamikazes
-    rank cars, and of SKD stand under each objective (`Assessment.figures`), and at the top those of the kamikazes that
-    rank the car, or that SKD is of; those of an objective stand there alone. In the rows of each φ stand those of φ; of
-    PHI_TOP at the top alone.
+    (`Assessment.as_dict`) and settings, which no gate may ask for. Those of the deviation, by which planned kamikazes
+    rank cars, and of SKD stand under each objective (`ObjectiveResult.figures`), and at the top those of the kamikazes
+    that rank the car, or that SKD is of; those of an objective stand there alone. In the rows of each φ stand
+    those of φ; of PHI_TOP at the top alone.
     """
 
     MARGIN, CAR, SETTING, RANKING, SKD, OBJECTIVE, PHI, PHI_TOP, RISK = range(9)

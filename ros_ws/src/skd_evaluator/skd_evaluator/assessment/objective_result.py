@@ -15,10 +15,10 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import closing_speed
 from skd_evaluator.assessment.plan import (
-    EpisodeRunner,
     KamikazeSet,
     Plan,
     Progress,
+    Runner,
     collision_runs,
     kamikaze_sets,
     split_episode_id,
@@ -55,7 +55,7 @@ def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
 
 
 @dataclass(frozen=True)
-class Assessment:
+class ObjectiveResult:
     """What the kamikazes of one objective reached, and everything reported with it.
 
     Attributes:
@@ -208,7 +208,7 @@ def judge(
     replays: Sequence[EpisodeLog],
     seconds: float,
     confidence: float = CONFIDENCE,
-) -> Assessment:
+) -> ObjectiveResult:
     """Compute the assessment from episodes that have been run, now or long ago.
 
     A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
@@ -232,7 +232,7 @@ def judge(
         measured=list(zip(measured[FRECHET].values, measured[PREFIX].values, strict=True)),
     )
     others = {name: one for name, one in measured.items() if not one.measure.headline}
-    return Assessment(
+    return ObjectiveResult(
         plan,
         tuple(safe),
         tuple(kamikaze),
@@ -283,7 +283,7 @@ def _by_trial(group: KamikazeSet, distances: FloatArray, eta_max: float) -> Floa
     return found
 
 
-def assess(plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress) -> Assessment:
+def assess(plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress) -> ObjectiveResult:
     """Run the kamikaze episodes and the runs along φ of a plan, and judge them."""
     begin = time.perf_counter()
     kamikaze = kamikaze_sets(plan, safe, runner, progress)

@@ -152,7 +152,7 @@ class Plan(CampaignOptions):
         )
 
 
-class EpisodeRunner(Protocol):
+class Runner(Protocol):
     """Runs episodes and yields their logs in the order of the episodes."""
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
@@ -217,13 +217,13 @@ class Recorder:
         logs: what happened in every episode so far.
     """
 
-    def __init__(self, runner: EpisodeRunner) -> None:
+    def __init__(self, runner: Runner) -> None:
         """Let `runner` do the work."""
         self._runner = runner
         self.logs: list[EpisodeLog] = []
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`; see `EpisodeRunner`."""
+        """Run all of `episodes`; see `Runner`."""
         for log in self._runner.run(episodes):
             self.logs.append(log)
             yield log
@@ -238,14 +238,14 @@ def _silent(_label: str, _done: int, _total: int) -> None:
 
 
 def _collect(
-    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, done: int, total: int, progress: Progress
+    runner: Runner, episodes: Sequence[Episode], label: str, done: int, total: int, progress: Progress
 ) -> Iterable[EpisodeLog]:
     for count, log in enumerate(runner.run(episodes), start=1):
         progress(label, done + count, total)
         yield log
 
 
-def safe_trajectories(plan: Plan, runner: EpisodeRunner, progress: Progress = _silent) -> list[Trajectory]:
+def safe_trajectories(plan: Plan, runner: Runner, progress: Progress = _silent) -> list[Trajectory]:
     """Return Φ: recorded, or generated, by the safe POMDP or a behaviour model, before the reference or the plan's car.
 
     Raises:
@@ -326,7 +326,7 @@ def _crosses(scenario: Scenario, way: Trajectory) -> bool:
 
 
 def kamikaze_sets(
-    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent, *, first: int = 0
+    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = _silent, *, first: int = 0
 ) -> list[KamikazeSet]:
     """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
 
@@ -359,7 +359,7 @@ def kamikaze_sets(
 
 
 def collision_runs(
-    plan: Plan, safe: Sequence[Trajectory], runner: EpisodeRunner, progress: Progress = _silent
+    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = _silent
 ) -> list[EpisodeLog]:
     """Run the car under test against an adversary that follows φ, the runs dealt out evenly over Φ."""
     episodes = runs_along(plan, safe)

@@ -29,9 +29,9 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, kind_of
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Stage, episode_id
-from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.plan import Plan, Runner, Stage, episode_id
+from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 
@@ -50,12 +50,12 @@ _GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
 _HITS_NOBODY = "a car that does not drive hits nobody, so its figures do not say how it avoids people"
 
-Fresh = Callable[[], AbstractContextManager[EpisodeRunner]]
+Fresh = Callable[[], AbstractContextManager[Runner]]
 """Makes a runner that has run nothing before."""
 
 
 @contextmanager
-def fresh_process(answer_limit: float = CALL_LIMIT) -> Iterator[EpisodeRunner]:
+def fresh_process(answer_limit: float = CALL_LIMIT) -> Iterator[Runner]:
     """Run episodes in a new process, into which no controller has been loaded.
 
     Args:
@@ -153,7 +153,7 @@ class Drive(NamedTuple):
         return self.last < _KEEPS * self.first
 
 
-def undisturbed_drives(plan: Plan, runner: EpisodeRunner) -> list[Drive]:
+def undisturbed_drives(plan: Plan, runner: Runner) -> list[Drive]:
     """Return how a car drives that has the road for itself, the slowest first.
 
     Raises:
@@ -167,7 +167,7 @@ def undisturbed_drives(plan: Plan, runner: EpisodeRunner) -> list[Drive]:
     return sorted(found, key=lambda drive: drive.last)
 
 
-def driving(plan: Plan, runner: EpisodeRunner) -> tuple[str, ...]:
+def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     """Return in a line that a car slows down with nobody near; empty if it drives.
 
     The line begins with `NOT_CREDIBLE` where most of the drives end slower than a hit begins, or the car fails.
@@ -265,7 +265,7 @@ def described(simulator_and_scenario: tuple[str, Scenario]) -> Mapping[str, Any]
     return dict(describe(scenario)) if callable(describe) else None
 
 
-def with_simulation(rating: Rating, runner: ExecutorRunner) -> Rating:
+def with_simulation(rating: Assessment, runner: Workers) -> Assessment:
     """Return the rating with what its simulator says of the car, asked in a process that may run it.
 
     So it is warned of episodes that cannot have happened, and of an adversary that does not go quite as it is told.
@@ -281,7 +281,7 @@ def with_simulation(rating: Rating, runner: ExecutorRunner) -> Rating:
     return replace(rating, simulation=said, warnings=(*rating.warnings, *_warnings(rating, plan.simulator)))
 
 
-def _warnings(rating: Rating, simulator: str) -> tuple[str, ...]:
+def _warnings(rating: Assessment, simulator: str) -> tuple[str, ...]:
     """Return what a reader should know of what a simulator said in the episodes of a rating, a line each."""
     found = []
     refuted = [one for one in rating.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]

@@ -11,7 +11,7 @@ from skd_sim.options.options import options_of, shared_options
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating, in_order, judge_all
+from skd_evaluator.assessment.assessment import Assessment, in_order, judge_all
 from skd_evaluator.assessment.options import RECORDED
 from skd_evaluator.assessment.plan import (
     TRIALS_PER_REQUESTED,
@@ -79,7 +79,7 @@ def rating_from(
     maximum_distance: float | None = None,
     seconds: float = 0.0,
     damage: Damage | None = None,
-) -> Rating:
+) -> Assessment:
     """Compute the rating of recorded episodes, by every objective of which there are kamikazes.
 
     Args:
@@ -148,7 +148,7 @@ def rating_from(
     announced = [name for name in recorded.announced if name.campaign == chosen[0].key.campaign]
     unfinished = [name.episode_id for name in recorded.unfinished if name.campaign == chosen[0].key.campaign]
     lines = unfinished_episodes(unfinished)
-    reached = {str(one.plan.objective): one.successes_by_phi for one in rating.assessments}
+    reached = {str(one.plan.objective): one.successes_by_phi for one in rating.results}
     wanted = max((count for counts in reached.values() for count in counts), default=0)
     for objective in objectives:
         own = [name.episode_id for name in announced if name.objective in ("", objective)]

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.options import (
 
 if TYPE_CHECKING:
     from skd_evaluator.assessment.files.result_folder import ResultFolder
-    from skd_evaluator.assessment.run.workers import ExecutorRunner
+    from skd_evaluator.assessment.run.workers import Workers
 
 CAR_GROUP = "car and test"
 
@@ -167,9 +167,7 @@ def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def runner_of(
-    arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None
-) -> ExecutorRunner:
+def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None) -> Workers:
     """Return what runs the episodes of a command in process, as the options of `add_runner_arguments` say."""
     from skd_sim.controllers.isolated import CALL_LIMIT
 

@@ -18,7 +18,7 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import EpisodeLog, Mode, counts_in_words
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating, judge_all
+from skd_evaluator.assessment.assessment import Assessment, judge_all
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
@@ -56,7 +56,7 @@ EXIT_INTERRUPTED = 130
 
 
 def print_result(
-    rating: Rating,
+    rating: Assessment,
     out: ResultFolder,
     arguments: argparse.Namespace,
     gate: Gate,
@@ -216,7 +216,7 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     return print_result(rating, out, arguments, gate, problem)
 
 
-def _write(folder: Path, rating: Rating, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
+def _write(folder: Path, rating: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
     """Write an assessment, with its pictures if they are asked for."""
     if arguments.pictures:
         fill(folder, rating, may_fork=may_fork)
@@ -243,7 +243,7 @@ def say(command: str, line: str) -> None:
 
 def _assess_graph(
     arguments: argparse.Namespace, plan: Plan, further: Further, out: ResultFolder, begin: float
-) -> tuple[Rating, str | None]:
+) -> tuple[Assessment, str | None]:
     objectives = objectives_named(arguments.objective)
     compile_for_graph(plan, objectives)
     with out.scratch() as scratch:

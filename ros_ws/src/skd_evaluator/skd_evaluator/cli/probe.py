@@ -18,7 +18,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
 from skd_evaluator.assessment.from_options import check_car
-from skd_evaluator.assessment.plan import EpisodeRunner, Progress, Recorder, probe_episodes
+from skd_evaluator.assessment.plan import Progress, Recorder, Runner, probe_episodes
 from skd_evaluator.assessment.repeatability import fresh_process, repeatability
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.bags.car_logs import EPISODES, write_logs
@@ -98,7 +98,7 @@ def _car(arguments: argparse.Namespace) -> CarUnderTest:
     return CarUnderTest(arguments.controller, arguments.multiplier)
 
 
-def _collect(runner: EpisodeRunner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
+def _collect(runner: Runner, episodes: Sequence[Episode], progress: Progress) -> list[EpisodeLog]:
     logs = []
     for log in runner.run(episodes):
         logs.append(log)

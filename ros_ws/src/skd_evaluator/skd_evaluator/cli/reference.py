@@ -19,7 +19,7 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.assessment.plan import Plan, Progress, safe_trajectories
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.margin.assessment_margin import warm_up_margins
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _asked(name: str, arguments: argparse.Namespace, runner: ExecutorRunner, progress: Progress) -> Asked:
+def _asked(name: str, arguments: argparse.Namespace, runner: Workers, progress: Progress) -> Asked:
     """Return where basic cars are compared: in the trials of an assessment, or on a scenario's own φ."""
     if (Path(name) / ASSESSMENT).is_file():
         result = read_result(Path(name))

@@ -14,7 +14,7 @@ from skd_sim.controllers import PAPER_MULTIPLIERS
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import objectives_named
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
@@ -40,7 +40,7 @@ _SPEARMAN = {
 }  # fmt: skip
 
 
-def _row(kind: str, rating: Rating) -> dict[str, Any]:
+def _row(kind: str, rating: Assessment) -> dict[str, Any]:
     result = rating.as_dict()
     return {"kind": kind, **{name: result[name] for name in _COLUMNS[1:]}}
 
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
     risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
     further = Further(arguments.margin_limit, risk=risk)
-    ratings: list[tuple[str, Rating]] = []
+    ratings: list[tuple[str, Assessment]] = []
     try:
         with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.

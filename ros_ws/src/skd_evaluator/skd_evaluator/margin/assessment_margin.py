@@ -26,10 +26,10 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
-from skd_evaluator.assessment.run.workers import ExecutorRunner, available_workers, in_background
+from skd_evaluator.assessment.plan import Plan, Progress, Runner
+from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
@@ -79,7 +79,7 @@ def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
     return ""
 
 
-def trials_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
+def trials_of(plan: Plan, rating: Assessment) -> list[list[Episode]]:
     """Return for each φ the episodes under whose draws the margins are computed, in the order of their numbers."""
     return [
         [plan.episode(Mode.KAMIKAZE, index, trial, phi) for trial in range(plan.kamikaze_count)]
@@ -87,7 +87,7 @@ def trials_of(plan: Plan, rating: Rating) -> list[list[Episode]]:
     ]
 
 
-def logs_of(rating: Rating) -> dict[int, list[EpisodeLog]]:
+def logs_of(rating: Assessment) -> dict[int, list[EpisodeLog]]:
     """Return what kamikazes of all objectives did, by the id of their episode."""
     found: dict[int, list[EpisodeLog]] = {}
     for log in rating.kamikaze_logs:
@@ -103,7 +103,7 @@ def exact_or_found(episode: Episode) -> LeastWay | None:
         return search_margins([episode], {}, one_by_one).ways[0]
 
 
-def exact_margins(episodes: Sequence[Episode], runner: ExecutorRunner, progress: Progress) -> list[LeastWay | None]:
+def exact_margins(episodes: Sequence[Episode], runner: Workers, progress: Progress) -> list[LeastWay | None]:
     """Return the least way of each of some episodes of a car that is known; None where there is none within η_max."""
     found = []
     for count, way in enumerate(runner.map(exact_or_found, episodes), start=1):
@@ -132,7 +132,7 @@ class LeastWays:
 def least_ways(
     episodes: Sequence[Episode],
     logs: Mapping[int, Sequence[EpisodeLog]],
-    runner: ExecutorRunner,
+    runner: Workers,
     progress: Progress,
     limit: int,
 ) -> LeastWays:
@@ -214,7 +214,7 @@ def _driven(
     episodes: Sequence[Episode],
     logs: Mapping[int, Sequence[EpisodeLog]],
     plan: Plan,
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
     limit: int,
 ) -> tuple[SearchedMargins, str, tuple[str, ...]]:
@@ -241,8 +241,8 @@ def _driven(
 
 
 def with_margins(
-    rating: Rating, runner: ExecutorRunner, progress: Progress, limit: int, graph: EpisodeRunner | None = None
-) -> Rating:
+    rating: Assessment, runner: Workers, progress: Progress, limit: int, graph: Runner | None = None
+) -> Assessment:
     """Return the rating with the margin of the car, and the C of the basic car with the same.
 
     Args:
@@ -291,7 +291,7 @@ def with_margins(
     sizes = [len(group) for group in per_phi]
     starts = [sum(sizes[:index]) for index in range(len(sizes))]
     grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))
-    confidence = rating.assessments[0].confidence
+    confidence = rating.results[0].confidence
     margins = Margins(grouped, plan.scenario.eta_max, confidence=confidence, **settings)
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
@@ -312,7 +312,7 @@ def with_margins(
 def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], None]]:
     """Begin to compile the searches for the margin in another process, where that is to be done anew.
 
-    Yields what loads them into this process, for `ExecutorRunner.start`: it waits for the other process first. Enter it
+    Yields what loads them into this process, for `Workers.start`: it waits for the other process first. Enter it
     before other threads start: a process with threads is not safe to fork.
 
     Args:

@@ -40,7 +40,7 @@ from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan import Plan, Progress
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.actions import has_exact_margin, velocities
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.equivalent_multiplier import (
@@ -136,7 +136,7 @@ class BasicMargins:
     plan: Plan
     safe: Sequence[Trajectory]
     trials: int
-    runner: ExecutorRunner
+    runner: Workers
     progress: Progress
     cache: MarginCache
 
@@ -166,7 +166,7 @@ def equivalent_of(
     plan: Plan,
     safe: Sequence[Trajectory],
     margins_per_phi: Sequence[npt.ArrayLike],
-    runner: ExecutorRunner,
+    runner: Workers,
     progress: Progress,
     cache: MarginCache | None = None,
 ) -> tuple[EquivalentMultiplier | None, str]:

@@ -19,7 +19,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.results import StoredResult
 from skd_evaluator.assessment.plan import Plan, Progress
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.basic_margins import yardstick
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
@@ -62,7 +62,7 @@ def asked_of_result(result: StoredResult) -> Asked:
 
 
 def reference_sweep(
-    asked: Asked, multipliers: Sequence[float], runner: ExecutorRunner, progress: Progress, limit: int
+    asked: Asked, multipliers: Sequence[float], runner: Workers, progress: Progress, limit: int
 ) -> dict[float, Margins]:
     """Return the margins of the basic cars with some C.
 

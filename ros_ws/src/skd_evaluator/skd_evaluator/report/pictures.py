@@ -19,9 +19,9 @@ from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.figure_table import Kind
-from skd_evaluator.assessment.objective_result import Assessment
+from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.assessment.plan import KamikazeSet
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.metrics.statistics import mean
@@ -128,16 +128,16 @@ def _broken(text: str, length: int) -> str:
     return "\n".join("\n".join(textwrap.wrap(line, length)) for line in text.split("\n"))
 
 
-def _ranks(rating: Rating, assessment: Assessment) -> bool:
+def _ranks(rating: Assessment, assessment: ObjectiveResult) -> bool:
     """Return whether an assessment is the one that is ranked by; its picture has the ways of the margin too."""
     return assessment is rating.for_deviation
 
 
 def _figures(
-    rating: Rating, assessment: Assessment, deviation: float | None, skd: float | None, margin: float | None
+    rating: Assessment, assessment: ObjectiveResult, deviation: float | None, skd: float | None, margin: float | None
 ) -> str:
     """Return those of three means (m) that are the car's own in this picture; others are of no use beside these."""
-    alone = len(rating.assessments) == 1
+    alone = len(rating.results) == 1
     shown = []
     if margin is not None and _ranks(rating, assessment):
         shown.append(f"margin {margin:.2f} m")
@@ -148,7 +148,7 @@ def _figures(
     return ", ".join(shown)
 
 
-def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
+def _panel_figure(rating: Assessment, assessment: ObjectiveResult, number: int) -> str:
     """Return what the margin of a φ is, and what its kamikazes came to, in a few words."""
     group = assessment.kamikaze[number]
     margins = None if rating.margins is None else rating.margins.per_phi[number]
@@ -163,7 +163,7 @@ def _panel_figure(rating: Rating, assessment: Assessment, number: int) -> str:
     return f"{figures}, {failed} failed" if failed else figures
 
 
-def _heading(rating: Rating, assessment: Assessment) -> str:
+def _heading(rating: Assessment, assessment: ObjectiveResult) -> str:
     """Return which car this is, and what was found over all φ."""
     plan = assessment.plan
     car = car_name({"controller": plan.controller, "multiplier": plan.multiplier})
@@ -174,7 +174,7 @@ def _heading(rating: Rating, assessment: Assessment) -> str:
     return f"{found}\n{_intervals(rating, assessment)}" if figures else found
 
 
-def _intervals(rating: Rating, assessment: Assessment) -> str:
+def _intervals(rating: Assessment, assessment: ObjectiveResult) -> str:
     """Return of how many the means are that `_heading` says, and how sure they are."""
     own = _figures(rating, assessment, 0.0, 0.0, 0.0)
     known = (
@@ -262,7 +262,7 @@ def _label_times(axes: Axes, phi: Trajectory) -> None:
         )  # fmt: skip
 
 
-def save_trajectories(path: Path, rating: Rating, assessment: Assessment, shown: int = 40) -> None:
+def save_trajectories(path: Path, rating: Assessment, assessment: ObjectiveResult, shown: int = 40) -> None:
     """Save φ and its kamikaze trajectories seen from above, one panel per φ, with lane and car.
 
     In the picture of the kamikazes that rank the car are the ways of the margin too.

@@ -12,11 +12,11 @@ from typing import Any
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import EpisodeLog, Outcome, counted_reasons
 
-from skd_evaluator.assessment.assessment import Rating, hit_too_often
+from skd_evaluator.assessment.assessment import Assessment, hit_too_often
 from skd_evaluator.assessment.episode_figures import collision_partner, simulator_contacts
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
 from skd_evaluator.assessment.files.results import episode_summary, write_assessment
-from skd_evaluator.assessment.objective_result import Assessment
+from skd_evaluator.assessment.objective_result import ObjectiveResult
 from skd_evaluator.assessment.run.workers import available_workers, in_background
 from skd_evaluator.metrics import aborted
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible
@@ -24,7 +24,7 @@ from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.report.formats import contact_warnings, margin_warnings
 
 
-def undefined(rating: Rating) -> str | None:
+def undefined(rating: Assessment) -> str | None:
     """Return why SKD is not defined, in one line; None if it is."""
     assessment = rating.for_skd
     if assessment.skd.skd is not None:
@@ -45,7 +45,7 @@ def most_frequent(reasons: Iterable[str]) -> str:
     return str(most["first"] or kind)
 
 
-def figure_warnings(rating: Rating, *, planned: bool = True) -> list[str]:
+def figure_warnings(rating: Assessment, *, planned: bool = True) -> list[str]:
     """Return what a reader should know before believing the figures, in one line each.
 
     Args:
@@ -69,14 +69,14 @@ def figure_warnings(rating: Rating, *, planned: bool = True) -> list[str]:
     return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
 
 
-def _limits(rating: Rating) -> tuple[float, float]:
+def _limits(rating: Assessment) -> tuple[float, float]:
     """Return the least and the greatest acceleration of the car, as its simulator says, or as in SKD's world; m/s²."""
     said = (rating.simulation or {}).get("limits")
     low, high = command_limits(rating.plan.scenario) if said is None else said
     return float(low), float(high)
 
 
-def _hits_of_others(rating: Rating) -> list[str]:
+def _hits_of_others(rating: Assessment) -> list[str]:
     """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
     others = rating.plan.scenario.others
     logs = [*rating.kamikaze_logs, *rating.replays] if others else []
@@ -89,7 +89,7 @@ def _hits_of_others(rating: Rating) -> list[str]:
     ]
 
 
-def _warnings_of_margin(rating: Rating) -> list[str]:
+def _warnings_of_margin(rating: Assessment) -> list[str]:
     """Return what a reader should know of the margin and of the planned figures, in one line each."""
     margins = rating.margins
     if margins is None:
@@ -101,7 +101,7 @@ def _warnings_of_margin(rating: Rating) -> list[str]:
     return margin_warnings({**margins.figures(), "optimality_gap": close, "scenario": scenario}, touched, hit)
 
 
-def any_aborted(rating: Rating) -> bool:
+def any_aborted(rating: Assessment) -> bool:
     """Whether any episode was aborted of which a figure is."""
     scales = () if rating.risks is None else rating.risks.scales
     return (
@@ -111,12 +111,12 @@ def any_aborted(rating: Rating) -> bool:
     )
 
 
-def aborted_lines(rating: Rating) -> list[str]:
+def aborted_lines(rating: Assessment) -> list[str]:
     """Return, a line each, how many episodes of each figure were aborted, and what it would be at worst."""
     return aborted.aborted_lines(rating.as_dict()) if any_aborted(rating) else []
 
 
-def too_many_aborted(rating: Rating, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
+def too_many_aborted(rating: Assessment, maximum: float, figures: Mapping[str, Any] | None = None) -> str | None:
     """Return, in one line, of which figure more episodes were aborted than may be; None if that is not so.
 
     Args:
@@ -129,7 +129,7 @@ def too_many_aborted(rating: Rating, maximum: float, figures: Mapping[str, Any] 
     return aborted.too_many_aborted(figures or rating.as_dict(), maximum)
 
 
-def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
+def why_failed(rating: Assessment, maximum_aborted: float, figures: Mapping[str, Any] | None = None) -> list[str]:
     """Return why an assessment counts as failed, a line each; empty if it does not.
 
     Args:
@@ -141,7 +141,7 @@ def why_failed(rating: Rating, maximum_aborted: float, figures: Mapping[str, Any
     return [why for why in (undefined(rating), too_many, *not_credible(rating.warnings)) if why]
 
 
-def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
+def with_failures(rating: Assessment, maximum_aborted: float) -> Assessment:
     """Return the rating with why it counts as failed among its warnings, for who sees no exit code.
 
     That SKD is not defined makes no margin less credible.
@@ -155,7 +155,7 @@ def with_failures(rating: Rating, maximum_aborted: float) -> Rating:
     return replace(rating, warnings=(*rating.warnings, *(line for line in found if line)))
 
 
-def warnings_of(rating: Rating, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
+def warnings_of(rating: Assessment, *, planned: bool = True, said: Collection[str] = ()) -> list[str]:
     """Return what a reader should know that is no failure, a line each.
 
     Args:
@@ -176,7 +176,7 @@ def episode_line(log: EpisodeLog) -> str:
     return f"{log.outcome.name.lower()}{impact}; {len(log.adversary) - 1} ticks"
 
 
-def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
+def fill(folder: Path, rating: Assessment, *, may_fork: bool = False) -> None:
     """Write everything that an assessment leaves on disk.
 
     Args:
@@ -205,10 +205,10 @@ def fill(folder: Path, rating: Rating, *, may_fork: bool = False) -> None:
             draw_the_others()
 
 
-def picture_names(rating: Rating) -> dict[str, Assessment]:
+def picture_names(rating: Assessment) -> dict[str, ObjectiveResult]:
     """Return the file of each picture of trajectories: `trajectories.png` shows the kamikazes that rank the car."""
     first = rating.for_deviation
-    others = [one for one in rating.assessments if one is not first]
+    others = [one for one in rating.results if one is not first]
     return {"trajectories.png": first, **{f"trajectories_{one.plan.objective}.png": one for one in others}}
 
 

@@ -22,18 +22,18 @@ from skd_sim.options.car_under_test import is_own_world
 from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Role, generator
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import NO_BEHAVIOUR
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress, Stage, episode_id, safe_trajectories
-from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
+from skd_evaluator.assessment.plan import Plan, Progress, Runner, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
-from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
+from skd_evaluator.risk.crossings import CrossingPlan, CrossingRunner, Crossings, Ends
 from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, Levels, Replicate, gathered, levels_of, replicate
 
 LABEL: Final = "risk"
@@ -137,12 +137,12 @@ def warm_up_risk(plan: Plan) -> None:
 
 
 def with_risks(
-    rating: Rating,
+    rating: Assessment,
     asked: RiskAsked,
-    runner: ExecutorRunner,
+    runner: Workers,
     progress: Progress,
-    graph: EpisodeRunner | None = None,
-) -> Rating:
+    graph: Runner | None = None,
+) -> Assessment:
     """Return the rating with the risk of the car.
 
     Args:
@@ -164,10 +164,10 @@ def with_risks(
         return replace(rating, risk_note=why)
     crossing_plan = CrossingPlan(plan, rating.safe, asked.behaviour.values)
     runs = runs_of(plan, asked, graph=external)
-    by_whom: EpisodeRunner = graph if external and graph is not None else runner
+    by_whom: Runner = graph if external and graph is not None else runner
     try:
         hits: dict[float, dict[int, EpisodeLog]] = {}
-        confidence = rating.assessments[0].confidence
+        confidence = rating.results[0].confidence
         scales = list(_scales(crossing_plan, asked, runs, runner, by_whom, confidence, progress, hits))
         failures, failing = _failures(crossing_plan, scales, hits, runner)
     except OutOfReachError:
@@ -183,8 +183,8 @@ def _scales(
     crossing_plan: CrossingPlan,
     asked: RiskAsked,
     runs: int,
-    runner: ExecutorRunner,
-    by_whom: EpisodeRunner,
+    runner: Workers,
+    by_whom: Runner,
     confidence: float,
     progress: Progress,
     hits: dict[float, dict[int, EpisodeLog]],
@@ -226,7 +226,7 @@ def _failures(
     crossing_plan: CrossingPlan,
     scales: Sequence[ScaleRisk],
     hits: Mapping[float, Mapping[int, EpisodeLog]],
-    runner: EpisodeRunner,
+    runner: Runner,
 ) -> tuple[dict[str, Any] | None, dict[int, EpisodeLog]]:
     """Return the most likely failures and the logs of those that are kept; compiled crossings are run for these."""
     found = failures_of(scales, walkers_of(crossing_plan))
@@ -251,8 +251,8 @@ def _subsets(
     crossing_plan: CrossingPlan,
     scale: float,
     effort: Effort,
-    runner: ExecutorRunner,
-    other: Runner | None,
+    runner: Workers,
+    other: CrossingRunner | None,
     progress: Progress,
 ) -> Subsets:
     """Return what subset simulation finds; `other` runs crossings of a car that is not known.

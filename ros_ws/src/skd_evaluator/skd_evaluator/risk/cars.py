@@ -23,9 +23,9 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
 
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
-from skd_evaluator.assessment.plan import EpisodeRunner, Stage, episode_id
+from skd_evaluator.assessment.plan import Runner, Stage, episode_id
 from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_side_by_side
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight, pose_at_contact
 from skd_evaluator.metrics.risks import Touch
@@ -53,7 +53,7 @@ class AnyCar:
 
     car_normals = 0
 
-    def __init__(self, crossing_plan: CrossingPlan, runner: EpisodeRunner | None) -> None:
+    def __init__(self, crossing_plan: CrossingPlan, runner: Runner | None) -> None:
         """Run episodes by `runner`; without one they can only be asked for."""
         self._crossing_plan, self._runner = crossing_plan, runner
         self.hits: list[EpisodeLog] = []
@@ -352,7 +352,7 @@ class _Job:
     scale: float
 
 
-def batched_car(crossing_plan: CrossingPlan, runner: ExecutorRunner) -> BatchedCar | None:
+def batched_car(crossing_plan: CrossingPlan, runner: Workers) -> BatchedCar | None:
     """Return who runs crossings side by side; None where the car's policy, or the scenario, has them one by one."""
     car = crossing_plan.plan.car
     if car.is_own or car.is_external:
@@ -369,7 +369,7 @@ class BatchedCar:
 
     car_normals = 0
 
-    def __init__(self, crossing_plan: CrossingPlan, runner: ExecutorRunner) -> None:
+    def __init__(self, crossing_plan: CrossingPlan, runner: Workers) -> None:
         """Run blocks by `runner`."""
         self._crossing_plan, self._runner = crossing_plan, runner
 

@@ -104,7 +104,7 @@ class Ends:
         return Ends(touch, np.where(chosen, other.missed, self.missed))
 
 
-class Runner(Protocol):
+class CrossingRunner(Protocol):
     """Runs crossings of one car."""
 
     car_normals: int

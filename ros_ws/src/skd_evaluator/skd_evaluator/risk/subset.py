@@ -24,7 +24,7 @@ from skd_sim.world.episode import Role, generator
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.behaviour.model import OF_PERSON
 from skd_evaluator.metrics.risks import Subsets, Touch, crossings_lost
-from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends, Runner
+from skd_evaluator.risk.crossings import CrossingPlan, CrossingRunner, Crossings, Ends
 
 REPLICATES: Final = 16
 PER_LEVEL: Final = 1000
@@ -95,7 +95,7 @@ class Replicate(NamedTuple):
     reached: bool
 
 
-def levels_of(crossing_plan: CrossingPlan, runner: Runner, scale: float, effort: Effort) -> Levels:
+def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, effort: Effort) -> Levels:
     """Find the levels by a simulation whose own estimate is not used.
 
     Raises:
@@ -125,7 +125,7 @@ def levels_of(crossing_plan: CrossingPlan, runner: Runner, scale: float, effort:
 
 
 def replicate(
-    crossing_plan: CrossingPlan, runner: Runner, scale: float, number: int, effort: Effort, levels: Levels
+    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, number: int, effort: Effort, levels: Levels
 ) -> Replicate:
     """Run one simulation.
 
@@ -161,7 +161,7 @@ def replicate(
 
 
 def _begun(
-    crossing_plan: CrossingPlan, runner: Runner, scale: float, count: int, rng: np.random.Generator
+    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, count: int, rng: np.random.Generator
 ) -> tuple[Crossings, Ends]:
     """Return the crossings of the first level, which nobody has chosen, and how they ended."""
     phis = len(crossing_plan.safe)
@@ -174,7 +174,7 @@ def _begun(
     return crossings, _run(runner, crossings, scale)
 
 
-def _run(runner: Runner, crossings: Crossings, scale: float) -> Ends:
+def _run(runner: CrossingRunner, crossings: Crossings, scale: float) -> Ends:
     """Run crossings.
 
     Raises:
@@ -198,7 +198,7 @@ def _next(
     kind: int,
     step: float,
     crossing_plan: CrossingPlan,
-    runner: Runner,
+    runner: CrossingRunner,
     scale: float,
     rng: np.random.Generator,
 ) -> tuple[Crossings, Ends, float]:

@@ -55,7 +55,7 @@ from skd_sim.world.timing import NANOSECONDS, next_start, tick_stamp
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.files.assessment_json import figure
 from skd_evaluator.assessment.options import GraphOptions
@@ -86,7 +86,7 @@ def _ends(ends: Sequence[float | None], text: str) -> list[float]:
     return [side if end is None else end for end, side in zip(ends, sides, strict=True)]
 
 
-def assessment_to_message(rating: Rating, campaign: str, stamp: int) -> AssessmentMsg:
+def assessment_to_message(rating: Assessment, campaign: str, stamp: int) -> AssessmentMsg:
     """Return the message of an assessment published at simulation time `stamp` (ns).
 
     A field has the figure of its name. Figures that are not credible are not defined: whoever reads a message sees no
@@ -190,7 +190,7 @@ _OURS = (EPISODE, EPISODE_RESULT, EGO_ODOMETRY, ADVERSARY_ODOMETRY)  # topics on
 
 
 class Evaluator(GraphNode):
-    """Runs episodes through the graph; an `EpisodeRunner`.
+    """Runs episodes through the graph; an `Runner`.
 
     Attributes:
         failures: what is known of the episodes that were aborted, from `begin_campaign` on.
@@ -546,7 +546,7 @@ class Evaluator(GraphNode):
         composed = self._composed.problem() if self._composed is not None else None
         return " and ".join(filter(None, (self._check_processes(), composed))) or None
 
-    def publish_assessment(self, rating: Rating) -> None:
+    def publish_assessment(self, rating: Assessment) -> None:
         """Publish an assessment, latched, and see that it reaches who listens."""
         self._assessment_publisher.publish(assessment_to_message(rating, self._campaign, self._next_start))
         self._assessment_publisher.wait_for_all_acked(Duration(seconds=1))

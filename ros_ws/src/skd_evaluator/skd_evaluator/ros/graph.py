@@ -28,7 +28,7 @@ from skd_sim.errors import UsageError
 from skd_sim.ros.commands import car_commands
 from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.options import RESTART, managed_nodes
 from skd_evaluator.ros.driving import Watched
 from skd_evaluator.ros.evaluator import Evaluator
@@ -125,7 +125,7 @@ class _StoppedError(Exception):
 
 
 class GraphPool:
-    """Runs the episodes of one campaign in several graphs; an `EpisodeRunner`."""
+    """Runs the episodes of one campaign in several graphs; an `Runner`."""
 
     def __init__(self, evaluators: Sequence[Evaluator], failures: AbortedEpisodes) -> None:
         """Take the graphs' evaluators, all of them idle, and what takes note of every episode."""
@@ -158,7 +158,7 @@ class GraphPool:
         finally:
             self._idle.put(evaluator)
 
-    def publish_assessment(self, rating: Rating) -> None:
+    def publish_assessment(self, rating: Assessment) -> None:
         """Publish an assessment in the first graph's domain."""
         self._evaluators[0].publish_assessment(rating)
 

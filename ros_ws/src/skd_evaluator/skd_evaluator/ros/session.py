@@ -19,9 +19,9 @@ from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 from skd_sim.world.episode import counts_in_words
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.plan import Plan, Progress, Runner
 from skd_evaluator.assessment.repeatability import Fresh
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
 from skd_evaluator.errors import AssessmentError
@@ -119,7 +119,7 @@ def _give_back_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def fresh_graph(evaluator: EpisodeRunner | None, setting: GraphSetting) -> Fresh | None:
+def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None:
     """Return what runs episodes again: a new graph, or the one that there is where somebody else started the car.
 
     In real time no episode goes as before.
@@ -152,8 +152,8 @@ def rated_through_graph(
     record_to: Path | None,
     progress: Progress,
     say: Callable[[str], None],
-    kept_by: Callable[[EpisodeRunner], EpisodeRunner] = lambda evaluator: evaluator,
-) -> Rating:
+    kept_by: Callable[[Runner], Runner] = lambda evaluator: evaluator,
+) -> Assessment:
     """Return the assessment of a plan, for which kernels have been compiled (`compile_for_graph`).
 
     Args:

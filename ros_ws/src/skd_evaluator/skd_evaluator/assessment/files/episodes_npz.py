@@ -25,7 +25,7 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, until_contact
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES
@@ -104,7 +104,7 @@ _NOWHERE = (math.nan, math.nan)
 Columns = dict[str, Any]  # name → array; numpy's savez would take one of arrays for its own options
 
 
-def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
+def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
     """Write every trajectory of a rating; docs/files.md says what each array holds.
 
     First is Φ, then, objective by objective and φ by φ, every kamikaze episode in the order of its trials, those that
@@ -117,7 +117,7 @@ def write_episodes(path: Path | IO[bytes], rating: Rating) -> None:
         nowhere = np.full((len(phi), 3), np.nan)  # Φ was recorded, or made against another car
         episode = Episode(rating.plan.scenario, Mode.SAFE, rating.plan.seed, 0)
         rows.append((EpisodeLog(episode, Outcome.ARRIVED, phi.positions, nowhere, math.nan, math.nan), index, ""))
-    for assessment in rating.assessments:
+    for assessment in rating.results:
         for index, kamikaze in enumerate(assessment.kamikaze):
             rows += [(log, index, str(assessment.plan.objective)) for log in kamikaze.in_order]
     rows += [(log, _index_of(rating, log), "") for log in rating.replays]
@@ -156,7 +156,7 @@ def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     }
 
 
-def _index_of(rating: Rating, log: EpisodeLog) -> int:
+def _index_of(rating: Assessment, log: EpisodeLog) -> int:
     """Return the number of the φ that a run is along; recordings need not have every φ, so it may not be its own."""
     phi, number = log.episode.safe_trajectory, split_episode_id(log.episode.episode_id)[1]
     assert phi is not None
@@ -164,7 +164,7 @@ def _index_of(rating: Rating, log: EpisodeLog) -> int:
     return number if number in alike else alike[0]
 
 
-def _settings(rating: Rating) -> Columns:
+def _settings(rating: Assessment) -> Columns:
     """Return what the figures depend on beside the trajectories."""
     plan = rating.plan
     return {
@@ -173,8 +173,8 @@ def _settings(rating: Rating) -> Columns:
         "hit_speed": np.array(plan.scenario.collision.hit_speed),
         "maximum_distance": np.array(math.nan if plan.maximum_distance is None else plan.maximum_distance),
         "seed": np.array(plan.seed, np.int64),
-        "objectives": _texts([str(one.plan.objective) for one in rating.assessments]),
-        "plans_deviation": np.array([one.plan.limits_deviation for one in rating.assessments]),
+        "objectives": _texts([str(one.plan.objective) for one in rating.results]),
+        "plans_deviation": np.array([one.plan.limits_deviation for one in rating.results]),
     }
 
 
@@ -200,7 +200,7 @@ def _texts(texts: Sequence[str]) -> npt.NDArray[np.str_]:
     return np.array(texts, f"U{max(1, *map(len, texts))}" if texts else "U1")
 
 
-def _margin_columns(rating: Rating) -> Columns:
+def _margin_columns(rating: Assessment) -> Columns:
     """Return the least way of each trial of the margin, φ by φ; nothing where the margin is not known.
 
     A trial without a way has no position, and counts as η_max.
@@ -230,7 +230,7 @@ def _contact_ticks(risk: ScaleRisk) -> npt.NDArray[np.int32]:
     return np.where(risk.touches == Touch.FRONT, ticks, 0).astype(np.int32)
 
 
-def _risk_columns(rating: Rating) -> Columns:
+def _risk_columns(rating: Assessment) -> Columns:
     """Return how the crossings of the risk ended, scale by scale; nothing where the risk is not known.
 
     What subset simulation estimates on each φ is replicates × φ, nan at scales at which it was not asked.

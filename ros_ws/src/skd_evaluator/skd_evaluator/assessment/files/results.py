@@ -16,7 +16,7 @@ from skd_sim.scenario.scenario import scenario_from_dict
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import SURROGATES, command_age
 from skd_evaluator.assessment.figure_table import figures_html
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
@@ -206,7 +206,7 @@ def _distances(
     return tuple(distances), tuple(prefixes)
 
 
-def write_assessment(folder: Path, rating: Rating) -> None:
+def write_assessment(folder: Path, rating: Assessment) -> None:
     """Write assessment.json, episodes.npz and surrogate_measures.csv."""
     write_json(folder / "assessment.json", rating.as_dict())
     write_episodes(folder / "episodes.npz", rating)

@@ -21,7 +21,7 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating, judge_all
+from skd_evaluator.assessment.assessment import Assessment, judge_all
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Told
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
@@ -47,7 +47,7 @@ class _StoredPlan(Plan):
         return self.plans[str(self.objective)]
 
 
-def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Rating:
+def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
     """Return the rating that stored episodes give.
 
     Args:

@@ -27,7 +27,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.car_under_test import CONTROLLERS, CarUnderTest
 from skd_sim.world.episode import AbortKind, Episode, abort_reason
 
-from skd_evaluator.assessment.run.workers import Done, ExecutorRunner, InProcessRunner, Pace, do, warm_up_with
+from skd_evaluator.assessment.run.workers import Done, InProcessRunner, Pace, Workers, do, warm_up_with
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.provenance import code_paths, digest_of, environment, files_of
 
@@ -186,8 +186,8 @@ _LOOK = 3.0  # s between two looks at who is there
 _ADDRESS = re.compile(r"(tcp|tls)://[^\s/]+:\d+")
 
 
-class DaskRunner(ExecutorRunner):
-    """Runs episodes on the workers of a Dask cluster; see `ExecutorRunner`.
+class DaskRunner(Workers):
+    """Runs episodes on the workers of a Dask cluster; see `Workers`.
 
     Every worker is checked to be like this process: version and sources of SKD, Python, libraries, and what its
     arithmetic gives. A process runs one chunk at a time; users' controllers run in a child of it.
@@ -366,7 +366,7 @@ def _told(error: BaseException) -> str:
 
 def make_runner(
     scheduler: str | None, workers: int, *, isolated: bool = False, answer_limit: float = CALL_LIMIT
-) -> ExecutorRunner:
+) -> Workers:
     """Return what runs episodes, a context manager; the results are the same wherever they run.
 
     It may be used by several threads at once. Call its `start` before other threads start.

@@ -154,7 +154,7 @@ def _lost(_item: object, reason: str) -> NoReturn:
 # --- runners
 
 
-class ExecutorRunner(ABC):
+class Workers(ABC):
     """Runs episodes over an executor; results, and what is raised, are those of a plain loop.
 
     Several threads may use one at once, each with its own episodes: they share the workers.
@@ -303,7 +303,7 @@ class ExecutorRunner(ABC):
             raise done.error
 
 
-class InProcessRunner(ExecutorRunner):
+class InProcessRunner(Workers):
     """Runs episodes in this process, or in worker processes forked from it; the results are the same.
 
     A controller or a simulator of a user's own always runs in workers, for its code may end the process it runs in.

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from skd_sim.world.episode import Episode, Mode, Outcome
 
-from skd_evaluator.assessment.assessment import Rating
-from skd_evaluator.assessment.objective_result import Assessment
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.objective_result import ObjectiveResult
+from skd_evaluator.assessment.plan import Plan, Progress, Runner
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 
@@ -24,7 +24,7 @@ def held_trials(plan: Plan) -> int:
     return max(1, -(-plan.kamikaze_count // _PART))
 
 
-def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> BudgetPoint:
+def held_to(assessment: ObjectiveResult, eta: float, runner: Runner) -> BudgetPoint:
     """Run kamikazes that plan for a deviation of at most η; return how many were hit within it, and of how many.
 
     Their number is fixed beforehand: to go on until enough have collided would make the share too high.
@@ -47,7 +47,7 @@ def held_to(assessment: Assessment, eta: float, runner: EpisodeRunner) -> Budget
     return BudgetPoint(eta, successes, len(episodes) - aborted, aborted)
 
 
-def with_budgets(rating: Rating, runner: EpisodeRunner, progress: Progress) -> Rating:
+def with_budgets(rating: Assessment, runner: Runner, progress: Progress) -> Assessment:
     """Run kamikazes that are held to a budget, for several budgets, and return the rating with these points.
 
     Only kamikazes of objective `deviation` can be held to one.

@@ -41,9 +41,9 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.plan import (
-    EpisodeRunner,
     Plan,
     Progress,
+    Runner,
     Stage,
     episode_id,
     probe_episodes,
@@ -102,7 +102,7 @@ def needs_learning(plan: Plan) -> bool:
 
 def learned(
     plan: Plan,
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress = lambda *_told: None,
     *,
     say: Callable[[str], None] = lambda _line: None,
@@ -132,7 +132,7 @@ def learned(
 
 def _lesson(
     plan: Plan,
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
     command: str | None,
     graph: Mapping[str, Any] | None,
@@ -154,9 +154,9 @@ def _lesson(
 
 def lesson_of(
     plan: Plan,
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress = lambda *_told: None,
-    of_reference: EpisodeRunner | None = None,
+    of_reference: Runner | None = None,
 ) -> FittedCar:
     """Return what probes and own trials show of a plan's car; neither its seed nor its φ matter.
 
@@ -184,7 +184,7 @@ def lesson_of(
     return with_waiting_reward(plan, car, safe, runner, progress)
 
 
-def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
+def _starts(scenario: Scenario, runner: Runner) -> list[Trajectory]:
     """Return φ to start from: synthetic ones of the scenario, those of the reference car."""
     try:
         return safe_trajectories(Plan(scenario, seed=SEED, safe_count=SAFE), runner)
@@ -194,9 +194,7 @@ def _starts(scenario: Scenario, runner: EpisodeRunner) -> list[Trajectory]:
         ) from error
 
 
-def _recordings(
-    runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress
-) -> list[RecordedEpisode]:
+def _recordings(runner: Runner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[RecordedEpisode]:
     return [recording_of(log) for log in finished(runner, episodes, label, progress)]
 
 
@@ -240,7 +238,7 @@ def own_trials(
     ]
 
 
-def finished(runner: EpisodeRunner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[EpisodeLog]:
+def finished(runner: Runner, episodes: Sequence[Episode], label: str, progress: Progress) -> list[EpisodeLog]:
     """Run episodes; return the logs of those that were not aborted, in order.
 
     Raises:
@@ -271,7 +269,7 @@ def with_waiting_reward(
     plan: Plan,
     car: FittedCar,
     safe: Sequence[Trajectory],
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
 ) -> FittedCar:
     """Return a learned car with the waiting reward by which kamikazes stray least; one that fails counts as η_max.

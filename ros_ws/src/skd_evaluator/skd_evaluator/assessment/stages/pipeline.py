@@ -13,9 +13,9 @@ from skd_sim.options.options import options_of
 from skd_sim.world.episode import Episode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating, rate
+from skd_evaluator.assessment.assessment import Assessment, rate
 from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, GENERATED, OF_NO_RESULT, OWN, GraphOptions
-from skd_evaluator.assessment.plan import EpisodeRunner, Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, Progress, Runner, safe_trajectories
 from skd_evaluator.assessment.repeatability import (
     Fresh,
     driving,
@@ -24,7 +24,7 @@ from skd_evaluator.assessment.repeatability import (
     standing,
     with_simulation,
 )
-from skd_evaluator.assessment.run.workers import ExecutorRunner, InProcessRunner
+from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
 from skd_evaluator.assessment.stages.bounded_kamikazes import with_budgets
 from skd_evaluator.assessment.stages.learning import learned, needs_learning
 from skd_evaluator.assessment.stages.sequential import rate_until_width
@@ -65,7 +65,7 @@ def planners_of(plan: Plan, objectives: Sequence[Objective]) -> list[Episode]:
 
 def learned_plan(
     plan: Plan,
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
     say: Callable[[str], None],
     graph: GraphOptions | None = None,
@@ -98,27 +98,25 @@ class Runners:
         fresh: makes the runner that runs a sample of the episodes again; None: nobody does.
     """
 
-    rated: EpisodeRunner
-    others: EpisodeRunner
-    here: ExecutorRunner
-    ways: EpisodeRunner | None = None
+    rated: Runner
+    others: Runner
+    here: Workers
+    ways: Runner | None = None
     fresh: Fresh | None = None
 
     @classmethod
     def in_process(
         cls,
-        runner: ExecutorRunner,
-        rated: EpisodeRunner | None = None,
-        others: EpisodeRunner | None = None,
+        runner: Workers,
+        rated: Runner | None = None,
+        others: Runner | None = None,
         fresh: Fresh = fresh_process,
     ) -> Runners:
         """Return the runners of an assessment in process: `runner` does all, or whoever keeps some of the episodes."""
         return cls(rated or runner, others or runner, runner, fresh=fresh)
 
     @classmethod
-    def of_graph(
-        cls, plan: Plan, evaluator: EpisodeRunner, ways: EpisodeRunner | None = None, fresh: Fresh | None = None
-    ) -> Runners:
+    def of_graph(cls, plan: Plan, evaluator: Runner, ways: Runner | None = None, fresh: Fresh | None = None) -> Runners:
         """Return the runners of an assessment through the node graph.
 
         Safe trajectories belong to the reference car, not to the one under test: no graph is needed for them. Margins
@@ -152,7 +150,7 @@ def assessed(
     progress: Progress,
     further: Further,
     safe: list[Trajectory] | None = None,
-) -> Rating:
+) -> Assessment:
     """Return the assessment of a plan whose adversary has nothing left to learn.
 
     Args:
@@ -180,7 +178,7 @@ def assessed(
     return rating if runners.fresh is None else with_repeatability(rating, runners.fresh)
 
 
-def _drives(rating: Rating, runner: EpisodeRunner) -> tuple[str, ...]:
+def _drives(rating: Assessment, runner: Runner) -> tuple[str, ...]:
     """Return, a line each, that a user's car hardly drives; of one whose episodes were all aborted there is no more."""
     plan = rating.plan
     if plan.car.is_own:
@@ -189,7 +187,7 @@ def _drives(rating: Rating, runner: EpisodeRunner) -> tuple[str, ...]:
     return (*standing(plan.controller, rating.replays), *(driving(plan, runner) if drives else ()))
 
 
-def with_repeatability(rating: Rating, fresh: Fresh) -> Rating:
+def with_repeatability(rating: Assessment, fresh: Fresh) -> Assessment:
     """Return the rating with a warning if a user's car does not repeat itself in a sample of its episodes.
 
     Args:
@@ -211,7 +209,7 @@ def assess_in_process(
     origin: Callable[[Plan], Mapping[str, Any]],
     say: Callable[[str], None] = lambda _line: None,
     safe: list[Trajectory] | None = None,
-) -> Rating:
+) -> Assessment:
     """Return the assessment of a plan in process, from the first warm-up to the last figure; see `assessed`.
 
     Of `runners` all lead to `here`, which is started and ended. Once there is nothing left to learn, as `say` is told

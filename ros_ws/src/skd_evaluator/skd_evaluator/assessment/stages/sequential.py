@@ -18,13 +18,13 @@ from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating, in_order, judge_all
+from skd_evaluator.assessment.assessment import Assessment, in_order, judge_all
 from skd_evaluator.assessment.options import GENERATED
 from skd_evaluator.assessment.plan import (
-    EpisodeRunner,
     KamikazeSet,
     Plan,
     Progress,
+    Runner,
     Stage,
     kamikaze_sets,
     safe_trajectories,
@@ -42,9 +42,9 @@ def rate_until_width(
     objectives: Sequence[Objective],
     wanted: float,
     safe: list[Trajectory],
-    runner: EpisodeRunner,
+    runner: Runner,
     progress: Progress,
-) -> Rating:
+) -> Assessment:
     """Run batches of φ until the interval of the mean deviation is narrow enough, or there are no more looks.
 
     Args:
@@ -106,7 +106,7 @@ def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:
 
 
 def _runs_along(
-    plan: Plan, safe: Sequence[Trajectory], first: int, each: int, runner: EpisodeRunner
+    plan: Plan, safe: Sequence[Trajectory], first: int, each: int, runner: Runner
 ) -> list[list[EpisodeLog]]:
     """Run the car against an adversary that follows φ, for those from number `first` on; return the runs of each."""
     episodes = [

@@ -15,9 +15,9 @@ from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner, speed_ahead
-from skd_evaluator.assessment.plan import EpisodeRunner
+from skd_evaluator.assessment.plan import Runner
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
@@ -166,7 +166,7 @@ def place_of(name: str) -> float | None:
         return None
 
 
-def with_static_tests(rating: Rating, runner: EpisodeRunner) -> Rating:
+def with_static_tests(rating: Assessment, runner: Runner) -> Assessment:
     """Return the rating with the static test of each impact place that one of its φ stands for.
 
     There are some with the φ of a protocol, in SKD's own world, of a car that is no node of its own.
@@ -193,7 +193,7 @@ def with_static_tests(rating: Rating, runner: EpisodeRunner) -> Rating:
     return dataclasses.replace(rating, static_tests=tuple(one.as_dict() for one in tests))
 
 
-def _places(rating: Rating) -> Sequence[float]:
+def _places(rating: Assessment) -> Sequence[float]:
     if rating.plan.safe != REGULATORY or rating.plan.scenario.protocol is None:
         return ()
     return [place for one in rating.safe if (place := place_of(one.name)) is not None]

@@ -16,11 +16,11 @@ from typing import Any
 from skd_sim.errors import UsageError
 from skd_sim.options.options import further_options
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparability import unlike_rows
-from skd_evaluator.assessment.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.plan import Progress, Runner
 from skd_evaluator.assessment.repeatability import fresh_process
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign.cells import (
@@ -149,7 +149,7 @@ class Campaign:
         else:
             self._store.close()
 
-    def run(self, runner: ExecutorRunner, progress: Progress, at_once: int) -> None:
+    def run(self, runner: Workers, progress: Progress, at_once: int) -> None:
         """Run the cells that run in process.
 
         A cell that fails is a row that says why; the others go on.
@@ -194,7 +194,7 @@ class Campaign:
                 self._save()
 
     @contextmanager
-    def _stopping(self, runner: ExecutorRunner, threads: Sequence[threading.Thread]) -> Iterator[None]:
+    def _stopping(self, runner: Workers, threads: Sequence[threading.Thread]) -> Iterator[None]:
         """See that no thread uses the store or the runner after an error or an interrupt."""
         try:
             yield
@@ -215,7 +215,7 @@ class Campaign:
         with self._lock:
             self._save()
 
-    def _trial(self, cell: Cell, work: Callable[[Callable[[Rating, Path | None], None]], None]) -> None:
+    def _trial(self, cell: Cell, work: Callable[[Callable[[Assessment, Path | None], None]], None]) -> None:
         """Do the work of a cell, and take note of what came of it."""
         try:
             work(partial(self._finish, cell))
@@ -230,7 +230,7 @@ class Campaign:
                 self.told(self._row_of(cell))
 
     def _rate(
-        self, cell: Cell, runner: ExecutorRunner, progress: Progress, finish: Callable[[Rating, Path | None], None]
+        self, cell: Cell, runner: Workers, progress: Progress, finish: Callable[[Assessment, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
         plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph)
@@ -242,7 +242,7 @@ class Campaign:
         finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
-        self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Rating, Path | None], None]
+        self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Assessment, Path | None], None]
     ) -> None:
         assert cell.graph is not None
         begin = time.perf_counter()
@@ -264,7 +264,7 @@ class Campaign:
             origin = self._provenance(replace(cell, plan=rating.plan))
             finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
 
-    def _storing(self, cell: Cell, runner: EpisodeRunner) -> StoringRunner:
+    def _storing(self, cell: Cell, runner: Runner) -> StoringRunner:
         assert self._store is not None
         self._runs[cell.name] = StoringRunner(runner, self._store, cell.key, self._stop)
         return self._runs[cell.name]
@@ -278,7 +278,7 @@ class Campaign:
             surroundings={**self._surroundings, "controller_git": self._revisions[cell.name]},
         )
 
-    def _finish(self, cell: Cell, rating: Rating, logs: Path | None) -> None:
+    def _finish(self, cell: Cell, rating: Assessment, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
 
         def write(folder: Path) -> None:

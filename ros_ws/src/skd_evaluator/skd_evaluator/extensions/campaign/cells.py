@@ -21,7 +21,7 @@ from skd_sim.options.options import further_options, options_of, values_of
 from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Rating
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
@@ -237,7 +237,7 @@ def open_row(cell: Cell) -> Row:
 def done_row(
     cell: Cell,
     figures: Mapping[str, Any],
-    rating: Rating,
+    rating: Assessment,
     *,
     maximum_aborted: float,
     digests: Mapping[str, str],

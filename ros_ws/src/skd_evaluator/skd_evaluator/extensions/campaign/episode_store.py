@@ -26,7 +26,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import Timing
 
-from skd_evaluator.assessment.plan import EpisodeRunner
+from skd_evaluator.assessment.plan import Runner
 from skd_evaluator.errors import AssessmentError
 
 DIGEST_BYTES = 16
@@ -305,7 +305,7 @@ class StoppedError(RuntimeError):
 
 
 class StoringRunner:
-    """Runs episodes, or reads what became of them; an `EpisodeRunner`.
+    """Runs episodes, or reads what became of them; an `Runner`.
 
     A plan draws its episodes deterministically, so the same plan over the same store goes on where it was. An aborted
     episode is passed on and not stored: it says something about the machine only, so it is run again when the campaign
@@ -316,7 +316,7 @@ class StoringRunner:
         read: how many of them had been stored before.
     """
 
-    def __init__(self, runner: EpisodeRunner, store: EpisodeStore, cell: bytes, stop: threading.Event) -> None:
+    def __init__(self, runner: Runner, store: EpisodeStore, cell: bytes, stop: threading.Event) -> None:
         """Let `runner` do what is missing in a store, until `stop` is set.
 
         Args:
@@ -330,7 +330,7 @@ class StoringRunner:
         self.given = self.read = 0
 
     def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`; see `EpisodeRunner`.
+        """Run all of `episodes`; see `Runner`.
 
         Raises:
             StoppedError: the campaign is to end.

@@ -18,7 +18,7 @@ from skd_sim.world.state import Trajectory
 from skd_evaluator.assessment.objective_result import judge
 from skd_evaluator.assessment.plan import Plan, Progress, kamikaze_sets, safe_trajectories
 from skd_evaluator.assessment.repeatability import undisturbed_drives
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, Matrix, MatrixPoint, colour_of, matrix_of
@@ -208,7 +208,7 @@ class Seen:
         return found
 
 
-def judged_grid(source: str, asked: Asked, runner: ExecutorRunner, progress: Progress, seen: Seen) -> Grid:
+def judged_grid(source: str, asked: Asked, runner: Workers, progress: Progress, seen: Seen) -> Grid:
     """Return the cells of a scenario.
 
     Args:
@@ -260,14 +260,14 @@ def _begun(
     return cell, plan, episode
 
 
-def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: ExecutorRunner) -> Cell:
+def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: Workers) -> Cell:
     protocol = plan.scenario.protocol
     assert protocol is not None
     why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
     return with_test(cell, Tested.of(protocol.impact_places[0], log), KMH * protocol.speed, point, why_none)
 
 
-def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
+def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     """Return why a user's car does not drive as a test at a speed (km/h) has it; empty if it does."""
     try:
         slowest, *_ = undisturbed_drives(plan, runner)
@@ -280,7 +280,7 @@ def _why_no_test(plan: Plan, speed: float, runner: ExecutorRunner) -> str:
     return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
-def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, seen: Seen) -> Cell:
+def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Seen) -> Cell:
     """Return a cell with the margin around its test and, if that was asked for, what planned kamikazes needed."""
     (phi,) = safe_trajectories(plan, runner)
     logs: list[EpisodeLog] = []
@@ -313,9 +313,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: ExecutorRunner, s
     return replace(searched, margin_is=searched.bound)
 
 
-def _with_equivalent(
-    cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: ExecutorRunner
-) -> Cell:
+def _with_equivalent(cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: Workers) -> Cell:
     """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
     where = ReferenceAsked("", plan, [phi])
     swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)

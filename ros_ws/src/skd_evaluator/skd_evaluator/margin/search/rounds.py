@@ -9,10 +9,10 @@ from skd_sim.controllers import make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
-from skd_evaluator.assessment.plan import EpisodeRunner, Progress
+from skd_evaluator.assessment.plan import Progress, Runner
 from skd_evaluator.assessment.run.batches import replayed, why_not_side_by_side
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import ExecutorRunner
+from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.search import Rounds, SearchedMargins
 
@@ -21,7 +21,7 @@ SAME = 1e-4
 """m by which a hit may be elsewhere when it is driven again: the two forms of a policy may add up in another order."""
 
 
-def in_processes(runner: ExecutorRunner, progress: Progress) -> Rounds:
+def in_processes(runner: Workers, progress: Progress) -> Rounds:
     """Return what searches groups of trials in several processes, one for each group."""
 
     def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
@@ -39,7 +39,7 @@ def one_by_one(groups: Sequence[Group], budget: int, _what: str) -> list[Group]:
     return [_search_here((group, budget)) for group in groups]
 
 
-def by_episodes(runner: EpisodeRunner, progress: Progress) -> Rounds:
+def by_episodes(runner: Runner, progress: Progress) -> Rounds:
     """Return what searches all groups at once by whole episodes, as of a stack behind the node graph."""
 
     def go_on(groups: Sequence[Group], budget: int, what: str) -> list[Group]:
@@ -50,7 +50,7 @@ def by_episodes(runner: EpisodeRunner, progress: Progress) -> Rounds:
     return go_on
 
 
-def repeated(found: SearchedMargins, runner: EpisodeRunner) -> tuple[int, int]:
+def repeated(found: SearchedMargins, runner: Runner) -> tuple[int, int]:
     """Run the best hit of each trial again; return how many there are, and how many hit in the same place again."""
     pairs = [(way, hit) for way, hit in zip(found.ways, found.hits, strict=True) if way is not None and hit is not None]
     again = 0
