@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import re
 import shlex
 import signal
@@ -17,12 +18,15 @@ import pytest
 import rclpy
 from common import wait_until
 from graph_support import HERE, Program, assert_same_log, pids_with, skd_command, whole_graph
+from lifecycle_msgs.msg import State
 from managed_node import LatchingBrake
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.ros import stack as stack_module
 from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, Outcome
 
@@ -137,6 +141,28 @@ def test_a_node_that_is_not_there(brake: Any) -> None:
             "not started: /latching_break, a managed node of the car controller, is not there: nobody offers "
             f"/latching_break/get_state, managed nodes there are {NAME} (waited 1 s)"
         )
+
+
+@pytest.mark.parametrize("lost", ["request", "answer"])
+@pytest.mark.parametrize("service", ["_get", "_change"])
+def test_a_lost_message_is_no_silence(brake: Any, monkeypatch: pytest.MonkeyPatch, service: str, lost: str) -> None:
+    """DDS drops the answer to a client that the server has not discovered yet: it is asked for again."""
+    brake()
+    monkeypatch.setattr(stack_module, "_LOST_AFTER", 0.5)
+    with managed() as nodes:
+        client = getattr(nodes, service)[NAME]
+        call, calls = client.call_async, itertools.count()
+
+        def lossy(request: Any) -> Any:
+            if next(calls):
+                return call(request)
+            if lost == "answer":
+                call(request)
+            return Future()
+
+        monkeypatch.setattr(client, "call_async", lossy)
+        assert nodes.before_episode() is None
+        assert nodes._settled(NAME) == State.PRIMARY_STATE_ACTIVE
 
 
 # --- several graphs

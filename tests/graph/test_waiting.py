@@ -140,10 +140,15 @@ def test_the_terminal(tmp_path: Path, safe: Path) -> None:
         )
     )
     assert program.popen.stderr is not None
-    line = next(one for one in program.popen.stderr if "waiting for" in one)
+    printed: list[str] = []
+    for line in program.popen.stderr:
+        printed.append(line)
+        if "waiting for" in line:
+            break
+    assert "waiting for" in printed[-1], (program.popen.wait(), printed)
     program.popen.send_signal(signal.SIGINT)
     assert program.finish().code == 130
-    assert line == (
+    assert printed[-1] == (
         f"skd: waiting for {COMMANDS} (10 s): nobody publishes on {COMMANDS}, but messages of /hostile_elsewhere "
         "arrive on /brake (geometry_msgs/msg/AccelStamped), and nobody listens there: --command-topic /brake, or remap "
         "it\n"

@@ -38,6 +38,8 @@ from skd_sim.world.episode import AbortKind, abort_reason
 from skd_sim.world.timing import NANOSECONDS, stamp_fault
 
 _WAKE = 0.1  # s
+_LOST_AFTER = 2.0
+"""s after which an answer counts as lost: a server drops it if it discovers the client too late (after 0.1 s)."""
 _FAREWELL = 2.0  # s in which all nodes together have to be down at the end
 _DOWN = {State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_DEACTIVATE}
 _DOWN[State.PRIMARY_STATE_INACTIVE] = Transition.TRANSITION_CLEANUP
@@ -122,7 +124,7 @@ class LifecycleNodes:
         """Return in which primary state a node is, or soon will be."""
         latest = self._latest()
         while True:
-            state = self._ask(name, self._get[name], GetState.Request()).current_state
+            state = self._state(name)
             if state.id == State.PRIMARY_STATE_FINALIZED:
                 raise _TroubleError(_reason(AbortKind.FAILED, name, "is finalized: it has to be started anew"))
             if state.id < _FIRST_TRANSITION_STATE:
@@ -132,21 +134,36 @@ class LifecycleNodes:
             time.sleep(_WAKE)
 
     def _do(self, name: str, transition: int) -> None:
+        """Do a transition; where its answer is lost, the node's state says whether it was done."""
         request = ChangeState.Request(transition=Transition(id=transition))
-        if not self._ask(name, self._change[name], request).success:
-            state = self._ask(name, self._get[name], GetState.Request()).current_state.label
-            raise _TroubleError(_reason(AbortKind.FAILED, name, f"did not {_CALLED[transition]}; it is {state} now"))
+        before, latest = self._settled(name), self._latest()
+        while True:
+            answer = self._answer(name, self._change[name], request, latest)
+            if answer is not None and not answer.success:
+                state = self._state(name).label
+                raise _TroubleError(
+                    _reason(AbortKind.FAILED, name, f"did not {_CALLED[transition]}; it is {state} now")
+                )
+            if answer is not None or self._settled(name) != before:
+                return
 
-    def _ask(self, name: str, client: Any, request: Any) -> Any:
+    def _state(self, name: str) -> Any:
         latest = self._latest()
+        while True:
+            answer = self._answer(name, self._get[name], GetState.Request(), latest)
+            if answer is not None:
+                return answer.current_state
+
+    def _answer(self, name: str, client: Any, request: Any, latest: float) -> Any:
+        """Return a service's answer, or None where it seems to be lost."""
         while not client.service_is_ready():
             self._look_after(latest, name, f"is not there: nobody offers {client.srv_name}{self._others()}")
             self._executor.spin_once(timeout_sec=_WAKE)
-        future = client.call_async(request)
-        while not future.done():
+        future, lost = client.call_async(request), time.monotonic() + _LOST_AFTER
+        while not future.done() and time.monotonic() < lost:
             self._look_after(latest, name, f"does not answer on {client.srv_name}")
             self._executor.spin_until_future_complete(future, timeout_sec=_WAKE)
-        return future.result()
+        return future.result() if future.done() else None
 
     def _look_after(self, latest: float, name: str, otherwise: str) -> None:
         problem = self._check_processes()
