@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import random
@@ -24,7 +23,7 @@ PATIENCE = 300.0
 
 _reserved: deque[socket.socket] = deque()
 _KEPT = 25  # as many as one test uses at once; older ones are free again, or a long run would use all of them up
-_PARTICIPANTS = 8  # of one domain on this machine: each has a port
+_PORTS = 250  # of one domain; a process numbers its participants across all domains, so that each may be held
 
 
 def new_domain() -> int:
@@ -37,10 +36,9 @@ def new_domain() -> int:
         guard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             guard.bind(f"\0skd-ros-domain-{domain}")
-            with contextlib.ExitStack() as probes:
-                for participant in range(_PARTICIPANTS):
-                    probe = probes.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                    probe.bind(("0.0.0.0", 7400 + 250 * domain + 10 + 2 * participant))
+            for port in range(7400 + _PORTS * domain, 7400 + _PORTS * (domain + 1)):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                    probe.bind(("0.0.0.0", port))
         except OSError as error:
             guard.close()
             reason = error

@@ -8,6 +8,7 @@ import itertools
 import re
 import shlex
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from common import wait_until
+from common import new_domain, wait_until
 from graph_support import HERE, Program, assert_same_log, pids_with, skd_command, whole_graph
 from lifecycle_msgs.msg import State
 from managed_node import LatchingBrake
@@ -27,6 +28,7 @@ from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros import stack as stack_module
+from skd_evaluator.ros.graph import is_in_use
 from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, Outcome
 
@@ -166,6 +168,16 @@ def test_a_lost_message_is_no_silence(brake: Any, monkeypatch: pytest.MonkeyPatc
 
 
 # --- several graphs
+
+
+@pytest.mark.parametrize("port", [0, 11, 10 + 2 * 60])
+def test_a_domain_in_which_any_port_is_held_is_not_free(port: int) -> None:
+    """A process numbers its participants across all domains, so that any port may be the only one."""
+    domain = new_domain()
+    assert not is_in_use(domain)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
+        holder.bind(("127.0.0.1", 7400 + 250 * domain + port))
+        assert is_in_use(domain)
 
 
 def test_graphs_side_by_side(tmp_path: Path, replay: Episode) -> None:

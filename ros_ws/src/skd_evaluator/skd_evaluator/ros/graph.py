@@ -193,8 +193,7 @@ def running_graphs(setting: GraphSetting, failures: AbortedEpisodes) -> Iterator
 
 
 _HIGHEST_DOMAIN = 101  # above it, DDS ports run into Linux's ephemeral range
-_PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_UNICAST = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1
-_PARTICIPANTS = 8  # of a domain that are looked for
+_PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250  # DDSI-RTPS 2.2, section 9.6.1
 _reserved: list[socket.socket] = []
 """Held until this process ends, so that no other chooses the same domain before its nodes are up."""
 
@@ -222,7 +221,7 @@ def free_domain() -> int:
     if _idle:
         return _idle[0][0]
     for domain in random.SystemRandom().sample(range(1, _HIGHEST_DOMAIN + 1), _HIGHEST_DOMAIN):
-        if not _in_use(domain) and _reserve(domain):
+        if _reserve(domain) and not is_in_use(domain):
             return domain
     raise UsageError("every ROS domain from 1 to 101 is in use on this machine; set ROS_DOMAIN_ID")
 
@@ -241,16 +240,16 @@ def _reserve(domain: int) -> bool:
     return True
 
 
-def _in_use(domain: int) -> bool:
-    """Whether a participant of this machine holds one of the domain's first unicast discovery ports.
+def is_in_use(domain: int) -> bool:
+    """Return whether a participant of this machine holds a port of the domain.
 
-    That of the first participant alone says nothing: it may have ended before the others.
+    All are tried: a process numbers its participants, and so their ports, across all domains.
     """
-    first = _PORT_BASE + _PORTS_PER_DOMAIN * domain + _FIRST_UNICAST
-    for participant in range(_PARTICIPANTS):
+    first = _PORT_BASE + _PORTS_PER_DOMAIN * domain
+    for port in range(first, first + _PORTS_PER_DOMAIN):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
-                probe.bind(("0.0.0.0", first + 2 * participant))
+                probe.bind(("0.0.0.0", port))
             except OSError:
                 return True
     return False
