@@ -9,17 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.run.batches import Replay
+from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
+from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.cars import AnyCar, batched_car
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings
 from skd_sim.options.adversary import Knowledge
 from skd_sim.scenario.scenario import load_scenario
-from skd_sim.world.episode import Mode
+from skd_sim.world.episode import Mode, Outcome
+from skd_sim.world.state import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "batches"
 SCENARIO = load_scenario("crossing")
@@ -119,6 +123,39 @@ def test_crossings_side_by_side_are_episodes_to_the_bit(policy, period, safe):
     np.testing.assert_array_equal(together.missed, one_by_one.missed)
     np.testing.assert_array_equal(together.ticks, one_by_one.ticks)
     assert len(set(together.touch.tolist())) > 1
+
+
+class Remembers:
+    """Brakes more at every decision in which somebody is ahead, and keeps what it saw."""
+
+    def reset(self, scenario, rng):
+        self.seen, self.rng = [], rng
+
+    def command(self, car, adversary):
+        self.seen.append((car, adversary))
+        ahead = 0.0 < adversary.y - car.y < 15.0 and adversary.x < 0.5
+        return -0.02 * len(self.seen) * self.rng.random() if ahead else 0.5
+
+
+@pytest.mark.parametrize("period", [None, 0.05])
+def test_a_replay_is_the_whole_episode_to_the_bit(period, safe):
+    plan = Plan(replace(SCENARIO, control_period=period), safe_count=2, seed=5)
+    trial = prescribed(plan.episode(Mode.KAMIKAZE, 0, 3, safe[0]), safe[0].positions)
+    replay, controller, outcomes = Replay(trial), Remembers(), set()
+    rng = np.random.default_rng(2)
+    for steps in np.random.default_rng(1).normal(0.15, 0.1, (30, 60, 2)):
+        path = np.cumsum(np.vstack([safe[0].positions[:1], steps[: rng.integers(10, 60)] * [1.5, 0.2]]), axis=0)
+        episode = replace(trial, safe_trajectory=Trajectory(path, SCENARIO.time_step))
+        fast, seen = replay.run(episode, controller), controller.seen
+        whole = run_episode(episode, controller)
+        assert seen == controller.seen
+        np.testing.assert_array_equal(fast.adversary, whole.adversary)
+        np.testing.assert_array_equal(fast.car, whole.car)
+        assert repr((fast.outcome, fast.impact_time, fast.impact_speed)) == repr(
+            (whole.outcome, whole.impact_time, whole.impact_speed)
+        )
+        outcomes.add(fast.outcome)
+    assert outcomes == {Outcome.COLLISION, Outcome.ARRIVED, Outcome.TIMEOUT}
 
 
 def test_neither_workers_nor_the_number_of_crossings_change_one(safe):

@@ -8,6 +8,7 @@ Crossings in front of a car whose policy answers many episodes at once: the same
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -27,7 +28,7 @@ from skd_evaluator.assessment.plan import Runner, Stage, episode_id
 from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_side_by_side
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked
-from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight, pose_at_contact
+from skd_evaluator.metrics.contact_place import Pose, car_at_contact, goes_straight
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.risk.crossings import (
     IN_A_CURVE,
@@ -82,11 +83,9 @@ class AnyCar:
         """Run crossings."""
         assert self._runner is not None
         logs = list(self._runner.run(self.episodes(crossings, scale)))
-        ends = [end_of(log) for log in logs]
-        self.hits = [log for log, (touch, _) in zip(logs, ends, strict=True) if touch == Touch.FRONT]
-        touch = np.array([one for one, _ in ends], np.int64)
-        ticks = np.array([len(log.adversary) - 1 for log in logs], np.int64)
-        return Ends(touch, np.array([near for _, near in ends], np.float64), ticks)
+        found = ends_of(logs)
+        self.hits = [log for log, touch in zip(logs, found.touch.tolist(), strict=True) if touch == Touch.FRONT]
+        return found
 
 
 def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:
@@ -99,6 +98,12 @@ def until_obstacle(scenario: Scenario, way: FloatArray) -> FloatArray:
         if scenario.ran_into_obstacle(AdversaryState(x, y, vx, vy, 0.0)):
             return way[: max(tick + 1, 2)]
     return way
+
+
+def ends_of(logs: Sequence[EpisodeLog]) -> Ends:
+    """Return how crossings ended."""
+    touch, missed = zip(*map(end_of, logs), strict=True)
+    return Ends(np.array(touch, np.int64), np.array(missed), np.array([len(log.adversary) - 1 for log in logs]))
 
 
 def end_of(log: EpisodeLog) -> tuple[Touch, float]:
@@ -397,26 +402,5 @@ def _crossed(job: _Job) -> Ends | None:
 
 
 def _crossed_here(job: _Job) -> Ends:
-    """Run crossings side by side, and judge each."""
-    crossing_plan = job.crossing_plan
-    episodes = AnyCar(crossing_plan, None).episodes(job.crossings, job.scale)
-
-    found = replayed(episodes)
-    scenario = episodes[0].scenario
-    heading, step = float(road_pose(scenario.road.line, 0.0)[2]), scenario.time_step
-    touch, missed = np.empty(len(episodes), np.int64), np.empty(len(episodes))
-    for row, (ticks, share, impact) in enumerate(
-        zip(found.ticks.tolist(), found.shares.tolist(), found.impacts.tolist(), strict=True)
-    ):
-        last, collided = ticks - 1, share <= 1.0
-        passed = (last + share) * step / step - last if collided else 1.0  # as of a log, which has times
-        cars, pose = found.cars[row, : ticks + 1], NOWHERE
-        if collided:
-            pose = pose_at_contact(scenario, cars[-2:], passed, impact)
-        touch[row], missed[row] = ended(
-            found.users[row, : ticks + 1], cars, np.full(ticks, heading), collided, passed, pose,
-            collided and not goes_straight(scenario, cars[-2:]),
-            footprint_of(scenario), scenario.adversary.reach, impact, scenario.collision.hit_speed, SAME,
-            scenario.time_step,
-        )  # fmt: skip
-    return Ends(touch, missed, found.ticks)
+    """Run crossings side by side."""
+    return ends_of(replayed(AnyCar(job.crossing_plan, None).episodes(job.crossings, job.scale)))

@@ -67,18 +67,21 @@ class UserController:
     def __init__(self, controller: Controller, name: str) -> None:
         """Stand around `controller`, called `name` in messages."""
         self._controller, self._name = controller, name
+        self._scenario: Scenario | None = None
         self.control_period = control_period_of(controller, name)
         self.takes_scene, self.takes_batches = takes_scene(controller), takes_batches(controller)
 
     def reset(self, scenario: Scenario, rng: np.random.Generator) -> None:
         """Pass the call on, with a scenario of the controller's own, so that it cannot change the world's."""
-        own: Scenario = pickle.loads(pickle.dumps(scenario))
+        if scenario is not self._scenario:
+            self._scenario, self._pickled = scenario, pickle.dumps(scenario)
+        own: Scenario = pickle.loads(self._pickled)
         own.road.line.setflags(write=False)
-        self._call("reset", lambda: self._controller.reset(own, rng))
+        self._call("reset", self._controller.reset, own, rng)
 
     def command(self, car: CarState, adversary: AdversaryState) -> float:
         """Pass the call on and check the answer; see `Controller.command`."""
-        answer = self._call("command", lambda: self._controller.command(car, adversary))
+        answer = self._call("command", self._controller.command, car, adversary)
         acceleration = _number(answer)
         if not math.isfinite(acceleration):
             raise NoNumberError(
@@ -102,7 +105,7 @@ class UserController:
         copied = states.copy()
         cars, adversaries = CarState(*copied[:4]), AdversaryState(*copied[4:])
         scenes = Scene(cars, adversaries) if self.takes_scene else adversaries
-        answer = self._call("commands", lambda: inner.commands(cars, scenes))
+        answer = self._call("commands", inner.commands, cars, scenes)
         count = states.shape[1]
         found = np.asarray(answer)
         is_array = found.dtype.kind in "fiu" and found.shape == (count,) and not np.ma.is_masked(answer)
@@ -113,10 +116,10 @@ class UserController:
             )
         return found.astype(np.float64)
 
-    def _call(self, method: str, call: Callable[[], _Result]) -> _Result:
+    def _call(self, method: str, call: Callable[..., _Result], *arguments: Any) -> _Result:
         begin_call()
         try:
-            return call()
+            return call(*arguments)
         except Interrupted:  # this process is to end
             raise
         except BaseException as error:  # a user's code may raise anything
@@ -131,7 +134,7 @@ class UserSensingController(UserController):
     def sense(self, scan: Scan) -> None:
         """Pass the call on; see `SensingController.sense`."""
         inner: Any = self._controller
-        self._call("sense", lambda: inner.sense(scan))
+        self._call("sense", inner.sense, scan)
 
 
 def user_controller(controller: Controller, name: str) -> UserController:

@@ -8,13 +8,14 @@ nothing is made of either.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from skd_adversary.crossing.path import path_velocities
-from skd_sim.arrays import BoolArray, FloatArray, IntArray
-from skd_sim.controllers import control_period_of, make_controller, takes_batches
+from skd_sim.arrays import FloatArray, IntArray
+from skd_sim.controllers import Controller, control_period_of, make_controller, takes_batches, takes_scene
 from skd_sim.controllers.isolated import isolated
 from skd_sim.controllers.loading import UserController
 from skd_sim.kernels.compilation import kernel
@@ -22,7 +23,16 @@ from skd_sim.options.car_under_test import DYNAMICS, CarUnderTest, is_own_world
 from skd_sim.scenario.road import is_straight_north
 from skd_sim.world.contact import sweep
 from skd_sim.world.dynamics.basic import command_limits, drive_straight
-from skd_sim.world.episode import Episode, Mode, Role, controller_generator, controller_seed, generator
+from skd_sim.world.episode import (
+    Episode,
+    EpisodeLog,
+    Mode,
+    Outcome,
+    Role,
+    controller_generator,
+    controller_seed,
+    generator,
+)
 from skd_sim.world.state import AdversaryState, CarState, Scene
 from skd_sim.world.world import first_car_state
 
@@ -32,24 +42,6 @@ ONE_IN: Final = 50
 """Of so many episodes side by side one is asked by the single form from its beginning to its end."""
 TOLERANCE: Final = 1e-4
 """m/s² by which both forms may differ: what sums of single precision in another order come to."""
-
-
-class Replayed(NamedTuple):
-    """What happened in n episodes of at most t ticks.
-
-    Attributes:
-        users: places of the adversary at ticks, n × (t + 1) × 2, m.
-        cars: places (m) and speeds (m/s) of the car at ticks, n × (t + 1) × 3.
-        ticks: how many ticks each had.
-        shares: share of the last tick at the contact; infinity without one.
-        impacts: speed of the car at the contact, m/s.
-    """
-
-    users: FloatArray
-    cars: FloatArray
-    ticks: IntArray
-    shares: FloatArray
-    impacts: FloatArray
 
 
 class _Asked(NamedTuple):
@@ -96,8 +88,51 @@ def why_not_side_by_side(episode: Episode) -> str:
     return ""
 
 
+CAR, USER, ORIGIN, SHARE, IMPACT = slice(0, 4), slice(4, 9), slice(9, 11), 11, 12
+"""Where in the 13 numbers of an episode's state are: car and adversary (as `CarState` and `AdversaryState`), where the
+adversary was when the tick began, share of the tick and speed at the contact (infinity and nan without one)."""
+
+
 @kernel
 def _advance(
+    numbers: _Numbers,
+    tick: int,
+    period: int,
+    command: float,
+    velocities: FloatArray,
+    noise: FloatArray,
+    state: FloatArray,
+) -> None:
+    """Advance an episode by a control period, or, with a contact, to the end of the tick: nobody decides after it."""
+    footprint, shape = (numbers.front, numbers.rear, numbers.half_width), (numbers.radius, 0.0, 0.0)
+    step, periods = numbers.time_step, numbers.periods
+    path = np.empty((2, 4))
+    held = min(numbers.greatest_command, max(numbers.least_command, command))
+    vx, vy = velocities[tick, 0], velocities[tick, 1]
+    if period == 0:
+        state[9], state[10] = state[4], state[5]
+    x, y = state[9], state[10]
+    speed_draw, draw, duration = noise[tick, 0] / periods, noise[tick, 1], step / periods
+    drive_straight(state[0], state[1], state[2], state[3], held, speed_draw, draw, duration, path)
+    state[0], state[1], state[3] = path[1, 0], path[1, 1], path[1, 3]
+    end = (x + step * vx, y + step * vy)
+    share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
+    contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
+    state[6], state[7], state[8] = vx, vy, 0.0
+    if contact or period == periods - 1:
+        state[4], state[5] = end
+    else:
+        passed = step * (period + 1) / periods
+        state[4], state[5] = x + passed * vx, y + passed * vy
+    if contact:
+        state[11], state[12] = share, impact
+        for _ in range(period + 1, periods):
+            drive_straight(state[0], state[1], state[2], state[3], held, speed_draw, draw, duration, path)
+            state[0], state[1], state[3] = path[1, 0], path[1, 1], path[1, 3]
+
+
+@kernel
+def _advance_all(
     numbers: _Numbers,
     tick: int,
     period: int,
@@ -105,49 +140,61 @@ def _advance(
     commands: FloatArray,
     velocities: FloatArray,
     noise: FloatArray,
-    cars: FloatArray,
-    users: FloatArray,
-    origins: FloatArray,
-    shares: FloatArray,
-    impacts: FloatArray,
-    over: BoolArray,
+    states: FloatArray,
 ) -> None:
-    """Advance some of the episodes by a control period; one with a contact to the end of its tick."""
-    footprint, shape = (numbers.front, numbers.rear, numbers.half_width), (numbers.radius, 0.0, 0.0)
-    step, periods = numbers.time_step, numbers.periods
-    path = np.empty((2, 4))
+    """Advance some of the episodes by a control period."""
     for at in range(rows.shape[0]):
         row = rows[at]
-        if over[row]:
-            continue
-        command = min(numbers.greatest_command, max(numbers.least_command, commands[at]))
-        vx, vy = velocities[row, tick, 0], velocities[row, tick, 1]
-        if period == 0:
-            origins[row, 0], origins[row, 1] = users[row, 0], users[row, 1]
-        x, y = origins[row, 0], origins[row, 1]
-        speed_draw, duration = noise[row, tick, 0] / periods, step / periods
-        drive_straight(
-            cars[row, 0], cars[row, 1], cars[row, 2], cars[row, 3], command, speed_draw, noise[row, tick, 1],
-            duration, path,
-        )  # fmt: skip
-        cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
-        end = (x + step * vx, y + step * vy)
-        share, impact = sweep(path, (x, y), end, (vx, vy), 0.0, footprint, shape, step, period, periods)
-        contact = share <= 1.0 and impact >= numbers.minimum_impact_speed
-        users[row, 2], users[row, 3] = vx, vy
-        if contact or period == periods - 1:
-            users[row, 0], users[row, 1] = end
-        else:
-            passed = step * (period + 1) / periods
-            users[row, 0], users[row, 1] = x + passed * vx, y + passed * vy
-        if contact:
-            shares[row], impacts[row], over[row] = share, impact, True
-            for _ in range(period + 1, periods):  # nobody decides after the contact
-                drive_straight(
-                    cars[row, 0], cars[row, 1], cars[row, 2], cars[row, 3], command, speed_draw, noise[row, tick, 1],
-                    duration, path,
-                )  # fmt: skip
-                cars[row, 0], cars[row, 1], cars[row, 3] = path[1, 0], path[1, 1], path[1, 3]
+        _advance(numbers, tick, period, commands[at], velocities[row], noise[row], states[row])
+
+
+class Replay:
+    """Runs replays of one trial one after the other: the logs are those of whole episodes, to the bit."""
+
+    def __init__(self, episode: Episode) -> None:
+        """Draw what all of them have in common; see `why_not_side_by_side`."""
+        scenario = episode.scenario
+        self._numbers, self._noise = _numbers(episode), _noise(episode, scenario.ticks)
+        self._begin = _first_state(episode)
+        self._seed = controller_seed(episode.seed, episode.episode_id)
+
+    def run(self, episode: Episode, controller: Controller) -> EpisodeLog:
+        """Run one that differs from the first in its trajectory alone.
+
+        Raises:
+            AssessmentError: the controller fails.
+        """
+        scenario, path = episode.scenario, episode.safe_trajectory
+        assert path is not None
+        ticks, periods = min(scenario.ticks, len(path) - 1), scenario.control_periods
+        velocities = path_velocities(path.positions, ticks, scenario.time_step)
+        state, noise, numbers = self._begin.copy(), self._noise, self._numbers
+        controller.reset(episode.public_scenario, controller_generator(self._seed))
+        command, sees_scene = controller.command, takes_scene(controller)
+        found = np.empty((ticks + 1, 13))
+        found[0] = state
+        for tick in range(ticks):
+            for period in range(periods):
+                now = state.tolist()
+                car, user = CarState(*now[CAR]), AdversaryState(*now[USER])
+                seen: Any = Scene(car, user) if sees_scene else user
+                _advance(numbers, tick, period, command(car, seen), velocities, noise, state)
+                if state[SHARE] <= 1.0:
+                    break
+            found[tick + 1] = state
+            if state[SHARE] <= 1.0:
+                return _log(episode, found[: tick + 2])
+        return _log(episode, found)
+
+
+def _log(episode: Episode, states: FloatArray) -> EpisodeLog:
+    share, impact = states[-1, SHARE:].tolist()
+    collided = share <= 1.0
+    time = (len(states) - 2 + share) * episode.scenario.time_step if collided else math.nan
+    assert episode.safe_trajectory is not None
+    arrived = len(states) >= len(episode.safe_trajectory)
+    outcome = Outcome.COLLISION if collided else Outcome.ARRIVED if arrived else Outcome.TIMEOUT
+    return EpisodeLog(episode, outcome, states[:, 4:6], states[:, [0, 1, 3]], time, impact)
 
 
 def answers_batches(car: CarUnderTest) -> bool:
@@ -163,8 +210,8 @@ def _answers_batches(car: CarUnderTest) -> bool:
     return takes_batches(make_controller(car.controller))
 
 
-def replayed(episodes: Sequence[Episode]) -> Replayed:
-    """Run episodes in which the adversary follows a way, all of one car, side by side.
+def replayed(episodes: Sequence[Episode]) -> list[EpisodeLog]:
+    """Return the logs of episodes in which the adversary follows a trajectory, all of one car, side by side.
 
     Args:
         episodes: replays, of scenarios that differ in the start distance alone; see `why_not_side_by_side`. One
@@ -183,40 +230,44 @@ def replayed(episodes: Sequence[Episode]) -> Replayed:
     ends = np.array([min(limit, len(one.safe_trajectory or ()) - 1) for one in episodes], np.int64)
     most = int(ends.max())
     velocities, noise = np.zeros((count, most, 2)), np.zeros((count, most, 2))
-    cars, users = np.empty((count, 4)), np.empty((count, 5))
-    scales = scenario.car.speed_noise, scenario.car.acceleration_noise
+    states = np.array([_first_state(one) for one in episodes])
     for row, one in enumerate(episodes):
         assert one.safe_trajectory is not None
         velocities[row] = path_velocities(one.safe_trajectory.positions, most, scenario.time_step)
-        cars[row] = first_car_state(one.scenario, one.start_gap, generator(one.seed, one.episode_id, Role.START))
-        users[row] = scenario.adversary.first_state(*one.start)
-        draws = generator(one.seed, one.episode_id, Role.CAR).random((most, 2))
-        noise[row] = np.multiply(scales, 2.0 * draws - 1.0)
-    found = Replayed(
-        np.empty((count, most + 1, 2)), np.empty((count, most + 1, 3)), ends.copy(), np.full(count, np.inf),
-        np.full(count, np.nan),
-    )  # fmt: skip
-    over, origins = np.zeros(count, bool), users[:, :2].copy()
-    found.users[:, 0], found.cars[:, 0] = users[:, :2], cars[:, [0, 1, 3]]
+        noise[row] = _noise(one, most)
+    found = np.empty((count, most + 1, states.shape[1]))
+    found[:, 0] = states
+    last = ends.copy()
     for tick in range(most):
-        rows = np.flatnonzero(~over & (ends > tick))
+        rows = np.flatnonzero((states[:, SHARE] > 1.0) & (ends > tick))
         if not rows.size:
             break
         for period in range(numbers.periods):
-            asked = rows if period == 0 else rows[~over[rows]]
+            asked = rows if period == 0 else rows[states[rows, SHARE] > 1.0]
             if not asked.size:
                 break
-            states = np.concatenate([cars[asked].T, users[asked].T])
-            commands = policy.commands(states)
-            asked_of_all.append(_Asked(tick, asked, states, commands))
-            _advance(
-                numbers, tick, period, asked, commands, velocities, noise, cars, users, origins, found.shares,
-                found.impacts, over,
-            )  # fmt: skip
-        found.users[rows, tick + 1], found.cars[rows, tick + 1] = users[rows, :2], cars[rows][:, [0, 1, 3]]
-        found.ticks[rows[over[rows]]] = tick + 1
+            seen = np.ascontiguousarray(states[asked, : USER.stop].T)
+            commands = policy.commands(seen)
+            asked_of_all.append(_Asked(tick, asked, seen, commands))
+            _advance_all(numbers, tick, period, asked, commands, velocities, noise, states)
+        found[rows, tick + 1] = states[rows]
+        last[rows[states[rows, SHARE] <= 1.0]] = tick + 1
     _confirm(episodes, asked_of_all)
-    return found
+    return [_log(one, found[row, : last[row] + 1]) for row, one in enumerate(episodes)]
+
+
+def _first_state(episode: Episode) -> FloatArray:
+    start = generator(episode.seed, episode.episode_id, Role.START)
+    car = first_car_state(episode.scenario, episode.start_gap, start)
+    user = episode.scenario.adversary.first_state(*episode.start)
+    return np.array([*car, *user, *user[:2], math.inf, math.nan])
+
+
+def _noise(episode: Episode, ticks: int) -> FloatArray:
+    """Return what the car's noise is, relative, of speed and acceleration, ticks × 2."""
+    car = episode.scenario.car
+    draws = generator(episode.seed, episode.episode_id, Role.CAR).random((ticks, 2))
+    return np.multiply((car.speed_noise, car.acceleration_noise), 2.0 * draws - 1.0)
 
 
 def _numbers(episode: Episode) -> _Numbers:

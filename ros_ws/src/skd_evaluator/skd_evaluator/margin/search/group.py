@@ -198,7 +198,7 @@ class Group:
             EXCURSION: True,
             OWN: trial.actions is not None,
             NEAR_MISS: bool(trial.near_misses),
-            OTHER: bool(self.found),
+            OTHER: bool(self._others) or any(one.actions is not None for one in self.trials),
         }
         sources = [source for source in SOURCES if able[source]]
         earned = np.array([self._gain[one] / self._cost[one] for one in sources])
@@ -252,6 +252,6 @@ def search(groups: Sequence[Group], budget: int, drive: Drive) -> None:
                 proposals += [(group, proposal) for proposal in group.proposals(offers_only=spent)]
         if not proposals and all(one.is_done or one.spent >= budget * len(one.trials) for one in groups):
             return
-        logs = drive([proposal.episode for _, proposal in proposals])
+        logs = drive([proposal.episode for _, proposal in proposals]) if proposals else ()
         for (group, proposal), log in zip(proposals, logs, strict=True):
             group.learn(proposal, log)

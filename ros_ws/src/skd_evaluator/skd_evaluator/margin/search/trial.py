@@ -173,6 +173,7 @@ class Trial:
 
     Attributes:
         episode: kamikaze mode; its objective does not matter.
+        prescribed: the episode in which the road user follows φ, a trajectory that candidates take the place of.
         least: least deviation of a hit, m; η_max: none was found.
         best: the hit of least deviation.
         hit: the episode that ended in it.
@@ -185,6 +186,7 @@ class Trial:
     def __init__(self, episode: Episode, space: ActionSpace) -> None:
         assert episode.safe_trajectory is not None
         self.episode, self.space = episode, space
+        self.prescribed = prescribed(episode, space.path)
         self.least = episode.scenario.eta_max
         self.best: LeastWay | None = None
         self.hit: Episode | None = None
@@ -206,7 +208,8 @@ class Trial:
         last = candidate.last_tick(self.least)
         if last < 0:
             return None
-        return prescribed(self.episode, candidate.positions[: last + 2])
+        path = candidate.positions[: last + 2]
+        return replace(self.prescribed, safe_trajectory=Trajectory(path, self.episode.scenario.time_step))
 
     def learn(self, candidate: Candidate | None, log: EpisodeLog) -> bool:
         """Take note of what happened; tell whether it is a better hit. None: the log is a kamikaze's own."""
