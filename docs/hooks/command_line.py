@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
-from skd_evaluator.cli.parser import commands_of, make_parser
+from skd_evaluator.cli.arguments import described
+from skd_evaluator.cli.commands import commands_of, make_parser
 
 _COMMANDS = "command_line.md"
 
@@ -36,6 +37,9 @@ def _command_line() -> Iterator[str]:
             for action in actions:
                 text = _prose(formatter._expand_help(action) if action.help else "")
                 yield f"| {_invocation(action, formatter)} | {text} |"
+        if any(seldom := [one for one, _ in (parser.get_default("parameters") or {}).values() if one.seldom]):
+            yield "\n**By `-p NAME:=VALUE` or `--params-file`**\n\n| | |\n|---|---|"
+            yield from (f"| `{one.name}` | {_prose(described(one))} |" for one in seldom)
 
 
 def _invocation(action: argparse.Action, formatter: argparse.HelpFormatter) -> str:

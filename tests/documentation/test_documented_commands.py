@@ -35,7 +35,7 @@ NOT_RUN = {  # of a command as it stands: why it is not run here
     r"scripts/exchange-readers": "needs the network, and takes 1 GB",
     r"scripts/skd .* roundabout_exit": "a package's: tests/examples/test_roundabout.py has it beside SKD",
     r"scripts/skd calibrate": "a minute: tests/evaluator/test_fusion_trials.py has a smaller one",
-    r"scripts/skd behaviour fit": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
+    r"scripts/skd fit --people": "half a minute: tests/evaluator/test_behaviour_fit.py has a smaller one",
     r"scripts/skd .*--simulator metadrive": "needs the extra metadrive: tests/sim/test_metadrive.py has smaller ones",
     r".* -m dask|.* --scheduler": "a cluster: tests/evaluator/test_dask_cluster.py has one",
     r"scripts/skd scenarios reference": "minutes: tests/evaluator/test_reference_sweep.py has smaller ones",
@@ -54,7 +54,7 @@ SMALLER = {  # what is put behind a command, so that it takes a second
     "ncap": "--workers 1 --margin-limit 0",
     "probe": "--episodes 30 --workers 1",
 }
-QUICKER = {"drive": "--rate-factor 100"}  # of a command that writes no result
+QUICKER = {"drive": "-p rate_factor:=100"}  # of a command that writes no result
 UNLEARNED = {"--car-model", "--knowledge"}  # without these a car that is not the basic one is learned first
 NO_LEARNING = ["--knowledge", "nothing"]
 ENOUGH = {"--until-width": "--until-width 9"}  # where an option is there, what makes it end soon

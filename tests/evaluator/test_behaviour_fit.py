@@ -82,7 +82,7 @@ def test_tracks_are_read_from_csv(tmp_path):
 
 def test_the_command_writes_a_model_that_says_how_well_it_predicts(tmp_path, capsys):
     write_csv(tmp_path / "csv", people(7, [24] * 20))
-    code = main(["behaviour", "fit", str(tmp_path / "csv"), "--out", str(tmp_path / "out"), "--name", "mine", "--json"])
+    code = main(["fit", "--people", str(tmp_path / "csv"), "--out", str(tmp_path / "out"), "--name", "mine", "--json"])
     said = json.loads(capsys.readouterr().out)
     assert code == 0
     model = load_behaviour(tmp_path / "out")
@@ -158,7 +158,7 @@ def test_people_who_never_hesitate_tell_nothing_of_how_long_they_would():
 def test_what_cannot_be_fitted_is_refused(words, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_csv(tmp_path / "csv", people(7, [20] * 9))
-    assert main(["behaviour", "fit", *words, "--out", "out"]) == 2
+    assert main(["fit", "--people", *words, "--out", "out"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert re.search(said, lines[0])

@@ -167,7 +167,7 @@ def test_no_kamikaze_found(here):
 
 
 def test_everything_discarded_by_distance(here):
-    done = skd("assess", *SMALL, "--maximum-distance", "0.001", "--margin-limit", "0", "--out", "out", cwd=here)
+    done = skd("assess", *SMALL, "-p", "maximum_distance:=0.001", "--margin-limit", "0", "--out", "out", cwd=here)
     one_line(done, 1, "all 2 are further than the maximum distance")
 
 
@@ -215,7 +215,7 @@ def test_sweep_whose_figures_do_not_vary(here):
 
 @pytest.mark.parametrize(
     ("asked", "multipliers", "code"),
-    [(["--collision-runs", "12"], ("0", "1.5"), 0), (["--maximum-distance", "0.1"], ("1.125", "8"), 1)],
+    [(["--collision-runs", "12"], ("0", "1.5"), 0), (["-p", "maximum_distance:=0.1"], ("1.125", "8"), 1)],
 )
 def test_sweep_says_of_each_car_what_its_assessment_says(here, asked, multipliers, code):
     """One is hit along its φ, one is further than is looked: a warning, and a failure."""

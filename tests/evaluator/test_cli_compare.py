@@ -21,7 +21,7 @@ def content(path) -> dict:
 
 
 def test_curves_are_drawn_and_compared(skd_here, here):
-    done = skd_here(*ASSESS, "--multiplier", "0.5", "--curve", "--out", "one")
+    done = skd_here(*ASSESS, "--multiplier", "0.5", "-p", "curve:=true", "--out", "one")
     assert done.returncode == 0, done.stderr
     first = content(here / "one" / "assessment.json")
     curve = first["vulnerability_curve"]

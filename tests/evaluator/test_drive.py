@@ -156,7 +156,7 @@ def test_a_screen_fits_the_terminal_and_says_in_full_what_is_awaited():
 
 def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     one_line(skd_here("drive"), 2, "keys of a terminal", "--safe synthetic", "--ticks N")
-    done = skd_here("drive", "--ticks", "4", "--rate-factor", "100")
+    done = skd_here("drive", "--ticks", "4", "-p", "rate_factor:=100")
     assert done.returncode == 0
     assert [line.partition(",")[0] for line in done.stdout.splitlines()] == [
         "time 0.0 s",
@@ -166,13 +166,13 @@ def test_without_a_terminal_it_says_what_it_needs(skd_here, here):
     one_line(skd_here("drive", "--safe", "good.csv", "--safe-number", "1"), 2, "--safe-number 1", "1 safe")
     one_line(skd_here("drive", "--ticks", "1", "--safe-number", "1"), 2, "--safe-number 1", "add --safe")
     one_line(skd_here("drive", "--ticks", "1", "--controller", "external"), 2, "add --graph")
-    one_line(skd_here("drive", "--ticks", "1", "--command-type", "twist"), 2, "add --graph")
+    one_line(skd_here("drive", "--ticks", "1", "-p", "command_type:=twist"), 2, "add --graph")
 
 
 @pytest.mark.parametrize("safe", [("synthetic",), ("regulatory", "--scenario", "cpna"), ("own",)])
 def test_a_drive_that_is_cut_short_has_the_scenarios_own_ways(skd_here, safe):
     """φ takes some ten seconds; it had been looked for within the ticks that are shown."""
-    done = skd_here("drive", "--safe", *safe, "--ticks", "3", "--rate-factor", "100")
+    done = skd_here("drive", "--safe", *safe, "--ticks", "3", "-p", "rate_factor:=100")
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "timeout; 3 ticks"), done.stderr
 
 

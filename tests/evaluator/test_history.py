@@ -1,4 +1,4 @@
-"""`skd list` and `skd trend`: results under a folder, and a car from result to result."""
+"""`skd list`: results under a folder, and a car from result to result."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_support import one_line
-from matplotlib.image import imread
-from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.result_folder import MANIFEST
 from skd_evaluator.cli.main import main
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
+from skd_evaluator.report.history import Run, find_runs, runs_table, trend_table, trends_of
 from skd_evaluator.report.terminal import print_table
-from skd_evaluator.report.trend import Run, find_runs, runs_table, trend_table, trends_of
 
 REVISIONS = 20
 
@@ -81,8 +78,7 @@ def test_what_was_changed_or_is_no_result_is_said(tmp_path, sweep, capsys):
     assert all(f"skd list: warning: {tmp_path / name}: " in captured.err for name in ("foreign", "broken"))
     assert main(["list", str(tmp_path), "--scenario", "nowhere"]) == 2
     assert main(["list", str(tmp_path / "nothing")]) == 2
-    assert main(["trend", str(tmp_path), "--out", str(tmp_path / "out")]) == 2  # not past what is broken
-    assert not (tmp_path / "out").exists()
+    assert main(["list", str(tmp_path), "--trend", "margin"]) == 2  # not past what is broken
 
 
 def test_a_trend_follows_each_car_by_date(figures):
@@ -98,8 +94,10 @@ def test_a_trend_follows_each_car_by_date(figures):
         asked.append((first.folder.name, second.folder.name, confidence))
 
     mine, theirs = trends_of([*runs, other], "margin", compare)
-    assert [step.value for step in mine.steps] == pytest.approx([0.1 * number for number in range(REVISIONS)])
-    assert [step.value for step in theirs.steps] == [9.0]
+    assert [step.run.figures["margin"] for step in mine.steps] == pytest.approx(
+        [0.1 * number for number in range(REVISIONS)]
+    )
+    assert [step.run.figures["margin"] for step in theirs.steps] == [9.0]
     assert asked == [(str(n), str(n + 1), pytest.approx(1.0 - 0.05 / (REVISIONS - 1))) for n in range(REVISIONS - 1)]
 
 
@@ -113,32 +111,26 @@ def test_what_is_not_credible_is_marked_in_lists_and_trends(tmp_path, figures, c
     assert "doubted*" in shown
     assert f"* {tmp_path / 'doubted'}: {NOT_CREDIBLE}it counts" in shown
     runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", doubted), ("3", figures), ("4", figures))]
-    (trend,) = trends_of(runs, "margin")
+    (trend,) = trends_of(runs, "margin", lambda *_: None)
     assert [one["credible"] for one in trend.as_dict()["runs"]] == [True, False, True, True]
 
 
-@pytest.mark.usefixtures("pictures_drawn")
-def test_the_command_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch):
+def test_a_trend_judges_as_compare_does(tmp_path, sweep, capsys, monkeypatch):
     """The basic car with C = 0.5, and then with 1 under the same name: it got safer."""
     monkeypatch.setattr(Run, "car", property(lambda _run: "my car"))
-    monkeypatch.setenv("COLUMNS", "120")
     folders = [str(sweep / "synthetic" / name) for name in ("C_0.5", "C_1")]
-    assert main(["trend", *folders, "--figure", "nominal_collision_rate", "--out", str(tmp_path / "trend")]) == 0
-    shown = capsys.readouterr().out
+    assert main(["list", *folders, "--trend", "nominal_collision_rate", "--json"]) == 0
+    (car,) = json.loads(capsys.readouterr().out)["cars"]
     assert main(["compare", *folders, "--json", "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
     (judged,) = json.loads(capsys.readouterr().out)["comparisons"]
-    content = json.loads((tmp_path / "trend" / "trend.json").read_text())
-    (car,) = content["cars"]
     first, second = car["runs"]
     assert first["verdict"] == ""
     assert second["verdict"] == judged["verdict"]
-    assert second["verdict"] in shown
     assert second["difference"] == pytest.approx(second["value"] - first["value"])
-    assert imread(tmp_path / "trend" / "trend.png").shape[1] > 1000
 
 
-def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
-    """It said *not compared* or gave a verdict, and none of the lines beside it."""
+def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "150")
     folders = []
     for name in ("first", "second"):
         folders.append(str(tmp_path / name))
@@ -146,22 +138,19 @@ def test_a_trend_says_what_compare_says(tmp_path, sweep, capsys):
         (tmp_path / name / MANIFEST).unlink()
     path = tmp_path / "second" / "assessment.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "knowledge": "nothing", "version": "9.9"}))
-    assert main(["trend", *folders, "--figure", "deviation", "--out", str(tmp_path / "trend")]) == 0
+    assert main(["list", *folders, "--trend", "deviation"]) == 0
     said = capsys.readouterr()
     warnings = [line for line in said.err.splitlines() if "manifest" not in line]
     assert main(["compare", *folders, "--no-pictures", "--out", str(tmp_path / "compared")]) == 0
     compared = [line for line in capsys.readouterr().err.splitlines() if f"{folders[0]} and {folders[1]}" in line]
     assert len(compared) == 2
-    assert warnings == [line.replace("skd compare", "skd trend") for line in compared]
+    assert warnings == [line.replace("skd compare", "skd list") for line in compared]
     assert "not compared" in said.out
-    (car,) = json.loads((tmp_path / "trend" / "trend.json").read_text())["cars"]
-    assert [f"skd trend: warning: {line}" for line in car["runs"][1]["lines"]] == warnings
 
 
-def test_a_trend_takes_two(skd_here, here, sweep):
-    result = str(sweep / "synthetic" / "C_0.5")
-    one_line(skd_here("trend", result, "--out", "x"), 2, "at least two assessments")
-    assert not (here / "x").exists()
+def test_a_trend_takes_two(sweep, capsys):
+    assert main(["list", str(sweep / "synthetic" / "C_0.5"), "--trend", "margin"]) == 2
+    assert "at least two assessments" in capsys.readouterr().err
 
 
 def test_lists_and_trends_say_that_a_margin_is_at_most(tmp_path, figures, capsys, monkeypatch):
@@ -173,8 +162,8 @@ def test_lists_and_trends_say_that_a_margin_is_at_most(tmp_path, figures, capsys
     assert f"* {tmp_path / 'open'}: it was cold" in shown
     assert "the margin is at most 0.500 m, for its search had not converged at 64 candidates a trial" in shown
     runs = [Run(Path(name), one) for name, one in (("1", figures), ("2", bound))]
-    (trend,) = trends_of(runs, "margin")
-    for table in (runs_table(runs), trend_table(trend, AT_THE_TOP["margin"].kind)):
+    (trend,) = trends_of(runs, "margin", lambda *_: None)
+    for table in (runs_table(runs), trend_table(trend)):
         print_table(table)
         lines = capsys.readouterr().out.splitlines()
         assert sum("at most" in line for line in lines) == 1

@@ -13,9 +13,8 @@ import pytest
     [
         ("import skd_evaluator.cli.assess", "scipy.special scipy.optimize matplotlib vl_convert"),
         ("from skd_evaluator.cli.main import main; main(['plan', '--difference', '0.5'])", "matplotlib"),
-        ("from skd_evaluator.cli.main import main; main(['completion', 'bash'])", "numpy numba rich"),
     ],
-    ids=["assess", "plan", "completion"],
+    ids=["assess", "plan"],
 )
 def test_a_start_imports_no_library_that_it_does_not_need(program: str, without: str) -> None:
     said = f"import sys\n{program}\nprint([name for name in {without.split()} if name in sys.modules])"

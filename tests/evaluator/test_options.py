@@ -15,7 +15,7 @@ from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.cli import arguments as cli
 from skd_evaluator.cli.assess import graph_options
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.commands import make_parser, parse
 from skd_sim.errors import UsageError
 from skd_sim.options import options as table
 from skd_sim.options.adversary import BOTH, Knowledge, Objective
@@ -150,12 +150,20 @@ def test_each_command_has_its_options_once(command: str):
             assert values[one.name] == wanted, one.name
 
 
+def test_options_of_a_file_count_less_than_those_of_the_command_line(tmp_path) -> None:
+    options = "{seed: 3, safe_count: 7, risk_runs: 40, curve: true}"
+    (tmp_path / "car.yaml").write_text(f"/**:\n  ros__parameters: {options}\n")
+    words = ["assess", "--params-file", str(tmp_path / "car.yaml"), "--safe-count", "9", "-p", "risk_runs:=50"]
+    found = parse(make_parser(), words)
+    assert (found.seed, found.safe_count, found.risk_runs, found.curve) == (3, 9, 50, True)
+
+
 @pytest.mark.parametrize("command", ["assess", "episode", "probe"])
 def test_what_is_said_of_the_graph_reaches_it(command: str):
     parser = make_parser()
     assert graph_options(parser.parse_args([command])) == GraphOptions()
-    said = ["--pacing", "real_time", "--rate-factor", "20", "--startup-timeout", "7", "--controller-command", "a b"]
-    chosen = graph_options(parser.parse_args([command, *said]))
+    said = ["--pacing", "real_time", "-p", "rate_factor:=20", "-p", "startup_timeout:=7", "--controller-command", "a b"]
+    chosen = graph_options(parse(parser, [command, *said]))
     assert chosen == GraphOptions(pacing="real_time", rate_factor=20.0, startup_timeout=7.0, controller_command="a b")
     parameters = chosen.simulator_parameters()
     assert set(parameters) == {one.name for one in options_of(SimulatorOptions)}

@@ -23,7 +23,7 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifes
 from skd_evaluator.assessment.files.verification import folders_below
 from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
-from skd_evaluator.report.trend import find_runs
+from skd_evaluator.report.history import find_runs
 from skd_evaluator.risk.assessment_risk import risk_asked
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario

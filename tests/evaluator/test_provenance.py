@@ -22,7 +22,7 @@ def content(folder: Path) -> dict[str, object]:
 def test_an_assessment_says_what_ran(skd_here, here, monkeypatch):
     monkeypatch.syspath_prepend(here)
     begin = datetime.now(UTC).replace(microsecond=0)
-    command = ["assess", *SMALL, "--curve", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
+    command = ["assess", *SMALL, "-p", "curve:=true", "--margin-limit", "20", "--safe", "good.csv", "--objective"]
     done = skd_here(*command, "deviation", "--knowledge", "nothing", "--controller", "my_cars:Fine", "--out", "out dir")
     assert done.returncode == 0, done.stderr
     result = content(here / "out dir")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy import stats
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.sample_size import MOST_LOOKS, UntilWidth, narrow_enough, nominal_confidence
 

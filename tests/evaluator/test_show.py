@@ -15,8 +15,8 @@ from PIL import Image
 from report_support import edited
 from shapely import Point, Polygon
 from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.cli.commands import make_parser, parse
 from skd_evaluator.cli.compare import reference_hint
-from skd_evaluator.cli.parser import make_parser, parse
 from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.report.episode_pictures import EpisodePicture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 
 import pytest
 from cli_support import SMALL, names, one_line, skd_from_nothing
@@ -82,30 +81,6 @@ def test_nothing_is_suggested_for_what_is_like_nothing(skd_here, tmp_path):
         registry.target("gren")
     (tmp_path / "scenario.yaml").write_text("tme_step: 0.3\n")
     one_line(skd_here("assess", "--scenario", str(tmp_path / "scenario.yaml")), 2, "did you mean 'time_step'?")
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
-def test_completion_is_made_for_every_shell(skd_here, shell):
-    done = skd_here("completion", shell)
-    assert (done.returncode, done.stderr) == (0, "")
-    for name in ("assess", "fail-below", "lockstep", "frechet"):
-        assert name in done.stdout
-
-
-def test_bash_completes_commands_options_and_names(skd_here, tmp_path):
-    script = tmp_path / "skd.sh"
-    script.write_text(skd_here("completion", "bash").stdout)
-    ask = (
-        f"source {script}; complete=$(complete -p skd); complete=${{complete##*-F }}; complete=${{complete%% *}}\n"
-        'try() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); '
-        '$complete skd "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD - 1]}"; echo "${COMPREPLY[@]}"; }\n'
-        'try skd swe; try skd assess --object; try skd assess --objective ""; try skd assess --scenario crossing_m\n'
-        "try skd drive --controller ca; try skd assess --behaviour wal; try skd sweep --safe syn\n"
-        f"try skd ncap --scenarios cpnc; try skd scenarios show {tmp_path}/s\n"
-    )
-    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
-    found = ["sweep", "--objective", "both paper deviation frechet", "crossing_multi_body", "cal carla", "walkers"]
-    assert done.stdout.splitlines() == [*found, "synthetic", "cpnco", str(script)]
 
 
 def a_table(cells: int = 3) -> Table:

@@ -111,7 +111,7 @@ def test_a_controller_that_fails_ends_the_assessment_in_one_line(cars: Path, nam
 
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_controller_that_hangs_ends_the_assessment_in_one_line(cars: Path, workers: str) -> None:
-    done = skd(*words("Hangs", "--workers", workers, "--startup-timeout", "1"), cwd=cars)
+    done = skd(*words("Hangs", "--workers", workers, "-p", "startup_timeout:=1"), cwd=cars)
     one_line(done, 1, "3 starts in a row failed", "no answer within 1 s", "cars:Hangs")
 
 

@@ -15,8 +15,8 @@ from rich.console import Console
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.assessment_json import check_figure
 from skd_evaluator.assessment.files.results import read_result
+from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.cli.compare import run as compare
-from skd_evaluator.cli.parser import make_parser
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.html.rows import figure_rows

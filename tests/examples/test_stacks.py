@@ -95,8 +95,8 @@ def test_the_collision_monitor_stands_between_planner_and_car():
     assert planner(launch) == {"command": f"/{monitor['cmd_vel_in_topic']}"}
     assert monitor["enable_stamped_cmd_vel"] is True
     for words in commands(launch):
-        assert option(words, "--command-topic") == f"/{monitor['cmd_vel_out_topic']}"
-        assert option(words, "--command-type") == "twist_stamped"
+        assert f"command_topic:=/{monitor['cmd_vel_out_topic']}" in words
+        assert "command_type:=twist_stamped" in words
     assert {monitor[source]["topic"] for source in monitor["observation_sources"]} <= HEARD
     assert parameters(launch)["lifecycle_manager"]["node_names"] == ["collision_monitor"]
 
@@ -121,5 +121,5 @@ def test_the_emergency_brake_goes_before_the_planner():
     assert set(brake.values()) == HEARD
     driven = remapped(nodes(launch)["ackermann_mux"])["ackermann_cmd"]
     for words in commands(launch):
-        assert option(words, "--command-topic") == driven
-        assert option(words, "--command-type") == "ackermann"
+        assert f"command_topic:={driven}" in words
+        assert "command_type:=ackermann" in words

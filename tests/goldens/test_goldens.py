@@ -157,7 +157,7 @@ def result_of(name: str, way: str, folder: Path) -> Path:
             skd_evaluator.assess(**options, workers=int(way[0]), out=out)
         return out
     words = [f"--{key.replace('_', '-')}={value}" for key, value in options.items()]
-    skd("assess", "--graph", "--record", "--nodes", way, "--no-pictures", *words, "--out", out)
+    skd("assess", "--graph", "--record", "-p", f"nodes:={way}", "--no-pictures", *words, "--out", out)
     return out
 
 

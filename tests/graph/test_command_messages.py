@@ -64,7 +64,7 @@ def test_what_a_type_means() -> None:
     [
         ("joy", "", f"must be one of {', '.join(NAMED_FORMATS)}, or a message type as in my_msgs/msg/Command"),
         ("sensor_msgs/Joy", "", "must be one of"),
-        ("twist", "linear.x", "--command-field goes with a type of yours"),
+        ("twist", "linear.x", "command_field goes with a type of yours"),
         ("no_such_msgs/msg/Joy", "axes[0]", "no message package no_such_msgs here"),
         ("geometry_msgs/msg/Force", "x", "geometry_msgs has no such message; it has Accel, AccelStamped, "),
         ("geometry_msgs/msg/AccelStamped", "", "its numbers are accel.linear.x, accel.linear.y, accel.linear.z, "),

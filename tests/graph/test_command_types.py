@@ -17,8 +17,8 @@ from skd_sim.world.state import AdversaryState, CarState
 
 MESSAGES = HERE / "messages"
 VENDOR = (
-    "--command-type", "vendor_control_msgs/msg/Control", "--command-topic", "/control/command/control_cmd",
-    "--message-folder", MESSAGES,
+    "-p", "command_type:=vendor_control_msgs/msg/Control", "-p", "command_topic:=/control/command/control_cmd",
+    "-p", f"message_folder:={MESSAGES}",
 )  # fmt: skip
 NODE = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "vendor"])
 
@@ -36,14 +36,14 @@ class Vendor:
 def test_a_type_from_a_folder_drives_the_car(safe: Path, tmp_path: Path) -> None:
     """With its own control period too: the motion is that of the same law in process, to the last bit."""
     run = ("episode", "--mode", "replay", "--safe", safe, "--controller", "external", "--controller-command", NODE)
-    wrong = skd(*run, *VENDOR, "--command-field", "longitudinal.brake", "--out", tmp_path / "wrong")
+    wrong = skd(*run, *VENDOR, "-p", "command_field:=longitudinal.brake", "--out", tmp_path / "wrong")
     assert wrong.code == 2
     assert wrong.lines[-1] == (
         "skd episode: error: there is no number longitudinal.brake in vendor_control_msgs/msg/Control; its numbers are "
         "longitudinal.velocity, longitudinal.acceleration, longitudinal.gains[0]"
     )
-    field = ("--command-field", "longitudinal.acceleration")
-    done = skd(*run, *VENDOR, *field, "--control-period", 0.1, "--out", tmp_path / "out")
+    field = ("-p", "command_field:=longitudinal.acceleration")
+    done = skd(*run, *VENDOR, *field, "-p", "control_period:=0.1", "--out", tmp_path / "out")
     assert done.code == 0, done.err
     assert "building messages" not in done.err  # once is enough
     (found,) = read_episodes([tmp_path / "out"])

@@ -19,7 +19,7 @@ def test_it_asks_for_one_speed_and_answers_every_moment(tmp_path):
     scenario = yaml.safe_load((resources.files("skd_sim") / "scenarios" / "crossing.yaml").read_text(encoding="utf-8"))
     scenario["car"] |= {"speed_noise": 0.0, "acceleration_noise": 0.0}
     (tmp_path / "still.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
-    topic = ("--command-type", "ackermann", "--command-topic", "/asked")
+    topic = ("-p", "command_type:=ackermann", "-p", "command_topic:=/asked")
     command = f"python3 {shlex.quote(str(SCRIPT))} --ros-args -r command:=/asked -p speed:=6.5 -p ackermann:=true"
     car = ("--knowledge", "nothing", "--controller", "external", "--controller-command", command, *topic)
     done = skd("episode", "--mode", "safe", "--scenario", tmp_path / "still.yaml", *car, "--out", tmp_path / "out")

@@ -17,7 +17,7 @@ def assess(folder: Path, safe: Path, *options: object, timeout: float = PATIENCE
     return skd(
         *("assess", "--graph", "--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
         *("--simulations", 100, "--margin-limit", 0, "--behaviour", "none"),
-        *("--startup-timeout", timeout, "--command-timeout", timeout, *options),
+        *("-p", f"startup_timeout:={timeout}", "-p", f"command_timeout:={timeout}", *options),
         *("--out", folder / "out"),
         environment={"PYTHONPATH": str(HERE / "controllers")},
     )

@@ -38,7 +38,7 @@ def test_the_margin_of_a_node_is_that_of_its_law(tmp_path: Path, capsys: pytest.
     car = ("--controller", "external", "--controller-command", NODE, "--knowledge", "nothing")
     graph = skd("assess", "--graph", *car, *COUNTS, "--record", "--out", tmp_path / "graph")
     assert graph.code == 0, graph.err
-    ours = ("--multiplier", 1.0, *COUNTS, "--workers", 1, "--risk-runs", RUNS)
+    ours = ("--multiplier", 1.0, *COUNTS, "--workers", 1, "-p", f"risk_runs:={RUNS}")
     known = skd_here(capsys, "assess", *ours, "--out", tmp_path / "exact")
     assert known.code == 0, known.err
     walked, exact = (json.loads((tmp_path / name / "assessment.json").read_text()) for name in ("graph", "exact"))

@@ -121,7 +121,7 @@ def test_an_episode_in_which_the_simulator_was_late_is_not_the_cars(tmp_path: Pa
     slipped, last = logs[1], logs[-1]
     assert slipped.outcome == Outcome.ABORTED
     assert kind_of(slipped.reason) == AbortKind.SLIPPED, slipped.reason
-    assert f"(--slip-limit {0.5 * STALL:g} s)" in slipped.reason
+    assert f"(slip_limit {0.5 * STALL:g} s)" in slipped.reason
     assert last.outcome != Outcome.ABORTED, last.reason
     figures = command_age([slipped, last])
     assert figures is not None

@@ -204,7 +204,7 @@ def test_nothing_is_left_of_several_graphs(tmp_path: Path, safe: Path) -> None:
     code = "import os, pathlib, signal, sys; pathlib.Path(sys.argv[1], f'running{os.getpid()}').touch(); signal.pause()"
     program = Program(
         skd_command(
-            *("assess", "--graph", "--graphs", 2, "--knowledge", "nothing", "--controller", "external"),
+            *("assess", "--graph", "-p", "graphs:=2", "--knowledge", "nothing", "--controller", "external"),
             *("--controller-command", shlex.join([sys.executable, "-c", code, str(tmp_path)])),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         )

@@ -173,8 +173,8 @@ def misbehaved(tmp_path_factory: pytest.TempPathFactory, safe: Path) -> dict[str
     programs = {
         controller: Skd(
             *("assess", "--graph", "--record", "--knowledge", "nothing", "--margin-limit", 0, "--behaviour", "none"),
-            *("--controller", f"misbehaving:{controller}", "--startup-timeout", PATIENCE),
-            *("--command-timeout", 2 if controller == "Silent" else PATIENCE),
+            *("--controller", f"misbehaving:{controller}", "-p", f"startup_timeout:={PATIENCE}"),
+            *("-p", f"command_timeout:={2 if controller == 'Silent' else PATIENCE}"),
             *("--safe", safe, "--safe-count", 1, "--kamikaze-count", 2, "--collision-runs", 2),
             *("--simulations", 100, "--out", folder / controller),
             environment={

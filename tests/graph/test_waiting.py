@@ -90,14 +90,14 @@ def test_another_topic_and_type(graph: Any) -> None:
     publisher = graph[1].create_publisher(Twist, "/cmd_vel", 10)
     assert said(graph, publisher, Twist()).endswith(
         f"nobody publishes on {COMMANDS}, but messages of /stack arrive on /cmd_vel (geometry_msgs/msg/Twist), and "
-        "nobody listens there: --command-topic /cmd_vel --command-type twist, or remap it"
+        "nobody listens there: -p command_topic:=/cmd_vel -p command_type:=twist, or remap it"
     )
 
 
 def test_another_type(graph: Any) -> None:
     publisher = graph[1].create_publisher(Twist, COMMANDS, 10)
     assert said(graph, publisher, Twist()).endswith(
-        f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}, awaited is {ACCELERATIONS}: --command-type twist"
+        f"/stack publishes geometry_msgs/msg/Twist on {COMMANDS}, awaited is {ACCELERATIONS}: -p command_type:=twist"
     )
 
 
@@ -135,7 +135,7 @@ def test_the_terminal(tmp_path: Path, safe: Path) -> None:
     """It is said by the command, after ten seconds, before anything is aborted."""
     program = Program(
         skd_command(
-            *("assess", "--graph", "--knowledge", "nothing", "--controller", "external", "--startup-timeout", 300),
+            *("assess", "--graph", "--knowledge", "nothing", "--controller", "external", "-p", "startup_timeout:=300"),
             *("--controller-command", shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", "elsewhere"])),
             *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
         )
@@ -152,6 +152,6 @@ def test_the_terminal(tmp_path: Path, safe: Path) -> None:
     assert re.fullmatch(
         f"skd: waiting for {COMMANDS} \\(10 s\\): nobody publishes on {COMMANDS}, but "
         "(messages of /hostile_elsewhere arrive|/hostile_elsewhere publishes) on /brake "
-        "\\(geometry_msgs/msg/AccelStamped\\), and nobody listens there: --command-topic /brake, or remap it\n",
+        "\\(geometry_msgs/msg/AccelStamped\\), and nobody listens there: -p command_topic:=/brake, or remap it\n",
         printed[-1],
     )

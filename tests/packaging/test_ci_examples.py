@@ -10,7 +10,7 @@ import pytest
 import yaml
 from packaging_support import ROOT
 from skd_evaluator.assessment.files.assessment_json import check_figure
-from skd_evaluator.cli.parser import make_parser
+from skd_evaluator.cli.commands import make_parser
 
 FOLDER = ROOT / "examples" / "ci"
 

@@ -31,7 +31,6 @@ NOT_IN_ROSDEP = {
     "lz4",
     "mcap",
     "rosbags",
-    "shtab",
     "vl_convert",
     "zstandard",
 }  # no key that `rosdep install` can follow, see docs/dependencies.md

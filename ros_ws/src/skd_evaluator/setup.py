@@ -38,7 +38,6 @@ setup(
         "lz4",
         "zstandard",
         "rosbags",
-        "shtab",
         "Jinja2",
         "pillow",
         "vl-convert-python",

@@ -51,7 +51,7 @@ def with_asked_period(scenario: Scenario, period: float | None) -> Scenario:
     if period is None:
         return scenario
     changed = replace(scenario, control_period=period)
-    check_control_period(changed, f"--control-period in scenario {scenario.name}")
+    check_control_period(changed, f"control_period in scenario {scenario.name}")
     return changed
 
 

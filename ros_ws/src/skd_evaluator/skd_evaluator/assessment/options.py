@@ -93,7 +93,7 @@ class AssessmentOptions:
     behaviour: str = option(
         WALKERS,
         "how people walk who do not try to be hit; the risk R(s) says how likely the front of the moving car hits "
-        "them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd behaviour fit has written, "
+        "them. walkers (pedestrians who cross in front of a slow vehicle), a file that skd fit --people has written, "
         "or none: then no risk is computed",
         metavar="NAME",
         commands=("assess", "sweep", "episode"),
@@ -108,18 +108,21 @@ class AssessmentOptions:
         commands=("assess", "sweep"),
         unset="2000 for the basic car, 500 for any other, 100 through the node graph; but at most four times "
         "--collision-runs, and through the node graph at most as many",
+        seldom=True,
     )
     risk_subset: bool = option(
         False,
         "use subset simulation wherever the crossings show fewer than 50 hits, whatever the car. For the basic car "
         "that is always done; for others it takes 16000 crossings or more at each scale",
         commands=("assess", "sweep"),
+        seldom=True,
     )
     curve: bool = option(
         False,
         "also plan kamikazes that may bend φ only up to a limit, for several limits: each gives a point in the picture "
         "of the vulnerability curve (vulnerability.png)",
         commands=("assess",),
+        seldom=True,
     )
 
 
@@ -166,6 +169,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         external_only=True,
         unset="you start the controller yourself",
         launches=(),
+        seldom=False,
     )
     message_folder: tuple[str, ...] | None = graph_option(
         None,
@@ -181,7 +185,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         JUMP,
         "how the controller learns that a new episode begins; several ways are given with commas in between: jump (the "
         "car's pose jumps, while time stamps go on), initialpose (the start pose is published on /initialpose), "
-        "lifecycle (the --lifecycle-nodes are deactivated, cleaned up, configured and activated), restart (its command "
+        "lifecycle (the lifecycle_nodes are deactivated, cleaned up, configured and activated), restart (its command "
         "is started anew)",
         choices=Lists(RESETS),
         metavar="HOW",
@@ -189,7 +193,7 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
     )
     graphs: int = graph_option(
         1,
-        "how many node graphs run side by side, each in a ROS domain of its own. With --reset restart one runs while "
+        "how many node graphs run side by side, each in a ROS domain of its own. With reset restart one runs while "
         "another starts",
         low=1,
         high=16,
@@ -239,11 +243,11 @@ class GraphOptions(SimulatorOptions, EvaluatorOptions):
         """
         started_here = not car.is_external or self.controller_command is not None
         if RESTART in self.resets and not started_here:
-            raise UsageError("--reset restart needs --controller-command: SKD restarts only what it has started")
+            raise UsageError("reset restart needs --controller-command: SKD restarts only what it has started")
         if self.graphs > 1 and not started_here:
-            raise UsageError("--graphs needs --controller-command: a controller that you start is in one graph only")
+            raise UsageError("graphs needs --controller-command: a controller that you start is in one graph only")
         if (LIFECYCLE in self.resets) != bool(managed_nodes(self.lifecycle_nodes)):
-            raise UsageError("--reset lifecycle and --lifecycle-nodes /name,/other go together: give both or neither")
+            raise UsageError("reset lifecycle and lifecycle_nodes /name,/other go together: give both or neither")
 
 
 def managed_nodes(names: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and their checks."""
+"""Arguments that several commands share, made from the tables of options, and what they name. Light: help reads it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from skd_sim.options.options import Option, options_of
+from skd_sim.errors import UsageError
+from skd_sim.options.options import Option, options_of, read_options
 
 from skd_evaluator.assessment.options import (
     MAXIMUM_ABORTED,
@@ -23,55 +24,61 @@ if TYPE_CHECKING:
     from skd_evaluator.assessment.run.workers import Workers
 
 CAR_GROUP = "car and test"
+Parse = Callable[[str], Any]
+_MOST_STEPS = 100
 
 
-def whole_number(low: int, high: int = 2**63 - 1) -> Callable[[str], int]:
-    """Return a parser of whole numbers from `low` to `high`."""
+def _number(kind: type[int] | type[float], low: float, high: float, *, above: bool = False) -> Parse:
+    what = "whole" if kind is int else "finite"
 
-    def parse(text: str) -> int:
+    def parse(text: str) -> Any:
         try:
-            value = int(text)
+            value = kind(text)
         except ValueError:
             value = low - 1
-        if not low <= value <= high:
-            allowed = f"≥ {low}" if value < low else f"≤ {high}"
-            raise argparse.ArgumentTypeError(f"must be a whole number {allowed}, got {text!r}")
-        return value
-
-    return parse
-
-
-def real_number(low: float, high: float = math.inf, *, above: bool = False) -> Callable[[str], float]:
-    """Return a parser of finite numbers from `low` to `high`; with `above`, `low` itself is none of them."""
-
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = -math.inf
         if not (math.isfinite(value) and low <= value <= high) or (above and value == low):
             lowest = f"{'>' if above else '≥'} {low:g}"
             allowed = f"≤ {high:g}" if math.isfinite(value) and value > high else lowest
-            raise argparse.ArgumentTypeError(f"must be a finite number {allowed}, got {text!r}")
+            raise argparse.ArgumentTypeError(f"must be a {what} number {allowed}, got {text!r}")
         return value
 
     return parse
 
 
+def whole_number(low: int, high: int = 2**63 - 1) -> Parse:
+    """Return a parser of whole numbers from `low` to `high`."""
+    return _number(int, low, high)
+
+
+def real_number(low: float, high: float = math.inf, *, above: bool = False) -> Parse:
+    """Return a parser of finite numbers from `low` to `high`; with `above`, `low` itself is none of them."""
+    return _number(float, low, high, above=above)
+
+
 positive_number = real_number(0.0, above=True)
-_MOST_STEPS = 100
+
+
+def percentage(text: str) -> float:
+    """Parse a percentage from 0 to 100, and return it as a share."""
+    return float(real_number(0.0, 100.0)(text)) / 100.0
+
+
+def _numbers(text: str, separator: str, count: int) -> tuple[float, ...]:
+    """Return so many finite numbers of a text; nothing where it holds others."""
+    try:
+        found = tuple(float(part) for part in text.split(separator))
+    except ValueError:
+        return ()
+    return found if len(found) == count and all(map(math.isfinite, found)) else ()
 
 
 def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]:
     """Return a parser of numbers above `low` and up to `high`, as FROM:TO:STEP, both ends included."""
 
     def parse(text: str) -> list[float]:
-        try:
-            first, last, step = (float(part) for part in text.split(":"))
-            count = int((last - first) / step + 1e-9) + 1
-        except (ValueError, ZeroDivisionError, OverflowError):
-            first, last, step, count = 0.0, 0.0, 0.0, 0
-        if not (low < first <= last <= high and step > 0.0 and 1 <= count <= _MOST_STEPS):
+        first, last, step = _numbers(text, ":", 3) or (0.0, 0.0, 0.0)
+        count = int((last - first) / step + 1e-9) + 1 if step > 0.0 else 0
+        if not (low < first <= last <= high and 1 <= count <= _MOST_STEPS):
             raise argparse.ArgumentTypeError(
                 f"must be FROM:TO:STEP in {unit}, above {low:g} and up to {high:g}, at most {_MOST_STEPS} values, as "
                 f"10:60:10; got {text!r}"
@@ -79,6 +86,21 @@ def steps_of(unit: str, low: float, high: float) -> Callable[[str], list[float]]
         return [first + step * number for number in range(count)]
 
     return parse
+
+
+def frame_place(text: str) -> tuple[float, float, float]:
+    """Parse X,Y,DEGREES: where one frame lies in another."""
+    if not (found := _numbers(text, ",", 3)):
+        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
+    x, y, degrees = found
+    return x, y, degrees
+
+
+def command_line(text: str) -> str:
+    """Return a command line that is not empty."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty; leave it out where you start the controller yourself")
+    return text
 
 
 def add_count(
@@ -89,9 +111,17 @@ def add_count(
     group.add_argument(flag, type=whole_number(low, high), default=default, metavar="N", help=said)
 
 
-def add_workers_argument(group: argparse._ActionsContainer) -> None:
-    """Add --workers."""
-    add_count(group, "--workers", 1, MOST_WORKERS, "how many processes run the episodes (default: one per core)")
+def add_flag(group: argparse._ActionsContainer, flag: str, text: str) -> None:
+    """Add an option that is given or not; one that begins with --no- stores False under the rest of its name."""
+    if flag.startswith("--no-"):
+        group.add_argument(flag, dest=flag[5:].replace("-", "_"), action="store_false", help=text)
+    else:
+        group.add_argument(flag, action="store_true", help=text)
+
+
+def add_paths(group: argparse._ActionsContainer, name: str, metavar: str, text: str, **rest: Any) -> None:
+    """Add files or folders, one or more of them."""
+    group.add_argument(name, type=Path, **{"nargs": "+", **rest}, metavar=metavar, help=text)
 
 
 def add_options(
@@ -101,7 +131,7 @@ def add_options(
     table: Callable[..., Any] = CampaignOptions,
     **changes: Mapping[str, Any],
 ) -> None:
-    """Add the options of a table that a command takes.
+    """Add the options of a table that a command takes; seldom ones as parameters of `add_parameters`.
 
     Args:
         group: the parser, or group of one, that gets them.
@@ -110,29 +140,86 @@ def add_options(
         table: the dataclass whose fields are the options.
         changes: other arguments for `add_argument`, by name of the option.
     """
+    known: dict[str, tuple[Option, Callable[..., Any]]] = group._defaults.setdefault("parameters", {})
     for one in options_of(table):
         if command in one.commands and title in ("", one.group):
-            arguments = {**_argument(one), **changes.get(one.name, {})}
-            group.add_argument(one.flag, **arguments)
+            known[one.name] = (one, table)
+            if one.seldom:
+                group.set_defaults(**{one.name: one.unsaid})
+            else:
+                group.add_argument(one.flag, **{**_argument(one), **changes.get(one.name, {})})
 
 
 def _argument(one: Option) -> dict[str, Any]:
     """Return the arguments of `add_argument` for an option."""
-    text = one.text.replace("%", "%%")
     if one.kind is bool:
-        return {"action": "store_true", "help": text}
-    default = one.unsaid
-    said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
-    found: dict[str, Any] = {"default": default, "metavar": one.metavar, "help": f"{text} (default: {said})"}
-    if one.kind is tuple:
-        found["action"] = "append"
+        return {"action": "store_true", "help": one.text.replace("%", "%%")}
+    found: dict[str, Any] = {"default": one.unsaid, "metavar": one.metavar, "help": described(one).replace("%", "%%")}
     if one.choices is not None:
         return {**found, "choices": one.choices, "metavar": one.metavar or f"{{{','.join(one.choices.own)}}}"}
     low, high = (-math.inf if one.low is None else one.low), (math.inf if one.high is None else one.high)
-    if one.kind is int:
-        found["type"] = whole_number(int(low), int(high))
-    elif one.kind is float:
-        found["type"] = real_number(low, high, above=one.absent is not None)
+    if one.kind in (int, float):
+        found["type"] = _number(one.kind, low, high, above=one.kind is float and one.absent is not None)
+    return found
+
+
+def described(one: Option) -> str:
+    """Return what an option means, and its default."""
+    default = one.unsaid
+    said = one.unset if default in (None, "") else f"{default:g}" if one.kind is float else str(default)
+    return f"{one.text} (default: {said})"
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add -p and --params-file, as ROS 2 has them, for all options of the command's tables, those of no flag included.
+
+    The command line counts more than a file.
+    """
+    group = parser.add_argument_group("parameters")
+    group.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help="a further option; see the last line"
+    )
+    text = "YAML file of options by name, also as ROS 2 writes parameters"
+    group.add_argument("--params-file", type=Path, metavar="FILE", help=text)
+    names = [one.name for one, _ in parser.get_default("parameters").values() if one.seldom]
+    parser.epilog = f"Options of -p and --params-file alone: {', '.join(names)}."
+
+
+def parameters_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that -p and --params-file give, by name.
+
+    Raises:
+        UsageError: a file cannot be read, or the command has no such option or no such value of it.
+    """
+    if not (getattr(arguments, "param", None) or getattr(arguments, "params_file", None)):
+        return {}
+    from skd_sim.inputs.yaml_file import parse_yaml, read_yaml  # only now: every command begins with this module
+
+    found: dict[str, Any] = {}
+    if (file := arguments.params_file) is not None:
+        content = read_yaml(file)
+        while isinstance(content, dict) and len(content) == 1:  # /**: ros__parameters: {…}
+            (inner,) = content.values()
+            if not isinstance(inner, dict):
+                break
+            content = inner
+        found |= _read(content, str(file), arguments)
+    for text in arguments.param:
+        name, assigned, value = text.partition(":=")
+        if not assigned:
+            raise UsageError(f"-p {text}: must be NAME:=VALUE")
+        found |= _read({name: parse_yaml(value, f"-p {name}")}, f"-p {name}", arguments)
+    return found
+
+
+def _read(content: Any, where: str, arguments: argparse.Namespace) -> dict[str, Any]:
+    known = arguments.parameters
+    if isinstance(content, dict):  # one text, where there may be several
+        several = (name for name, value in content.items() if isinstance(value, str) and name in known)
+        content |= {name: [content[name]] for name in several if known[name][0].kind is tuple}
+    found = read_options(content, where, *dict.fromkeys(table for _, table in known.values()))
+    if strange := next((name for name in found if name not in known), ""):
+        raise UsageError(f"{where}: skd {arguments.command} has no option {strange}")
     return found
 
 
@@ -153,18 +240,21 @@ def add_campaign_arguments(parser: argparse.ArgumentParser, command: str) -> Non
     add_max_aborted_argument(group)
     add_options(group, command, table=AssessmentOptions)
     add_runner_arguments(group)
+    add_parameters(parser)
     add_output_arguments(parser)
+
+
+def add_workers_argument(group: argparse._ActionsContainer) -> None:
+    """Add --workers."""
+    add_count(group, "--workers", 1, MOST_WORKERS, "how many processes run the episodes (default: one per core)")
 
 
 def add_runner_arguments(parser: argparse._ActionsContainer) -> None:
     """Add the options that say where episodes run in process."""
     where = parser.add_mutually_exclusive_group()
     add_workers_argument(where)
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="address of a Dask cluster that runs the episodes instead, such as tcp://host:8786 (see docs/scale.md)",
-    )
+    text = "address of a Dask cluster that runs the episodes instead, such as tcp://host:8786 (docs/scale.md)"
+    where.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
 def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_limit: float | None = None) -> Workers:
@@ -178,39 +268,6 @@ def runner_of(arguments: argparse.Namespace, *, isolated: bool = False, answer_l
     return make_runner(arguments.scheduler, workers, isolated=isolated, answer_limit=answer_limit or CALL_LIMIT)
 
 
-def percentage(text: str) -> float:
-    """Parse a percentage from 0 to 100, and return it as a share."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 100.0:
-        raise argparse.ArgumentTypeError(f"must be a number from 0 to 100, got {text!r}")
-    return value / 100.0
-
-
-def frame_place(text: str) -> tuple[float, float, float]:
-    """Parse X,Y,DEGREES: where one frame lies in another."""
-    try:
-        x, y, degrees = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = degrees = math.nan
-    if not all(math.isfinite(one) for one in (x, y, degrees)):
-        raise argparse.ArgumentTypeError(f"must be X,Y,DEGREES, such as 12.5,-3,90, got {text!r}")
-    return x, y, degrees
-
-
-def command_line(text: str) -> str:
-    """Return a command line that is not empty.
-
-    Raises:
-        argparse.ArgumentTypeError: it is.
-    """
-    if not text.strip():
-        raise argparse.ArgumentTypeError("is empty; leave it out where you start the controller yourself")
-    return text
-
-
 def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
     """Add --max-aborted."""
     parser.add_argument(
@@ -218,31 +275,14 @@ def add_max_aborted_argument(parser: argparse._ActionsContainer) -> None:
         type=percentage,
         default=MAXIMUM_ABORTED,
         metavar="PERCENT",
-        help="percentage of the episodes that may be aborted, of all kamikazes and runs along φ and of those of each "
-        "figure. An aborted episode says nothing about the car; if more are aborted, the exit code is 1 (default: 5)",
+        help="how many episodes of any figure may be aborted before the exit code is 1, %% (default: 5)",
     )
-
-
-def add_details_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --details."""
-    parser.add_argument(
-        "--details", action="store_true", help="print every figure, and a line for each safe trajectory"
-    )
-
-
-def add_pictures_argument(parser: argparse._ActionsContainer, text: str) -> None:
-    """Add --no-pictures."""
-    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help=text)
 
 
 def add_damage_argument(parser: argparse._ActionsContainer) -> None:
     """Add --skip-damaged."""
-    parser.add_argument(
-        "--skip-damaged",
-        action="store_true",
-        help="leave out and count the recorded episodes that are damaged or cannot have happened as recorded, instead "
-        "of refusing all of them",
-    )
+    text = "leave out and count recorded episodes that are damaged or implausible, instead of refusing all of them"
+    add_flag(parser, "--skip-damaged", text)
 
 
 def add_graph_arguments(
@@ -256,11 +296,9 @@ def add_graph_arguments(
     """Add the options of the node graph; with `optional` also --graph, with `record` --record; see `add_options`."""
     group = parser.add_argument_group("node graph")
     if optional:
-        group.add_argument("--graph", action="store_true", help="run the episodes through a graph of ROS 2 nodes")
+        add_flag(group, "--graph", "run the episodes through a graph of ROS 2 nodes")
     if optional and record:
-        group.add_argument(
-            "--record", action="store_true", help="keep a recording (a bag) of every episode; needs --graph"
-        )
+        add_flag(group, "--record", "keep a recording (a bag) of every episode; needs --graph")
     add_options(group, command, "", GraphOptions, controller_command={"type": command_line}, **changes)
 
 
@@ -272,12 +310,16 @@ def add_output_arguments(
     """Add --out, --overwrite, --json, -v and -q."""
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar=metavar, help=text)
-    group.add_argument("--overwrite", action="store_true", help="replace what --out names, if it exists")
-    group.add_argument("--json", action="store_true", help="print JSON, and nothing else, on standard output")
+    add_flag(group, "--overwrite", "replace what --out names, if it exists")
+    add_flag(group, "--json", "print JSON, and nothing else, on standard output")
+    add_loudness(group)
+
+
+def add_loudness(group: argparse._ActionsContainer) -> None:
+    """Add -v and -q."""
     loudness = group.add_mutually_exclusive_group()
-    loudness.add_argument(
-        "-v", "--verbose", action="store_true", help="report every step, and the source of an error, on standard error"
-    )
+    verbose = "report every step, and the source of an error, on standard error"
+    loudness.add_argument("-v", "--verbose", action="store_true", help=verbose)
     loudness.add_argument("-q", "--quiet", action="store_true", help="print no tables and no progress")
 
 
@@ -299,9 +341,7 @@ def output_path(arguments: argparse.Namespace) -> Path:
     """Return --out, or a new folder named for the command and the time."""
     if arguments.out is not None:
         return Path(arguments.out)
-    from skd_evaluator.assessment.from_options import (
-        default_folder,  # this module is imported at every start, and has to be light
-    )
+    from skd_evaluator.assessment.from_options import default_folder  # only now: it is slow to import
 
     return default_folder(arguments.command)
 
@@ -313,6 +353,6 @@ def add_car_arguments(parser: argparse.ArgumentParser, command: str, **changes: 
     group.add_argument(
         "--scenario",
         metavar="NAME",
-        help="the road and who meets on it: a scenario that comes with SKD or is registered by an installed package, "
-        "or a YAML file (default: crossing; citr_crossing with CITR data)",
+        help="the scenario: the name of a shipped or registered one, or a YAML file (default: crossing; citr_crossing "
+        "with CITR data)",
     )

@@ -1,4 +1,4 @@
-"""`skd list`: the assessments under a folder."""
+"""`skd list`: the assessments under a folder, and with --trend how a car has changed from one to the next."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ from skd_sim.inputs.files import one_line
 from skd_sim.scenario.scenario import scenario_from_dict
 
 from skd_evaluator.assessment.compare.comparability import has_tyres, scenario_difference
+from skd_evaluator.assessment.compare.comparison import Comparison, compare
+from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.cli.output import print_json
+from skd_evaluator.report.history import Run, find_runs, runs_table, trend_table, trends_of
 from skd_evaluator.report.terminal import counted, print_table
-from skd_evaluator.report.trend import Run, find_runs, runs_table
 
-_LAST = float("inf")
+
+def _known(value: float | None) -> float:
+    return float("inf") if value is None else value
+
+
 _KEYS: dict[str, Callable[[Run], Any]] = {
     "date": lambda run: run.date,
     "folder": lambda run: str(run.folder),
     "car": lambda run: (run.car, run.date),
-    "margin": lambda run: _LAST if run.figures["margin"] is None else run.figures["margin"],
-    "nominal_collision_rate": lambda run: (
-        _LAST if run.figures["nominal_collision_rate"] is None else run.figures["nominal_collision_rate"]
-    ),
+    "margin": lambda run: _known(run.figures["margin"]),
+    "nominal_collision_rate": lambda run: _known(run.figures["nominal_collision_rate"]),
 }
 
 
@@ -33,10 +37,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     runs = find_runs(arguments.paths)
     unread = [one for one in runs if not one.figures]
-    found = [one for one in runs if one.figures and _is_asked_for(one, arguments)]
+    found = [one for one in runs if one.figures and _is_requested(one, arguments)]
     found.sort(key=_KEYS[arguments.sort])
     if arguments.last is not None:
         found = found[-arguments.last :]
+    if arguments.trend is not None:
+        return _trend(arguments, found, unread)
     if arguments.json:
         print_json({"results": [one.as_dict() for one in found], "unread": [str(one.folder) for one in unread]})
     else:
@@ -55,9 +61,34 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _is_asked_for(one: Run, arguments: argparse.Namespace) -> bool:
-    wanted = {one.car: arguments.car, one.scenario: arguments.scenario}
-    return all(part is None or part.casefold() in name.casefold() for name, part in wanted.items())
+def _is_requested(one: Run, arguments: argparse.Namespace) -> bool:
+    requested = {one.car: arguments.car, one.scenario: arguments.scenario}
+    return all(part is None or part.casefold() in name.casefold() for name, part in requested.items())
+
+
+def _trend(arguments: argparse.Namespace, found: Sequence[Run], unread: Sequence[Run]) -> int:
+    for one in unread:
+        raise UsageError(f"{one.folder}: {one.remark}")
+    if len(found) < 2:
+        raise UsageError("a trend is of at least two assessments of a car")
+    read = {one.folder: read_result(one.folder) for one in found}  # each is checked against its episodes
+    runs = [Run(folder, result.figures) for folder, result in read.items()]
+
+    def compared(first: Run, second: Run, confidence: float) -> Comparison:
+        return compare(read[first.folder], read[second.folder], confidence)
+
+    trends = trends_of(runs, arguments.trend, compared)
+    if arguments.json:
+        print_json({"figure": arguments.trend, "cars": [one.as_dict() for one in trends]})
+    else:
+        for trend in trends:
+            print_table(trend_table(trend))
+    lines = [remark for result in read.values() for remark in result.remarks]
+    for step in (step for trend in trends for step in trend.steps):
+        lines += step.comparison.lines() if step.comparison is not None else []
+    for line in dict.fromkeys(lines):
+        print(f"skd list: warning: {one_line(line)}", file=sys.stderr)
+    return 0
 
 
 def _namesakes(runs: Sequence[Run]) -> list[str]:

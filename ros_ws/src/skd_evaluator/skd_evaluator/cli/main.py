@@ -15,8 +15,8 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.start import import_lasting
 
+from skd_evaluator.cli.commands import EXIT_USAGE, make_parser, parse
 from skd_evaluator.cli.output import give_up, keep_for_json
-from skd_evaluator.cli.parser import EXIT_USAGE, make_parser, parse
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import begin_command, what_is_in_place
 from skd_evaluator.verbosity import be_verbose, is_verbose

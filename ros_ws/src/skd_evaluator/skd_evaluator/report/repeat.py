@@ -105,9 +105,10 @@ def _words(one: Option, value: Any) -> list[str]:
     """Return an option as it is given on the command line; nothing where the value is that of a single episode."""
     if value is None or value == one.default:
         return []
-    if one.kind is bool:
-        return [one.flag] if value else []
-    return [one.flag, repr(value) if one.kind is float else str(value)]
+    text = repr(value) if one.kind is float else str(value)
+    if one.seldom:
+        return ["-p", f"{one.name}:={text.lower() if one.kind is bool else text}"]
+    return [one.flag, *([] if one.kind is bool else [text])]
 
 
 def scenario_name(figures: Mapping[str, Any]) -> str:

@@ -352,9 +352,15 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     return table
 
 
-def narrow_table(title: str) -> Table:
-    """Return an empty table that spends no columns on edges and padding: for many figures a row."""
-    return Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
+def narrow_table(title: str, heads: Sequence[str] = (), rows: Iterable[Sequence[str]] = ()) -> Table:
+    """Return a table that spends no columns on edges and padding: for many figures a row; only figures stand right."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
+    for place, name in enumerate(heads):
+        right = place and name not in ("folder", "source", "what happens")
+        table.add_column(name, justify="right" if right else "left", overflow="ellipsis" if right else "fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def one_line_cells(table: Table) -> Table:

@@ -305,13 +305,13 @@ def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False)
     if behaviour != NO_BEHAVIOUR:
         return RiskAsked(behaviour_asked(behaviour), runs, subset)
     if runs is not None or subset:
-        option = "--risk-subset" if runs is None else f"--risk-runs {runs}"
+        option = "risk_subset" if runs is None else f"risk_runs {runs}"
         raise UsageError(f"{option}: --behaviour {NO_BEHAVIOUR} asks for no risk; leave one of them away")
     return NOTHING_ASKED
 
 
 def behaviour_asked(name: str) -> Behaviour:
-    """Return the behaviour model of a name, file or folder, as `skd behaviour fit` wrote it.
+    """Return the behaviour model of a name, file or folder, as `skd fit --people` wrote it.
 
     Raises:
         UsageError: there is no such behaviour model, or it was changed in the folder in which it was written.

@@ -80,6 +80,7 @@ class Option:
         planning: whether it matters only where somebody plans.
         graph_only: whether it has no effect on episodes that run in process.
         external_only: whether it is about a controller that is a node of somebody else.
+        seldom: whether the command line has it only by `-p name:=value` and `--params-file`.
         name: filled in from the field.
     """
 
@@ -98,12 +99,13 @@ class Option:
     planning: bool = False
     graph_only: bool = False
     external_only: bool = False
+    seldom: bool = False
     name: str = ""
 
     @property
     def flag(self) -> str:
         """Its name on the command line."""
-        return f"--{self.name.replace('_', '-')}"
+        return f"-p {self.name}" if self.seldom else f"--{self.name.replace('_', '-')}"
 
     @property
     def plain_kind(self) -> type[Any]:
@@ -246,6 +248,7 @@ class EpisodeOptions:
         unset="the number for which the objective was tuned",
         commands=("episode",),
         planning=True,
+        seldom=True,
     )
     maximum_distance: float | None = option(
         None,
@@ -257,6 +260,7 @@ class EpisodeOptions:
         metavar="M",
         launches=("assessment",),
         unset="none is left out",
+        seldom=True,
     )
 
     @property
@@ -374,7 +378,7 @@ FRAMES = Frames()
 """What most stacks call them."""
 
 
-graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True)
+graph_option = partial(option, group="node graph", commands=GRAPH_COMMANDS, graph_only=True, seldom=True)
 _RATED = tuple(name for name in GRAPH_COMMANDS if name != "drive")
 """Commands of what is rated; what one only watches goes by the wall clock."""
 _command_option = partial(graph_option, external_only=True)
@@ -440,6 +444,7 @@ class SimulatorOptions(CommandOptions, StateOptions):
         "real_time (by the wall clock, whether or not a command has arrived)",
         choices=Names((LOCKSTEP, REAL_TIME)),
         commands=_RATED,
+        seldom=False,
     )
     rate_factor: float = graph_option(
         1.0,

@@ -94,13 +94,13 @@ def command_format(options: CommandOptions) -> CommandFormat:
     if named is not None:
         if options.command_field:
             raise UsageError(
-                f"--command-field goes with a type of yours: --command-type {options.command_type} already says "
+                f"command_field goes with a type of yours: command_type {options.command_type} already says "
                 f"{named.field} of {named.type}"
             )
         return named
     if not _TYPE.fullmatch(options.command_type):
         raise UsageError(
-            f"--command-type must be one of {', '.join(NAMED_FORMATS)}, or a message type as in "
+            f"command_type must be one of {', '.join(NAMED_FORMATS)}, or a message type as in "
             f"my_msgs/msg/Command; got {options.command_type!r:.80}"
         )
     return CommandFormat(options.command_type, options.command_field, Quantity(options.command_quantity))
@@ -168,15 +168,15 @@ def message_class(name: str) -> type:
         if error.name not in (package, f"{package}.msg"):
             raise UsageError(f"{name} cannot be loaded: {reason_of(error)}") from error
         raise UsageError(
-            f"--command-type {name}: there is no message package {package} here: source the workspace that has it, or "
-            "give the folder of its .msg files with --message-folder"
+            f"command_type {name}: there is no message package {package} here: source the workspace that has it, or "
+            "give the folder of its .msg files with message_folder"
         ) from error
     except Exception as error:  # what a package does at its import is its own affair
         raise UsageError(f"{name} cannot be loaded: {reason_of(error)}") from error
     found: Any = getattr(module, kind, None)
     if not hasattr(found, "get_fields_and_field_types"):
         there = sorted(key for key, value in vars(module).items() if hasattr(value, "get_fields_and_field_types"))
-        raise UsageError(f"--command-type {name}: {package} has no such message; it has {_listed(there)}")
+        raise UsageError(f"command_type {name}: {package} has no such message; it has {_listed(there)}")
     return cast("type", found)
 
 
@@ -219,7 +219,7 @@ def _getter(field: str, kind: type, name: str) -> Callable[[Any], Any]:
     """
     numbers = f"its numbers are {_listed(number_paths(kind))}"
     if not field:
-        raise UsageError(f"--command-type {name} needs --command-field; {numbers}")
+        raise UsageError(f"command_type {name} needs command_field; {numbers}")
     steps: list[Callable[[Any], Any]] = []
     of, here = "", _fields(kind)
     for part in field.split("."):

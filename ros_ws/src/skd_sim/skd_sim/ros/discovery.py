@@ -215,19 +215,19 @@ def _elsewhere(node: Node, topic: str, kind: str, arrives: Callable[[str], bool]
     option = "" if publisher.kind == kind else f" {_option(publisher.kind)}"
     more = f" (or on {', '.join(other for other, _ in found[1:])})" if len(found) > 1 else ""
     return (
-        f", but {how} ({publisher.kind}){more}, and nobody listens there: --command-topic {name}{option}, or remap it"
+        f", but {how} ({publisher.kind}){more}, and nobody listens there: -p command_topic:={name}{option}, or remap it"
     )
 
 
 def _option(kind: str) -> str:
     """Return the options that would take messages of a type as commands."""
     if kind in _NAMES:
-        return f"--command-type {_NAMES[kind]}"
+        return f"-p command_type:={_NAMES[kind]}"
     message = class_of(kind)
     numbers = [] if message is None else [path for path in number_paths(message) if "covariance" not in path]
     likely = [path for path in numbers if any(word in path for word in ("accel", "speed", "velocity"))]
     field = next(iter([*likely, *numbers]), "…")
-    return f"--command-type {kind} --command-field {field}"
+    return f"-p command_type:={kind} -p command_field:={field}"
 
 
 def _rank(topic: str, kind: str) -> int:

@@ -165,7 +165,7 @@ class GraphSimulator:
         self._follows = None if commands.format.quantity == Quantity.ACCELERATION else CommandLimits(low, high)
         real_time = values["pacing"] == REAL_TIME
         if real_time and values["quiet_time"]:
-            raise UsageError("--quiet-time goes with --pacing lockstep: real time waits for nobody")
+            raise UsageError("quiet_time goes with --pacing lockstep: real time waits for nobody")
         return Lockstep(
             Source("the car controller", topic, drives),
             Source("the adversary", VELOCITY_COMMAND, walks),
@@ -226,9 +226,7 @@ class GraphSimulator:
         if late <= limit:
             self._do(self._lockstep.go_on(now))
             return
-        slipped = (
-            f"{self._node.get_name()} came {late:.3f} s late to tick {self._frame.tick} (--slip-limit {limit:g} s)"
-        )
+        slipped = f"{self._node.get_name()} came {late:.3f} s late to tick {self._frame.tick} (slip_limit {limit:g} s)"
         self._do(self._lockstep.fail(abort_reason(AbortKind.SLIPPED, slipped)))
 
     def _on_quiet(self) -> None:

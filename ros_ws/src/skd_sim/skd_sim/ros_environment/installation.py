@@ -253,13 +253,13 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
         return None
     if package not in found:
         raise UsageError(
-            f"--message-folder {', '.join(folders)}: there is no package {package}; there "
+            f"message_folder {', '.join(folders)}: there is no package {package}; there "
             f"{'is' if len(found) == 1 else 'are'} {', '.join(sorted(found))}"
         )
     if is_sourced():
         raise UsageError(
             f"{package} is not in the ROS 2 that is sourced: build it in your workspace and source that "
-            f"(colcon build --packages-up-to {package}); --message-folder is for where none is"
+            f"(colcon build --packages-up-to {package}); message_folder is for where none is"
         )
     rounds = _rounds(package, found)
     digest = hashlib.sha256(f"{environment_digest()} {sys.version}".encode())
@@ -290,7 +290,7 @@ def _packages_in(folder: Path) -> list[MessagePackage]:
     found = [MessagePackage(file.parent) for file in files if any(file.parent.glob("msg/*.msg"))]
     if not found:
         why = "holds no package of messages (package.xml, and beside it msg/*.msg)"
-        raise UsageError(f"--message-folder {folder}: {why if folder.is_dir() else 'no such folder'}")
+        raise UsageError(f"message_folder {folder}: {why if folder.is_dir() else 'no such folder'}")
     return found
 
 
@@ -307,7 +307,7 @@ def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[Mess
         if name in uses or is_installed(name):
             continue
         if name not in found:
-            raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a --message-folder")
+            raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a message_folder")
         uses[name] = set(found[name].dependencies())
         ahead += [(other, name) for other in uses[name]]
     sorter = graphlib.TopologicalSorter(uses)

@@ -158,8 +158,8 @@ def load_behaviour(name: str | Path) -> Behaviour:
     if not is_there(path):
         near = did_you_mean(str(name), tuple(_SHIPPED))
         raise UsageError(
-            f"behaviour {str(name)!r}: cannot be read; give {WALKERS}, {NO_BEHAVIOUR}, or a file that skd behaviour "
-            f"fit has written{near}"
+            f"behaviour {str(name)!r}: cannot be read; give {WALKERS}, {NO_BEHAVIOUR}, or a file that skd fit "
+            f"--people has written{near}"
         )
     return behaviour_from(read_yaml(path), str(path))
 

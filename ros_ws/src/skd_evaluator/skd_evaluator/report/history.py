@@ -1,29 +1,26 @@
-"""Assessments under a folder, and how a figure of a car has changed from one to the next.
-
-All verdicts of a car together are to be right with 95 %: each has Bonferroni's share.
-"""
+"""Assessments under a folder, and how a figure of a car has changed from one to the next: `skd list`."""
 
 from __future__ import annotations
 
 import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json, real_path
 
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, Kind
+from skd_evaluator.assessment.compare.comparison import Comparison
+from skd_evaluator.assessment.figure_table import AT_THE_TOP
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, understood
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.files import PREFIX
 from skd_evaluator.metrics.aborted import in_one_line, not_credible
 from skd_evaluator.metrics.margins import open_search
-from skd_evaluator.metrics.statistics import Interval
 from skd_evaluator.provenance import code_of_car
 from skd_evaluator.report.formats import TERMINAL
 from skd_evaluator.report.terminal import bounded_cell, car_name, narrow_table
@@ -31,6 +28,12 @@ from skd_evaluator.report.terminal import bounded_cell, car_name, narrow_table
 SHORT = 7  # digits of a commit
 _LARGE = ("vulnerability_curve", "objectives", "risk", "surrogate_measures", "clustering", "measures")
 """Entries that no row is of, and nine tenths of a file: of thousands of results they are not kept."""
+
+
+_ROW = (
+    "margin", "margin_ci95", "nominal_collision_rate", "nominal_collision_rate_ci95", "deviation", "skd", "risk_1",
+    "seed", "safe",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,6 @@ class Run:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the row of `skd list --json`."""
-        keys = (
-            "margin",
-            "margin_ci95",
-            "nominal_collision_rate",
-            "nominal_collision_rate_ci95",
-            "deviation",
-            "skd",
-            "risk_1",
-            "seed",
-            "safe",
-        )
         return {
             "folder": str(self.folder),
             "car": self.car,
@@ -100,7 +92,7 @@ class Run:
             "safe_count": len(self.figures["per_safe_trajectory"]),
             "trials": self.figures.get("margin_trials"),
             "margin_converged": self.figures.get("margin_converged"),
-            **{key: self.figures.get(key) for key in keys},
+            **{key: self.figures.get(key) for key in _ROW},
             "remark": self.remark,
             "credible": not self.not_credible,
             "warnings": self.warnings,
@@ -149,46 +141,34 @@ def read_run(folder: Path) -> Run:
     return run if known else Run(folder, run.figures, "has no manifest")
 
 
-FIGURES = ("margin", "deviation", "skd", "nominal_collision_rate", "risk_1")
-"""Figures that can be followed."""
-
-
-class Compared(Protocol):
-    """What is said of a result beside another one, as `skd_evaluator.assessment.compare` has it."""
-
-    @property
-    def differences(self) -> Mapping[str, Any]:
-        """Second less first, by figure."""
-
-    def verdict_beside(self, figure: str) -> str:
-        """Return what is said of the second car beside a figure."""
-
-    def lines(self) -> list[str]:
-        """Return everything that has to be said beside the verdict, a line each."""
-
-
 @dataclass(frozen=True)
 class Step:
     """An assessment among those of its car.
 
     Attributes:
         run: the assessment.
-        value: the figure; None where it is not known.
-        interval: its 95 % interval, by φ; None where there is none.
-        verdict: what is said of the car beside the assessment before; empty for the first. It goes by margin and risk,
-            whichever figure is followed, and is *not compared* where that figure is not.
-        difference: of the figure from the one before; None where it is not compared.
-        difference_interval: interval of the difference.
-        lines: what has to be said beside the verdict, a line each.
+        comparison: with the one before; None for the first.
     """
 
     run: Run
-    value: float | None
-    interval: Interval | None
-    verdict: str = ""
-    difference: float | None = None
-    difference_interval: Interval | None = None
-    lines: tuple[str, ...] = ()
+    comparison: Comparison | None = None
+
+    def as_dict(self, figure: str) -> dict[str, Any]:
+        """Return it as JSON has it; the verdict goes by margin and risk, whichever figure is followed."""
+        compared = self.comparison
+        change = None if compared is None else compared.differences.get(figure)
+        return {
+            "folder": str(self.run.folder),
+            "date": self.run.date,
+            "revision": self.run.revision,
+            "value": self.run.figures.get(figure),
+            "ci95": self.run.figures.get(f"{figure}_ci95"),
+            "verdict": "" if compared is None else compared.verdict_beside(figure),
+            "credible": not self.run.not_credible,
+            "difference": None if change is None else change.value,
+            "difference_interval": None if change is None else change.interval,
+            "lines": [] if compared is None else compared.lines(),
+        }
 
 
 @dataclass(frozen=True)
@@ -209,45 +189,21 @@ class Trend:
     steps: tuple[Step, ...]
     confidence: float
 
-    @property
-    def label(self) -> str:
-        """What the figure is called."""
-        return AT_THE_TOP[self.figure].label
-
     def as_dict(self) -> dict[str, Any]:
-        """Return the entry of trend.json."""
-        return {
-            "car": self.car,
-            "scenario": self.scenario,
-            "figure": self.figure,
-            "confidence": self.confidence,
-            "runs": [
-                {
-                    "folder": str(step.run.folder),
-                    "date": step.run.date,
-                    "revision": step.run.revision,
-                    "value": step.value,
-                    "ci95": step.interval,
-                    "verdict": step.verdict,
-                    "credible": not step.run.not_credible,
-                    "difference": step.difference,
-                    "difference_interval": step.difference_interval,
-                    "lines": list(step.lines),
-                }
-                for step in self.steps
-            ],
-        }
+        """Return it as JSON has it."""
+        about = {"car": self.car, "scenario": self.scenario, "figure": self.figure, "confidence": self.confidence}
+        return {**about, "runs": [step.as_dict(self.figure) for step in self.steps]}
 
 
-def trends_of(
-    runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Compared | None] | None = None
-) -> list[Trend]:
+def trends_of(runs: Sequence[Run], figure: str, compare: Callable[[Run, Run, float], Comparison | None]) -> list[Trend]:
     """Return a trend for each car and scenario, in the order of their names.
+
+    All verdicts of a car together are to be right with 95 %: each has Bonferroni's share.
 
     Args:
         runs: the assessments, in any order.
         figure: key of the figure that is followed.
-        compare: compares the second with the first, with a confidence; None: nothing is compared.
+        compare: compares the second with the first, with a confidence.
     """
     groups: dict[tuple[str, str], list[Run]] = {}
     for run in sorted(runs, key=lambda one: (one.date, str(one.folder))):
@@ -255,20 +211,9 @@ def trends_of(
     found = []
     for (car, scenario), mine in sorted(groups.items()):
         confidence = 1.0 - 0.05 / max(1, len(mine) - 1)
-        steps = [_step(mine[0], figure)]
-        for before, run in itertools.pairwise(mine):
-            steps.append(_step(run, figure, None if compare is None else compare(before, run, confidence)))
-        found.append(Trend(car, scenario, figure, tuple(steps), confidence))
+        later = (Step(run, compare(before, run, confidence)) for before, run in itertools.pairwise(mine))
+        found.append(Trend(car, scenario, figure, (Step(mine[0]), *later), confidence))
     return found
-
-
-def _step(run: Run, figure: str, compared: Compared | None = None) -> Step:
-    step = Step(run, run.figures.get(figure), run.figures.get(f"{figure}_ci95"))
-    if compared is None:
-        return step
-    step = replace(step, verdict=compared.verdict_beside(figure), lines=tuple(compared.lines()))
-    change = compared.differences.get(figure)
-    return step if change is None else replace(step, difference=change.value, difference_interval=change.interval)
 
 
 _UNKNOWN = "unknown"
@@ -278,11 +223,10 @@ _number, _interval = TERMINAL.number, TERMINAL.interval
 
 def runs_table(runs: Sequence[Run]) -> Table:
     """Return the table of assessments that could be read, a row each; those with a remark are marked."""
-    parent = common_parent(runs)
+    parent = _common_parent(runs)
     table = narrow_table(f"Assessments in {escape(str(parent))}, as they are written")
-    table.add_column("folder", overflow="fold")
-    table.add_column("car", overflow="fold")
-    table.add_column("scenario", overflow="fold")
+    for name in ("folder", "car", "scenario"):
+        table.add_column(name, overflow="fold")
     for name in ("margin\n(m)", "95 %,\nby φ", "nominal\ncollisions", "φ"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("code of\nthe car", no_wrap=True)
@@ -297,12 +241,12 @@ def runs_table(runs: Sequence[Run]) -> Table:
             TERMINAL.share(run.figures["nominal_collision_rate"]),
             str(len(run.figures["per_safe_trajectory"])),
             run.revision or _UNKNOWN,
-            day(run.date),
+            _minute(run.date),
         )
     return table
 
 
-def common_parent(runs: Sequence[Run]) -> Path:
+def _common_parent(runs: Sequence[Run]) -> Path:
     """Return the folder that holds those of all assessments: what is left of their names tells them apart."""
     parents = [run.folder.parent for run in runs]
     if len({parent.is_absolute() for parent in parents}) > 1:
@@ -310,44 +254,38 @@ def common_parent(runs: Sequence[Run]) -> Path:
     return Path(os.path.commonpath(parents) or ".")
 
 
-def scaled(interval: Sequence[float] | None, scale: float) -> list[float] | None:
-    """Return an interval in the unit in which it is shown."""
-    return None if interval is None else [scale * end for end in interval]
-
-
-def day(date: str) -> str:
-    """Return a date to the minute, as a table has it."""
+def _minute(date: str) -> str:
     return date[:16].replace("T", " ")
 
 
-def trend_table(trend: Trend, kind: Kind) -> Table:
+def trend_table(trend: Trend) -> Table:
     """Return the table of how a car has changed, the earliest result first."""
-    together = f"{100.0 * trend.confidence:.3g} %"
-    unit, scale = kind.unit, kind.scale
-    parent = common_parent([step.run for step in trend.steps])
-    table = narrow_table(f"{escape(trend.car)} in {escape(trend.scenario)}: {trend.label}; in {escape(str(parent))}")
-    table.add_column("date\n(UTC)")
-    table.add_column("code of\nthe car", no_wrap=True)
-    table.add_column(f"{trend.label}\n({unit})" if unit else trend.label, justify="right")
-    table.add_column("95 %,\nby φ", justify="right", no_wrap=True)
-    table.add_column("beside the\none before")
-    for name in ("by so\nmuch", f"{together},\nby φ"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("folder", overflow="fold")
+    figure = AT_THE_TOP[trend.figure]
+    parent = _common_parent([step.run for step in trend.steps])
+    heads = ["date\n(UTC)", "code of\nthe car", figure.heading.replace(" (", "\n("), "95 %,\nby φ"]
+    heads += ["against the\none before", "difference", f"{100.0 * trend.confidence:.3g} %,\nby φ", "folder"]
+    rows = []
     for step in trend.steps:
-        change = ("", "")
-        if step.difference is not None:
-            change = f"{scale * step.difference:+.3f}", _interval(scaled(step.difference_interval, scale))
-        table.add_row(
-            day(step.run.date),
-            step.run.revision or _UNKNOWN,
-            bounded_cell(
-                step.run.figures if trend.figure == "margin" else {},
-                _number(None if step.value is None else scale * step.value),
-            ),
-            _interval(scaled(step.interval, scale), 2),
-            f"[bold]{step.verdict}[/]{'[red] not credible[/]' if step.run.not_credible else ''}",
-            *change,
-            escape(os.path.relpath(step.run.folder, parent)),
+        told, scale = step.as_dict(trend.figure), figure.kind.scale
+        value, change = told["value"], told["difference"]
+        rows.append(
+            [
+                _minute(told["date"]),
+                told["revision"] or _UNKNOWN,
+                bounded_cell(
+                    step.run.figures if trend.figure == "margin" else {},
+                    _number(None if value is None else scale * value),
+                ),
+                _interval(_scaled(told["ci95"], scale), 2),
+                f"[bold]{told['verdict']}[/]{'' if told['credible'] else '[red] not credible[/]'}",
+                "" if change is None else f"{scale * change:+.3f}",
+                "" if change is None else _interval(_scaled(told["difference_interval"], scale)),
+                escape(os.path.relpath(step.run.folder, parent)),
+            ]
         )
-    return table
+    title = f"{escape(trend.car)} in {escape(trend.scenario)}: {figure.label}; in {escape(str(parent))}"
+    return narrow_table(title, heads, rows)
+
+
+def _scaled(interval: Sequence[float] | None, scale: float) -> list[float] | None:
+    return None if interval is None else [scale * end for end in interval]
