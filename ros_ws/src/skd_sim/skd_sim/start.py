@@ -1,7 +1,7 @@
 """Where programs begin: with no import that takes time, so that an interrupt of the others ends them quietly.
 
-`python -m skd_sim.start NAME` is the program of that name; `requirements` says in one line what this Python lacks. A
-workspace built by colcon may lack packages that SKD needs beside ROS 2.
+`python -m skd_sim.start NAME` is the program of that name. A workspace built by colcon may lack packages that SKD needs
+beside ROS 2.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib
-import importlib.util
 import os
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -97,7 +96,15 @@ def _remedy(error: Exception) -> str | None:
         return str(error)
     if not isinstance(error, ModuleNotFoundError) or error.name is None:
         return None
-    return remedy([error.name])
+    name = error.name.partition(".")[0]
+    if name in PACKAGES:
+        return f"skd needs {name}, which {sys.executable} does not have: {environment()}"
+    if name == "rclpy" or name.endswith(("_msgs", "_interfaces")):
+        return (
+            f"skd needs {name} of ROS 2, which {sys.executable} does not find: source ROS 2 Jazzy and "
+            "ros_ws/install/setup.bash, or use scripts/run-node, which brings its own"
+        )
+    return None
 
 
 PACKAGES = (
@@ -106,23 +113,6 @@ PACKAGES = (
 )  # fmt: skip
 """Modules of the packages that SKD needs beside ROS 2."""
 
-EXIT_USAGE = 2
-
-
-def remedy(modules: Sequence[str]) -> str | None:
-    """Return what to do about modules that this Python lacks; None if SKD does not need them."""
-    names = sorted({module.partition(".")[0] for module in modules})
-    ours = [name for name in names if name in PACKAGES]
-    if ours:
-        return f"skd needs {_listed(ours)}, which {sys.executable} does not have: {environment()}"
-    ros = [name for name in names if name == "rclpy" or name.endswith(("_msgs", "_interfaces"))]
-    if ros:
-        return (
-            f"skd needs {_listed(ros)} of ROS 2, which {sys.executable} does not find: source ROS 2 Jazzy and "
-            "ros_ws/install/setup.bash, or use scripts/run-node, which brings its own"
-        )
-    return None
-
 
 def environment() -> str:
     """Return the commands that make the project's environment and activate it."""
@@ -130,36 +120,10 @@ def environment() -> str:
     return f"cd {_checkout()} && scripts/skd --version && . {folder}/bin/activate"
 
 
-def remedy_for_executables() -> str | None:
-    """Return what to do so that the installed executables can run; None if they can.
-
-    They run on the `python3` of the PATH, which need not be the Python of this process.
-    """
-    import subprocess  # slow, and needed only here
-
-    done = subprocess.run(
-        ["/usr/bin/env", "python3", "-m", "skd_sim.start", "requirements"], capture_output=True, text=True, check=False
-    )
-    return done.stderr.strip() if done.returncode == EXIT_USAGE else None
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
 def _checkout() -> str:
     """Return the folder of scripts/, in or above which the workspace lies, as a word of a shell."""
     above = (folder for folder in Path(__file__).resolve().parents if (folder / "scripts" / "skd").is_file())
     return next((shlex.quote(str(folder)) for folder in above), "CHECKOUT_OF_SKD")
-
-
-def report_requirements() -> int:
-    """Return 0 where nothing is missing; else say in one line what to do, and return 2."""
-    line = remedy([name for name in PACKAGES if importlib.util.find_spec(name) is None])
-    if line is None:
-        return 0
-    print(line, file=sys.stderr)
-    return EXIT_USAGE
 
 
 def start_named(programs: Mapping[str, Callable[[], int]]) -> int:
@@ -176,6 +140,5 @@ if __name__ == "__main__":
         "vehicle_simulator": vehicle_simulator,
         "car_controller": car_controller,
         "carla_bridge": carla_bridge,
-        "requirements": report_requirements,
     }
     sys.exit(start_named(programs))

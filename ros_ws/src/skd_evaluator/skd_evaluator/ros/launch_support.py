@@ -17,7 +17,6 @@ from launch.launch_description import LaunchDescription
 from launch_ros.actions import Node
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
 from skd_sim.options.options import SimulatorOptions, options_of
-from skd_sim.start import remedy_for_executables
 
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions
 
@@ -108,9 +107,6 @@ def graph_description(task: str, own: Sequence[Argument] = ()) -> LaunchDescript
 
 
 def _start(context: LaunchContext, task: str, arguments: Sequence[Argument]) -> list[Any]:
-    missing = remedy_for_executables()
-    if missing:
-        raise RuntimeError(missing)  # once, and not once for each node
     values = {argument.name: argument.value(context.launch_configurations[argument.name]) for argument in arguments}
     builtin = values["use_builtin_controller"] and not CarUnderTest(values["controller"]).is_external
     if not builtin:

@@ -80,7 +80,7 @@ class GraphNode(Node):
 
 @dataclass(frozen=True)
 class NodeParameter:
-    """A node parameter.
+    """A parameter of a node; it cannot be changed while the node runs.
 
     Attributes:
         name: name of the parameter.
@@ -89,7 +89,6 @@ class NodeParameter:
         low: least number allowed.
         high: greatest number allowed.
         choices: texts allowed; any by default.
-        read_only: whether it cannot be changed while the node runs.
     """
 
     name: str
@@ -98,11 +97,10 @@ class NodeParameter:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
-    read_only: bool = True
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what `ros2 param describe` shows."""
-        descriptor = ParameterDescriptor(description=self.description, read_only=self.read_only)
+        descriptor = ParameterDescriptor(description=self.description, read_only=True)
         if self.choices:
             descriptor.additional_constraints = f"one of: {', '.join(self.choices)}"
         if self.low is not None and self.high is not None:

@@ -1,7 +1,4 @@
-"""For the packages' own tests, run by `colcon test`: starts nodes as installed and looks at them from outside.
-
-A pytest plugin; a test module that names it has the fixtures `watcher` and `start`, and says its `PACKAGE`.
-"""
+"""Starts nodes as installed and looks at them from outside: a pytest plugin with the fixtures `watcher` and `start`."""
 
 from __future__ import annotations
 
@@ -41,12 +38,11 @@ def watcher(monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
 
 
 @pytest.fixture
-def start(watcher: Node, request: pytest.FixtureRequest) -> Iterator[Start]:
-    """Give what starts an executable of `PACKAGE` of the test's module, or of another; none outlives the test."""
+def start(watcher: Node) -> Iterator[Start]:
+    """Give what starts an executable of a package; none outlives the test."""
     started: list[subprocess.Popen[str]] = []
 
-    def start(name: str, *arguments: str, package: str | None = None) -> subprocess.Popen[str]:
-        package = package or str(request.module.PACKAGE)
+    def start(package: str, name: str, *arguments: str) -> subprocess.Popen[str]:
         file = Path(get_package_prefix(package)) / "lib" / package / name
         process = subprocess.Popen(
             [file, "--ros-args", *arguments],
