@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -158,19 +157,6 @@ def test_replay_of_the_folder(replays_the_same: Check, campaigns: dict[float, Ca
     replays_the_same(campaigns[1.0].bags)
 
 
-def test_each_bag_named_and_one_named_twice(replays_the_same: Check, campaign: Campaign) -> None:
-    bags = sorted(campaign.bags.iterdir(), reverse=True)
-    replays_the_same(*bags, bags[0], *bags[1].glob("*.mcap"))
-
-
-def test_files_copied_elsewhere_without_metadata(replays_the_same: Check, campaign: Campaign, tmp_path: Path) -> None:
-    flat = tmp_path / "flat"
-    flat.mkdir()
-    for number, file in enumerate(reversed(files_of(campaign))):
-        shutil.copy(file, flat / f"{number}.mcap")
-    replays_the_same(flat)
-
-
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD])
 def test_merged_shuffled_compressed_and_mixed(
     replays_the_same: Check, campaign: Campaign, tmp_path: Path, store: Typestore, compression: CompressionType
@@ -185,15 +171,6 @@ def test_merged_shuffled_compressed_and_mixed(
     other += [dataclasses.replace(item, topic="/other/odometry") for item in items if item.topic == "/ego/odometry"]
     merged = tmp_path / "merged.mcap"
     write_items(merged, shuffled([*items, *latched, *latched, *other]), compression=compression)
-    replays_the_same(merged)
-
-
-@pytest.mark.parametrize(("chunks", "summary"), [(False, True), (True, False)])
-def test_without_chunks_or_summary(
-    replays_the_same: Check, campaign: Campaign, tmp_path: Path, chunks: bool, summary: bool
-) -> None:
-    merged = tmp_path / "merged.mcap"
-    write_items(merged, shuffled(read_items(files_of(campaign))), chunks=chunks, summary=summary)
     replays_the_same(merged)
 
 
@@ -327,14 +304,3 @@ def test_without_states(refused: Callable[..., str], campaign: Campaign, tmp_pat
     line = refused(file)
     assert "states of episode" in line
     assert "recorded" in line
-
-
-def test_episodes_of_another_version(refused: Callable[..., str], campaign: Campaign, tmp_path: Path) -> None:
-    def age(item: Item) -> Item:
-        if item.topic != "/skd/episode":
-            return item
-        return dataclasses.replace(item, definition=item.definition.replace("uint32 simulations", "uint32 budget"))
-
-    file = tmp_path / "x.mcap"
-    write_items(file, [age(item) for item in read_items(files_of(campaign))])
-    assert "another version" in refused(file)

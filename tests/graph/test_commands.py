@@ -69,15 +69,6 @@ def test_two_answers_a_tick(
         assert f"twice, with {how}" in log.reason
 
 
-def test_more_than_the_car_can_do_is_counted(
-    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
-) -> None:
-    theirs = dataclasses.replace(replay, controller="external", knowledge="nothing")
-    log = run(context, domain, tmp_path, theirs, ("rocket", {}), ours=(ADVERSARY,), count=1)[0]
-    assert log.outcome != Outcome.ABORTED, log.reason
-    assert log.clipped == len(log.car) - 1
-
-
 def test_answers_to_a_tick_that_is_repeated(
     context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode
 ) -> None:

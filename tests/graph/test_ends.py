@@ -7,20 +7,15 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
 import time
 import uuid
 from pathlib import Path
 
 import pytest
-import rclpy
 from common import PATIENCE, new_domain, wait_until
 from graph_support import assert_all_gone, in_domain, whole_graph
-from managed_node import LatchingBrake
-from rclpy.executors import SingleThreadedExecutor
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.ros import processes
-from skd_evaluator.ros.stack import LifecycleNodes
 from skd_sim.world.episode import Episode, EpisodeLog
 
 HANGS = """
@@ -147,23 +142,3 @@ def test_a_command_whose_own_node_hangs_in_its_end(tmp_path: Path, safe: Path) -
     finally:
         process.kill()
         process.communicate()
-
-
-def test_a_managed_node_that_does_not_answer_at_the_end(domain: int) -> None:
-    """It is left as it is: taking it down is a courtesy, and an assessment does not wait for it."""
-    node = LatchingBrake()
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    nodes = LifecycleNodes(rclpy.get_default_context(), ["/latching_brake"], patience=PATIENCE)
-    try:
-        assert nodes.before_episode() is None
-    finally:
-        executor.shutdown()
-        thread.join()
-        begin = time.monotonic()
-        nodes.close()
-        took = time.monotonic() - begin
-        node.destroy_node()
-    assert 1.5 < took < 2.0 + MARGIN

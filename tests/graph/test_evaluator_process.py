@@ -79,14 +79,6 @@ def test_a_car_that_is_not_what_it_seems_is_said_to_be_so(tmp_path: Path, graph:
     assert len(list((tmp_path / "out" / "bags").iterdir())) == trials + 12  # no drive alone, none that is run again
 
 
-def test_aborted_episode_is_code_1_with_the_reason(tmp_path: Path):
-    parameters = {"task": "episode", "silence_limit": 1.0, "out": tmp_path / "out"}
-    finished = node("evaluator", new_domain(), **parameters).finish()
-    assert finished.code == 1
-    assert "nothing was heard of the vehicle simulator for 1 s" in finished.lines[-1]
-    assert json.loads((tmp_path / "out" / "episode.json").read_text())["outcome"] == "aborted"
-
-
 def test_interrupted_leaves_nothing(tmp_path: Path):
     program = node("evaluator", new_domain(), task="episode", mode="safe", out=tmp_path / "out")
     wait_until(lambda: list(tmp_path.iterdir()), "the evaluator's temporary folder")

@@ -52,47 +52,6 @@ def test_a_signal_during_the_imports(tmp_path: Path, name: str, number: int) -> 
     assert finished.err == said
 
 
-@pytest.mark.parametrize(
-    "then",
-    [
-        "pass",
-        "sys.excepthook(*sys.exc_info()); raise ImportError('numpy._core.multiarray failed to import')",
-    ],
-)
-def test_an_import_that_makes_something_else_of_the_signal(tmp_path: Path, then: str) -> None:
-    """As Python 3.11 does where a class is made, and numpy in C; it must not become a traceback, nor be forgotten."""
-    (tmp_path / "numba.py").write_text(SLOW_IMPORT.format(then=then))
-    command, code = PROGRAMS["evaluator"]
-    finished = interrupted(command, signal.SIGINT, tmp_path)
-    assert (finished.code, finished.err) == (code, "")
-
-
-def test_an_error_of_an_import_is_said(tmp_path: Path) -> None:
-    (tmp_path / "numba.py").write_text("raise ImportError('no numba here')")
-    environment = {"SKD_ENV": str(Path(sys.executable).parent), "PYTHONPATH": _first_on_path(tmp_path)}
-    finished = Program(PROGRAMS["vehicle_simulator"][0], environment).finish()
-    assert (finished.code, finished.lines[-1]) == (1, "ImportError: no numba here")
-
-
-SLOW_NODE = """
-import sys, time
-from skd_sim.ros.support import run_node
-
-def make():
-    print("importing", flush=True)
-    for _ in range(100_000):  # one long sleep misses a signal that comes just before it
-        time.sleep(0.01)
-
-sys.exit(run_node(make, [], interrupted=130))
-"""
-
-
-def test_a_signal_while_a_node_is_made(tmp_path: Path) -> None:
-    """It does not wait for what the node does at its start, which may be to compile."""
-    finished = interrupted([sys.executable, "-c", SLOW_NODE], signal.SIGTERM, tmp_path)
-    assert (finished.code, finished.err) == (130, "")
-
-
 SECOND_SIGNAL = """
 import os, signal, sys
 from skd_sim.start import start
@@ -115,30 +74,3 @@ def test_a_signal_while_python_itself_ends(number: int, said: str) -> None:
     """SIGINT is ignored (1), and by the kernel, for Python takes its handlers away before its end; SIGTERM ends."""
     finished = Program([sys.executable, "-c", SECOND_SIGNAL, str(int(number))]).finish()
     assert (finished.code, finished.out, finished.err) == (3, said, "")
-
-
-LOST = """
-import ctypes, os, signal, sys, time
-from skd_sim.ros.support import run_node
-
-@ctypes.CFUNCTYPE(None)
-def callback():
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(0.1)
-
-class Node:
-    def destroy_node(self):
-        pass
-
-def make():
-    callback()
-    return Node()
-
-sys.exit(run_node(make, [], lambda node: [time.sleep(0.01) for _ in range(100_000)] and 5, interrupted=130))
-"""
-
-
-def test_a_signal_in_a_callback_that_no_exception_can_leave() -> None:
-    """As LLVM's, while numba compiles."""
-    finished = Program([sys.executable, "-c", LOST]).finish()
-    assert (finished.code, finished.err) == (130, "")

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from matplotlib.colors import to_rgb
-from skd_evaluator import palette
 from skd_evaluator.assessment.run.assembly import Samples
 from skd_evaluator.ros.visualization import episode_markers
 from skd_sim.scenario.road import ONCOMING, Lane, Road, road_pose
@@ -18,7 +16,6 @@ from skd_sim.world.episode import Episode, Mode
 from visualization_msgs.msg import Marker
 
 RIGHT_TURN, CROSSING = load_scenario("right_turn"), load_scenario("crossing")
-BOX = replace(CROSSING.adversary, radius=None, length=1.8, width=0.6)
 
 
 def shown(scenario: Scenario, car: tuple[float, float] | None, *walked: tuple[float, float]) -> dict[int, Marker]:
@@ -64,16 +61,3 @@ def test_the_car_is_turned_along_the_lane() -> None:
     assert heading(car) == pytest.approx(along)
     assert (car.pose.position.x, car.pose.position.y) == pytest.approx((x, y))  # of the middle, its reference point
     assert (car.scale.x, car.scale.y) == pytest.approx((4.5, 1.8))
-
-
-def test_a_disc_is_a_cylinder_and_a_box_is_a_box() -> None:
-    disc = shown(CROSSING, (0.0, -9.0), (-3.5, 0.0), (-3.5, 0.75))[Marker.CYLINDER]
-    assert (disc.scale.x, disc.scale.y) == (0.5, 0.5)
-    box = shown(replace(CROSSING, adversary=BOX), None, (-3.5, 0.0), (-3.5, 0.75))[Marker.CUBE]
-    assert (box.scale.x, box.scale.y) == (1.8, 0.6)
-    assert heading(box) == pytest.approx(math.pi / 2)
-
-
-def test_colours_are_those_of_every_picture() -> None:
-    kamikaze = shown(CROSSING, (0.0, -9.0), (-3.5, 0.0), (-3.5, 0.75))[Marker.CYLINDER].color
-    assert (kamikaze.r, kamikaze.g, kamikaze.b, kamikaze.a) == pytest.approx((*to_rgb(palette.KAMIKAZE), 1.0))

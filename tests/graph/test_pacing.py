@@ -75,25 +75,6 @@ def test_a_car_that_only_follows_the_clock(tmp_path: Path, replay: Episode) -> N
         assert periods - 2 <= len(log.timing.ages) <= periods  # fewer where the contact was within a tick
 
 
-def test_a_car_that_follows_the_clock_in_real_time(tmp_path: Path, replay: Episode) -> None:
-    """It says nothing until the clock has moved after the first state, and that clock is the simulator's."""
-    node = shlex.join([sys.executable, str(HERE / "fake_nodes.py"), "clock"])
-    options = GraphOptions(controller_command=node, pacing="real_time", slip_limit=STALL, startup_timeout=PATIENCE)
-    external = dataclasses.replace(replay, controller="external", knowledge="nothing")
-    wanted = [dataclasses.replace(external, episode_id=external.episode_id + number) for number in range(6)]
-    with whole_graph(tmp_path, options) as (evaluator, _):
-        logs = [evaluator.run_episode(episode) for episode in wanted[:2]]
-        for episode in wanted[2:]:  # on a busy machine some ticks may come late
-            if all(log.outcome == Outcome.ABORTED for log in logs):
-                logs.append(evaluator.run_episode(episode))
-    assert all(log.outcome != Outcome.ABORTED or kind_of(log.reason) == AbortKind.SLIPPED for log in logs), logs
-    driven = [log for log in logs if log.outcome != Outcome.ABORTED]
-    assert driven
-    for log in driven:  # it has heard where it is, and brakes for a tick (0.9 m/s) or more before any contact
-        unbraked = run_episode(dataclasses.replace(log.episode, controller="basic", multiplier=0.0))
-        assert log.car[-1, 2] < unbraked.car[: len(log.car)][-1, 2] - 0.5
-
-
 def stall(evaluator: Evaluator, token: str) -> None:
     """Stop the simulator for a moment, once the next episode is under way."""
     last = evaluator._key

@@ -101,9 +101,3 @@ def test_an_episode_in_four_terminals(checkout):
     episode = json.loads((checkout / "skd_results" / "episode" / "episode.json").read_text())
     assert episode["outcome"] == "collision"
     assert list((checkout / "skd_results" / "episode" / "bags").rglob("*.mcap"))
-
-
-def test_example_imports_nothing_of_the_project():
-    text = (ROOT / "examples" / "vendor_controller" / "vendor_controller.py").read_text(encoding="utf-8")
-    modules = set(re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE))
-    assert modules == {"math", "rclpy", "geometry_msgs", "nav_msgs", "rcl_interfaces"}

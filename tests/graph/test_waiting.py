@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import shlex
-import signal
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 from common import wait_until
 from geometry_msgs.msg import AccelStamped, Twist
-from graph_support import HERE, Program, skd_command
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -128,30 +122,4 @@ def test_a_stack_that_hears_nothing(graph: Any) -> None:
     stack.create_subscription(Odometry, "/odom", lambda _: None, 10)
     assert said(graph).endswith(
         "/stack is there and has not published yet; /stack listens to /odom, where nobody publishes: remap it"
-    )
-
-
-def test_the_terminal(tmp_path: Path, safe: Path) -> None:
-    """It is said by the command, after ten seconds, before anything is aborted."""
-    program = Program(
-        skd_command(
-            *("assess", "--graph", "--knowledge", "nothing", "--controller", "external", "-p", "startup_timeout:=300"),
-            *("--controller-command", shlex.join([sys.executable, f"{HERE}/hostile_nodes.py", "elsewhere"])),
-            *("--safe", safe, "--safe-count", 1, "--out", tmp_path / "out"),
-        )
-    )
-    assert program.popen.stderr is not None
-    printed: list[str] = []
-    for line in program.popen.stderr:
-        printed.append(line)
-        if "waiting for" in line:
-            break
-    assert "waiting for" in printed[-1], (program.popen.wait(), printed)
-    program.popen.send_signal(signal.SIGINT)
-    assert program.finish().code == 130
-    assert re.fullmatch(
-        f"skd: waiting for {COMMANDS} \\(10 s\\): nobody publishes on {COMMANDS}, but "
-        "(messages of /hostile_elsewhere arrive|/hostile_elsewhere publishes) on /brake "
-        "\\(geometry_msgs/msg/AccelStamped\\), and nobody listens there: -p command_topic:=/brake, or remap it\n",
-        printed[-1],
     )

@@ -15,11 +15,9 @@ from common import wait_until
 from nav_msgs.msg import Odometry
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, LaserScan, PointCloud2
 from skd_sim.options.options import StateOptions
-from skd_sim.ros import state_publisher
 from skd_sim.ros.state_publisher import StatePublisher
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.simulators.simulator import Frame, WorldSimulator
@@ -228,51 +226,6 @@ def test_the_looks_change_with_the_car_only(ears: Any) -> None:
     assert looks[0].data != looks[1].data
     mounts = [message.transforms[-1].transform.translation.x for message in graph.wait_for("/tf_static", 2)]
     assert mounts == [episode.scenario.sensor.mount_ahead for episode in (one, other)]
-
-
-class Mute:
-    """Stands for a publisher on whose topic nobody listens."""
-
-    def __init__(self, kind: type) -> None:
-        self.kind = kind
-
-    def get_subscription_count(self) -> int:
-        return 0
-
-    def publish(self, message: Any) -> None:
-        kept = deserialize_message(message, self.kind) if isinstance(message, bytes) else message
-        assert isinstance(kept, (Clock, Odometry)) or self.kind in (String, TFMessage)
-        published.append(self.kind)
-
-
-published: list[type] = []
-
-
-class Recluse:
-    """Stands for a node that nobody knows."""
-
-    def create_publisher(self, kind: type, _topic: str, _profile: Any) -> Mute:
-        return Mute(kind)
-
-    def get_logger(self) -> Any:
-        return rclpy.logging.get_logger("recluse")
-
-
-def test_what_nobody_hears_is_not_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_arguments: Any) -> None:
-        raise AssertionError("it was made")
-
-    of_states = ("car_to_odometry", "car_to_transform", "adversary_to_odometry", "inertia_to_message")
-    for name in (*of_states, "scan_to_message", "scan_to_points", "detections"):
-        monkeypatch.setattr(state_publisher, name, fail)
-    published.clear()
-    episode = sharp("crossing")
-    states_ = StatePublisher(Recluse(), StateOptions(), clock=True)  # type: ignore[arg-type]
-    states_.begin(episode, START)
-    for frame, stamp in states(episode, 3):
-        states_.tell_time(stamp)
-        states_.publish(frame, stamp)
-    assert published == [TFMessage, String]  # which are latched
 
 
 def test_a_transform_is_said_again_only_to_those_who_came_since(ears: Any) -> None:

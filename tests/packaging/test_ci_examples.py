@@ -46,10 +46,6 @@ def test_commands_are_ones_that_there_are(name):
     assert asked.fail_if_worse_than is not None
 
 
-def test_both_ask_for_the_same():
-    assert ours("github-actions.yml") == ours("gitlab-ci.yml")
-
-
 def test_what_is_made_is_kept():
     github = yaml.safe_load((FOLDER / "github-actions.yml").read_text(encoding="utf-8"))
     steps = github["jobs"]["rating"]["steps"]

@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from skd_sim.kernels.compilation import arithmetic_digest
-
-
-def test_another_process_finds_the_same():
-    code = "from skd_sim.kernels.compilation import arithmetic_digest; print(arithmetic_digest())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == arithmetic_digest()
 
 
 @pytest.mark.parametrize(("module", "name"), [(math, "sin"), (math, "lgamma"), (np, "exp"), (np, "arctan2")])

@@ -56,13 +56,6 @@ def test_there_and_back(placement: Placement, x: float, y: float, heading: float
     assert back.speed == 3.0
 
 
-@given(placement=PLACEMENTS, x=COORDINATES, y=COORDINATES)
-def test_distances_and_handedness_stay(placement: Placement, x: float, y: float) -> None:
-    """A rigid motion by the rotation matrix, computed here by complex numbers."""
-    expected = complex(placement.x, placement.y) + complex(x, y) * np.exp(1j * placement.yaw)
-    assert placement.point_to_map(x, y) == pytest.approx((expected.real, expected.imag), abs=1e-9)
-
-
 @pytest.mark.parametrize("yaw", [-3.0, -1.2, 0.0, 0.7, 3.1])
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.05, -0.1)])
 def test_yaw_of_a_leaning_car(yaw: float, roll: float, pitch: float) -> None:

@@ -22,10 +22,6 @@ SCENARIO = load_scenario("crossing")
 RNG = np.random.default_rng(0)
 
 
-def test_the_nine_multipliers_of_the_paper() -> None:
-    assert PAPER_MULTIPLIERS == (0.5, 0.625, 0.75, 0.875, 1.0, 1.05, 1.1, 1.125, 1.15)
-
-
 def test_basic_law_includes_its_boundaries() -> None:
     trigger = 9.921
     for distance, expected in [

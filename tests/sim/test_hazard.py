@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from importlib import resources
 
@@ -18,7 +17,6 @@ from skd_sim.controllers.cal import (
     STANDOFF,
     HazardNetwork,
     Perception,
-    associate,
     on_collision_course,
     segment,
     shipped_network,
@@ -114,14 +112,6 @@ def test_velocity_from_scans_that_come_more_often_is_over_as_long_a_time(period)
         place += period * (velocity if index * period < 0.6 - 1e-9 else turned)
 
 
-def test_what_is_new_or_wide_is_taken_to_stand():
-    before = np.array([[0.0, 0.0, 0.5], [5.0, 5.0, 4.0]])
-    now = np.array([[0.3, 0.0, 0.5], [5.3, 5.0, 4.0], [20.0, 0.0, 0.5]])
-    velocities = associate(now, before, np.full((2, 4), math.nan), 0.3)
-    np.testing.assert_allclose(velocities[:, :2], [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
-    assert np.isnan(velocities[:, 2]).tolist() == [False, True, True]
-
-
 def test_who_has_just_come_into_view_may_run_towards_the_path():
     """8 km/h, as Euro NCAP's running adult, for as long as the car needs to stand; a parked car is taken to stand."""
     car = CarState(0.0, -12.0, HEADING_NORTH, 5.0)
@@ -153,14 +143,6 @@ def test_inference_against_matrix_products():
     hidden = np.maximum(0, np.maximum(0, rows @ network.w1 + network.b1) @ network.w2 + network.b2)
     expected = 1.0 / (1.0 + np.exp(-(hidden @ network.w3 + network.b3)[:, 0]))
     np.testing.assert_allclose(network.probability(rows), expected, rtol=1e-12)
-
-
-def test_a_row_has_the_same_bits_alone_and_in_company():
-    network, rows = random_network(), np.random.default_rng(0).normal(size=(600, 3))
-    together = network.probability(rows)
-    alone = np.concatenate([network.probability(rows[i : i + 1]) for i in range(len(rows))])
-    assert together.tobytes() == alone.tobytes()
-    assert len(network.probability(np.empty((0, 3)))) == 0
 
 
 # --- the shipped network

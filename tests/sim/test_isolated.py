@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import faulthandler
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -15,7 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from common import PATIENCE, wait_until
 from skd_sim.controllers import isolated as module
@@ -25,7 +23,6 @@ from skd_sim.controllers.isolated import (
     IsolatedProcess,
     LostProcessError,
     begin_call,
-    end_call,
     end_children,
     isolated,
     set_call_limit,
@@ -76,18 +73,6 @@ def hang(how: str) -> None:
         ctypes.PyDLL(None).sleep(1000)
     else:
         os.kill(os.getpid(), signal.SIGSTOP)
-
-
-def in_time(seconds: float) -> str:
-    begin_call(10.0)
-    time.sleep(seconds)
-    end_call()
-    time.sleep(seconds)  # what is no call of others' code may take as long as it likes
-    return "done"
-
-
-def draws(_item: object) -> tuple[float, float]:
-    return random.random(), float(np.random.random())  # noqa: NPY002 - what a user's controller may do
 
 
 def bear(item: tuple[Path, str]) -> None:
@@ -166,27 +151,12 @@ def test_a_call_that_does_not_end_is_broken_off(how: str) -> None:
     assert time.monotonic() - begin < 5.0
 
 
-def test_other_work_may_take_longer_than_a_call() -> None:
-    set_call_limit(0.2)
-    assert isolated("mine", in_time, 0.6) == "done"
-
-
 def test_children_that_end_at_once_end_the_assessment() -> None:
     for _ in range(FAILED_STARTS - 1):
         with pytest.raises(LostProcessError):
             isolated("mine", leave, 3)
     with pytest.raises(AssessmentError, match=r"3 starts in a row failed.*exit code 3"):
         isolated("mine", leave, 3)
-
-
-def test_each_child_draws_otherwise() -> None:
-    """A car that draws from the generators that all share must not seem to repeat itself."""
-    children = [IsolatedProcess() for _ in range(2)]
-    first, second = (child.run(draws, None) for child in children)
-    for child in children:
-        child.close()
-    assert first[0] != second[0]
-    assert first[1] != second[1]
 
 
 @pytest.mark.parametrize("end", ["", "exit", "hang", "close"])

@@ -68,16 +68,6 @@ def test_rectangle_against_shapely(x, y, heading, half_length, half_width, beari
     assert found == pytest.approx(first_hit(box, bearing), abs=1e-6)
 
 
-def test_adversary_straight_ahead_of_the_bumper():
-    """Nearest return at the gap less the radius; it subtends 2·asin(r/d)."""
-    laser = PlanarLaser(CROSSING, 0, 0)
-    car = CarState(0.0, -10.0, HEADING_NORTH, 5.0)
-    ranges = laser.true_ranges(car, AdversaryState(0.0, 0.0, 0.0, 0.0))
-    distance = 10.0 - CROSSING.car.front
-    assert ranges.min() == pytest.approx(distance - 0.25)
-    assert np.isfinite(ranges).sum() == pytest.approx(math.degrees(2 * math.asin(0.25 / distance)) / 0.125, abs=1.0)
-
-
 def test_the_whole_fan_against_shapely_with_a_turned_car():
     car, adversary = CarState(2.0, -7.0, 1.1, 5.0), AdversaryState(4.5, 1.0, 0.0, 0.0)
     parked = Obstacle(-1.0, 2.0, 0.4, 4.3, 1.8), Obstacle(6.0, 3.0, -1.2, 2.0, 1.0)
@@ -117,13 +107,6 @@ def test_a_guard_rail_hides_nobody_and_blocks_ways():
     assert "hides" not in scenario_from_dict(data).as_dict()["obstacles"][0]
     data["obstacles"][0]["hides"] = False
     assert scenario_from_dict(data).as_dict()["obstacles"][0]["hides"] is False
-
-
-def test_maximum_range():
-    laser = PlanarLaser(scenario(maximum_range=7.0, range_noise=0.0, dropout=0.0), 0, 0)
-    for gap, seen in ((7.2, True), (7.3, False)):  # less the radius of 0.25 m
-        car = CarState(0.0, -gap - CROSSING.car.front, HEADING_NORTH, 0.0)
-        assert np.isfinite(laser.scan(car, AdversaryState(0, 0, 0, 0), 0).ranges).any() == seen
 
 
 def test_noise_and_dropouts_have_the_stated_distribution():

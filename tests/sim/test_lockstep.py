@@ -116,16 +116,6 @@ def test_what_is_not_finite_ends_it(bench: Bench, bad: float, tick: int) -> None
     assert end.reason == f"not a finite number: the car controller commanded {bad}"
 
 
-def test_one_bad_number_of_two_is_enough(bench: Bench) -> None:
-    end = bench.lockstep.walk(stamp(0), (1.0, math.nan))
-    assert isinstance(end, End)
-    assert end.reason == "not a finite number: the adversary commanded 1.0, nan"
-
-
-def test_a_bad_number_for_another_tick_is_a_wrong_stamp_only(bench: Bench) -> None:
-    assert bench.lockstep.drive(stamp(1), math.nan) is None
-
-
 def test_a_command_without_a_stamp_is_for_now(bench: Bench) -> None:
     """A type of message that has none; that it comes twice cannot be told from two ticks."""
     for tick in range(3):
@@ -165,16 +155,6 @@ def test_each_who_is_silent_is_named_with_its_own_reason(bench: Bench) -> None:
     )
 
 
-def test_repetitions_of_an_answer_are_no_wrong_stamps(bench: Bench) -> None:
-    """Who answers tick 0 twice and is then silent is silent, and nothing else."""
-    bench.go_to(1)
-    bench.lockstep.drive(stamp(0), 1.0)
-    bench.lockstep.walk(stamp(1), (1.0, 0.0))
-    end = bench.lockstep.watch(bench.now + 2.1)
-    assert isinstance(end, End)
-    assert kind_of(end.reason) == AbortKind.NO_ANSWER
-
-
 def test_a_node_that_hangs_is_not_one_of_wrong_stamps(bench: Bench) -> None:
     """It sent something of no use early, then answered some ticks, and then nothing more."""
     bench.lockstep.drive(stamp(4), 1.0)
@@ -210,11 +190,6 @@ def test_two_nodes_of_one_kind_are_refused_whether_they_speak_or_not(bench: Benc
     assert end.reason == "second sender: 2 nodes publish ego/acceleration_command, one may: /one, /two"
 
 
-def test_the_dead_are_no_crowd(bench: Bench) -> None:
-    bench.cars.dead = 3
-    assert bench.lockstep.watch(bench.now) is None
-
-
 @pytest.mark.parametrize("when", ["begin", "end"])
 def test_a_crowd_is_seen_at_begin_and_end(when: str) -> None:
     bench = Bench()
@@ -240,24 +215,6 @@ def test_the_simulator_says_when_it_is_over(bench: Bench, outcome: Outcome) -> N
 def test_the_impact_is_within_its_tick() -> None:
     assert frame(3, Outcome.COLLISION, Contact(0.25, 7.5)).impact(TIME_STEP) == pytest.approx((0.6 + 0.075, 7.5))
     assert all(map(math.isnan, frame(3).impact(TIME_STEP)))
-
-
-def test_a_simulator_that_fails_ends_it(bench: Bench) -> None:
-    bench.go_to(1)
-    end = bench.lockstep.fail("no answer: it is gone")
-    assert end == End(Outcome.ABORTED, frame(1), stamp(1), "no answer: it is gone")
-    assert bench.lockstep.fail("again") is None
-
-
-def test_without_an_episode_nothing_matters() -> None:
-    bench = Bench()
-    for _ in range(2):
-        assert bench.lockstep.drive(stamp(0), math.nan) is None
-        assert bench.lockstep.walk(stamp(0), (1.0, 0.0)) is None
-        assert bench.lockstep.watch(1e9) is None
-        assert bench.lockstep.go_on() is None
-        bench.begin()
-        bench.lockstep.stop()
 
 
 def test_an_episode_knows_nothing_of_the_last(bench: Bench) -> None:

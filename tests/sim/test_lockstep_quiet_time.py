@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from lockstep_bench import LIMITS, START, Bench, stamp
+from lockstep_bench import START, Bench, stamp
 from skd_sim.ros.lockstep import LEAD, ControlStep, End, Repeat
 from skd_sim.world.episode import AbortKind, kind_of
 
@@ -87,11 +87,3 @@ def test_a_car_that_follows_the_clock_and_is_gone_ends_the_episode(quiet: Bench)
     end = quiet.lockstep.watch(quiet.now)
     assert isinstance(end, End)
     assert kind_of(end.reason) == AbortKind.ENDED
-
-
-def test_a_car_that_never_speaks_is_waited_for_as_long_as_a_start_may_take(quiet: Bench) -> None:
-    quiet.lockstep.walk(stamp(0), (2.0, 0.0))
-    quiet.now += LIMITS.startup + 0.1
-    end = quiet.lockstep.watch(quiet.now)
-    assert isinstance(end, End)
-    assert kind_of(end.reason) == AbortKind.NO_ANSWER

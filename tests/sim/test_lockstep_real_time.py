@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from lockstep_bench import LIMITS, START, Bench, stamp
+from lockstep_bench import START, Bench, stamp
 from skd_sim.ros.lockstep import LEAD, ControlStep, End, Repeat, Start
 
 
@@ -48,14 +48,6 @@ def test_the_clock_begins_before_the_episode(real_time: Bench) -> None:
     assert real_time.lockstep.go_on() == ControlStep(2.0, (1.0, 0.0))
     assert real_time.advance(1) is None
     assert real_time.lockstep.lead == 0
-
-
-def test_real_time_waits_for_both_as_long_as_lockstep_does(real_time: Bench) -> None:
-    real_time.lockstep.drive(stamp(0), 1.0)
-    assert real_time.lockstep.watch(real_time.now + LIMITS.startup) == Repeat()
-    end = real_time.lockstep.watch(real_time.now + LIMITS.startup + 0.01)
-    assert isinstance(end, End)
-    assert end.reason.startswith("no answer: the adversary")
 
 
 def test_in_real_time_only_who_is_gone_is_missed(real_time: Bench) -> None:

@@ -80,23 +80,6 @@ def test_stops_are_as_long_as_the_closed_form_says(deceleration: float, mass: fl
     assert abs(log.car[-1, 1] - log.car[stopped, 1]) < 0.1
 
 
-def test_a_wet_road_and_a_heavy_car_brake_less_at_full_pedal() -> None:
-    road = load_scenario("crossing_multi_body")
-    wet = replace(road, road=replace(road.road, friction=0.5))
-    heavy = replace(road, car=replace(road.car, mass=1800.0))
-    dry, slippery, weighty = (MetaDriveSimulator().described(one)["limits"] for one in (road, wet, heavy))
-    assert slippery[0] > dry[0] + 0.5
-    assert weighty[0] > dry[0] + 2.0
-    assert weighty[1] == pytest.approx(dry[1] * 1100.0 / 1800.0, rel=0.02)
-    with pytest.raises(UsageError, match=r"car\.mass 3000 kg is more than the springs"):
-        MetaDriveSimulator().described(replace(road, car=replace(road.car, mass=3000.0)))
-
-
-def test_commands_beyond_the_pedals_are_clipped_and_counted() -> None:
-    assert run(still(-80.0, ticks=3), controller=Brakes(30.0)).clipped == 3
-    assert run(still(-80.0, ticks=3), controller=Brakes(13.0)).clipped == 0
-
-
 def test_the_adversary_is_where_it_was_commanded() -> None:
     """By SKD to the last bit, and by MetaDrive, whose numbers have 24 bits, within a hundredth of a millimetre."""
     simulator = MetaDriveSimulator()

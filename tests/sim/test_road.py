@@ -15,7 +15,6 @@ from skd_sim.scenario.road import (
     centre_line,
     is_straight_north,
     right_and_along,
-    road_curvature,
     road_pose,
     road_position,
 )
@@ -142,27 +141,11 @@ def test_the_edges_are_half_a_lane_from_the_centre_line() -> None:
     assert Road(3.5).edge(-1.0, -6.0, 2.0).tolist() == [[-1.75, -6.0], [-1.75, 2.0]]
 
 
-@pytest.mark.parametrize("k", [0.1, -0.1])
-@pytest.mark.parametrize("left", [-3.0, 0.0, 3.0])
-def test_where_two_curves_meet_nothing_is_lost(k: float, left: float) -> None:
-    """A joint of two arcs, and of an arc and what comes beyond: the foot belongs to either, by rounding to neither."""
-    for parts in ([(5.0, k), (7.0, 0.5 * k)], [(5.0, k), (7.0, -k)], [(5.0, 0.05), (7.0, k)]):
-        line = centre_line(parts, 6.0)
-        for s in (line[0, 0], line[1, 0], line[1, 0] + line[1, 5]):
-            x, y, heading = road_pose(line, s)
-            found = road_position(line, x - left * math.sin(heading), y + left * math.cos(heading))
-            assert found == pytest.approx((s, left), abs=1e-7)
-
-
 def test_half_a_circle_is_followed_to_its_ends() -> None:
     line = centre_line([(10.0, 0.0), (8.0 * math.pi, 1.0 / 8.0), (10.0, 0.0)], 0.0)
     for s in np.linspace(8.0, 12.0 + 8.0 * math.pi, 60):
         x, y, _ = road_pose(line, s)
         assert road_position(line, x, y) == pytest.approx((s, 0.0), abs=1e-7)
-
-
-def test_curvature_is_that_of_the_part() -> None:
-    assert [road_curvature(RIGHT_TURN, s) for s in (-50.0, -10.0, 0.0, 10.0, 40.0)] == [0.0, 0.0, -1.0 / 8.0, 0.0, 0.0]
 
 
 @given(x=st.floats(-1e3, 1e3), y=st.floats(-1e3, 1e3))

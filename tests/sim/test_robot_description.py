@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import replace
 
 import pytest
 from skd_sim.options.options import Frames
@@ -40,9 +39,3 @@ def test_the_links_are_a_tree_of_fixed_joints() -> None:
     assert joint.attrib["type"] == "fixed"
     assert [joint.find(end).attrib["link"] for end in ("parent", "child")] == ["car/body", "front"]  # type: ignore[union-attr]
     assert numbers(joint.find("origin"), "xyz")[:2] == [2.25, 0.0]  # sensor.mount_ahead: the bumper of a car of 4.5 m
-
-
-def test_a_car_without_a_laser_has_no_link_of_one() -> None:
-    robot = ElementTree.fromstring(robot_description(replace(load_scenario("crossing"), sensor=None)))
-    assert [link.attrib["name"] for link in robot.findall("link")] == ["base_link"]
-    assert not robot.findall("joint")

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -32,15 +31,3 @@ def test_positions_are_a_copy_and_read_only() -> None:
 def test_wrong_shape(points: np.ndarray) -> None:
     with pytest.raises(ValueError, match="n × d"):
         Trajectory(points, 0.3)
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_not_finite(bad: float) -> None:
-    with pytest.raises(ValueError, match="'walk' has a position that is not finite"):
-        Trajectory(np.array([[0.0, bad]]), 0.3, "walk")
-
-
-@pytest.mark.parametrize("time_step", [0.0, -0.3, math.nan])
-def test_wrong_time_step(time_step: float) -> None:
-    with pytest.raises(ValueError, match="time step"):
-        Trajectory(POINTS, time_step)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from skd_sim.scenario.scenario import Scenario, load_scenario
-from skd_sim.simulators.simulator import Frame, WorldSimulator
+from skd_sim.simulators.simulator import WorldSimulator
 from skd_sim.world.contact import rectangle_distance, to_car_frame
 from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
 from skd_sim.world.sensors import PlanarLaser
@@ -152,19 +152,6 @@ def test_after_a_contact_the_tick_ends_under_the_same_command() -> None:
     assert (world.tick, world.period) == (tick + 1, 0)
     assert world.car.speed == pytest.approx(before.speed - (6 - period) * 0.05)
     assert period / 6 <= contact.fraction <= (period + 1) / 6
-
-
-def test_an_episode_ends_at_ticks_only() -> None:
-    simulator = WorldSimulator()
-    frame = simulator.reset(Episode(clocked(CROSSING, 3), Mode.SAFE, 1, 1))
-    seen: list[Frame] = [frame]
-    while frame.outcome == Outcome.RUNNING:
-        frame = simulator.step(-3.0, (2.5, 0.0))
-        seen.append(frame)
-    assert [(one.tick, one.period) for one in seen] == [divmod(index, 3) for index in range(len(seen))]
-    assert frame.outcome == Outcome.ARRIVED
-    assert frame.period == 0
-    assert not any(one.adversary.x >= CROSSING.adversary.destination_x for one in seen[:-3])
 
 
 # --- scans and stamps

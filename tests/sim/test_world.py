@@ -46,24 +46,6 @@ def test_impact_in_closed_form(acceleration: float) -> None:
     assert world.car.y == pytest.approx(-gap - scenario.car.front + way)
 
 
-def test_impact_from_the_side() -> None:
-    """The adversary walks into the side of the moving car: the car's speed counts, not the adversary's."""
-    scenario = _scenario()
-    edge = scenario.path_edge
-    world = _world(scenario, -1.0, (-edge - 0.3, 0.0))
-    contact = world.step(0.0, (2.5, 0.0))
-    assert contact is not None
-    assert contact.fraction == pytest.approx(0.3 / (2.5 * STEP))
-    assert contact.speed == pytest.approx(scenario.car.start_speed)
-
-
-@pytest.mark.parametrize(("offset", "hit"), [(-1e-9, True), (0.0, True), (1e-9, False)])
-def test_minimum_impact_speed(offset: float, hit: bool) -> None:
-    speed = CROSSING.car.start_speed
-    contact = _world(_scenario(minimum_impact_speed=speed + offset), 1.0).step(0.0, (0.0, 0.0))
-    assert (contact is not None) is hit
-
-
 def test_start_gap_is_uniform_over_its_range() -> None:
     scenario = _scenario(start_gap_range=2.5)
     n = 2000

@@ -45,11 +45,6 @@ def test_what_is_no_model_is_one_short_line(tmp_path: Path, text: str, read: Cal
     assert "\n" not in said
 
 
-def test_ordinary_yaml_means_what_it_says() -> None:
-    assert parse_yaml("a: [1, {b: 2.5}]\nc: text\n", "here") == {"a": [1, {"b": 2.5}], "c": "text"}
-    assert parse_yaml(SCENARIO, "here") == load_scenario("crossing").as_dict()
-
-
 @pytest.mark.parametrize("text", ["a: 1\nb: 2\na: 3\n", "{b: 2, a: {a: 1, 'a': 3}}", "1: a\n1.0: b\n"])
 def test_a_key_that_stands_there_twice_is_no_choice_between_values(text: str) -> None:
     with pytest.raises(UsageError, match=r"the key (a|1.0) stands there twice.*line [123]"):

@@ -11,7 +11,6 @@ before that: a look costs time.
 from __future__ import annotations
 
 import math
-import struct
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -28,14 +27,14 @@ from skd_sim.ros.discovery import (
     candidates,
     class_of,
     foreign_nodes,
-    has_stamp,
     living_publishers,
     unheard,
     why_no_command,
 )
+from skd_sim.ros.from_messages import from_stamp
 from skd_sim.ros.support import EGO_ODOMETRY
 from skd_sim.world.episode import AbortKind, abort_reason
-from skd_sim.world.timing import NANOSECONDS, stamp_fault
+from skd_sim.world.timing import stamp_fault
 
 _WAKE = 0.1  # s
 _LOST_AFTER = 2.0
@@ -211,8 +210,6 @@ _SAY_AGAIN = 3
 """How many times as long passes until a line is said again that says nothing new."""
 _ANY = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Fits every publisher."""
-_STAMP = struct.Struct("<iI")
-_BEHIND_ENCAPSULATION = 4  # bytes; the stamp of a header that comes first
 
 
 class Awaited(NamedTuple):
@@ -229,18 +226,16 @@ class Awaited(NamedTuple):
 
 @dataclass
 class _Heard:
-    """What has come on a topic since somebody listens: how many, and the newest stamp (ns), if they have any."""
+    """What has come on a topic since it is listened to: how many, and the newest stamp (ns), if they have any."""
 
-    subscription: Any
-    stamped: bool
+    subscription: Any = None
     count: int = 0
-    newest: int = 0
+    newest: int | None = None
 
-    def take(self, data: bytes) -> None:
+    def take(self, message: Any) -> None:
         self.count += 1
-        if self.stamped and len(data) >= _BEHIND_ENCAPSULATION + _STAMP.size:
-            seconds, nanoseconds = _STAMP.unpack_from(data, _BEHIND_ENCAPSULATION)
-            self.newest = max(self.newest, seconds * NANOSECONDS + nanoseconds)
+        if (header := getattr(message, "header", None)) is not None:
+            self.newest = max(self.newest or 0, from_stamp(header.stamp))
 
 
 class FirstCommands:
@@ -308,9 +303,8 @@ class FirstCommands:
     def _hear(self, topic: str, kind: str) -> None:
         message = class_of(kind)
         if topic not in self._heard and message is not None:
-            heard = _Heard(None, has_stamp(message))
-            heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY, raw=True)
-            self._heard[topic] = heard
+            heard = self._heard[topic] = _Heard()
+            heard.subscription = self._node.create_subscription(message, topic, heard.take, _ANY)
 
     def _reasons(self, *, state_came: bool) -> list[str]:
         """Return each topic on which something is missing, and why."""
@@ -325,7 +319,7 @@ class FirstCommands:
         heard = self._heard.get(one.topic)
         if heard is None or not heard.count:
             return False
-        return not heard.stamped or heard.newest == self._start or (not self._by_stamp and not heard.newest)
+        return heard.newest in (None, self._start) or (not self._by_stamp and not heard.newest)
 
     def _why(self, one: Awaited) -> str:
         def arrives(topic: str) -> bool:
@@ -333,7 +327,7 @@ class FirstCommands:
 
         why = why_no_command(self._node, one.topic, one.kind, arrives)
         if not why and arrives(one.topic):
-            fault = stamp_fault(self._heard[one.topic].newest, self._start)
+            fault = stamp_fault(self._heard[one.topic].newest or 0, self._start)
             return f"commands come, but their stamps are of no use: {fault}"
         if not why:
             names = ", ".join(publisher.name for publisher in living_publishers(self._node, one.topic))

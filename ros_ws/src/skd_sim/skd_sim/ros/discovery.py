@@ -192,12 +192,6 @@ def kind_name(kind: type) -> str:
     return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
-def has_stamp(kind: type) -> bool:
-    """Return whether messages of a class begin with a header, whose stamp comes first."""
-    fields: dict[str, str] = kind.get_fields_and_field_types()  # type: ignore[attr-defined]
-    return next(iter(fields.values()), "") == "std_msgs/Header"
-
-
 def _own_nodes(node: Node) -> set[str]:
     """Return the names of the nodes that play SKD's parts in the graph."""
     topics = (EGO_ODOMETRY, EPISODE, VELOCITY_COMMAND)
