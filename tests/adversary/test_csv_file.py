@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
-from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories, read_csv_trajectory
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 

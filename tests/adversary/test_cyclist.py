@@ -14,18 +14,20 @@ from road_user_limits import beyond
 from skd_adversary.crossing import on_foot, on_wheels
 from skd_adversary.crossing.cars import known_basic_car
 from skd_adversary.crossing.deviation import DEVIATION
-from skd_adversary.crossing.model import STATE_DIM, compose, road_user_interfaces
-from skd_adversary.crossing.on_wheels import (
+from skd_adversary.crossing.model import compose, road_user_parts
+from skd_adversary.crossing.parts import STATE_DIM
+from skd_adversary.crossing.road_users import (
     ACCELERATE,
     ACTION_COUNT,
     BRAKE,
     BRAKE_LEFT,
     BRAKE_RIGHT,
+    CYCLIST,
     KEEP,
     LEFT,
     RIGHT,
+    road_user_named,
 )
-from skd_adversary.crossing.road_users import CYCLIST, road_user_named
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
@@ -85,7 +87,7 @@ def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int)
     model = compose(SCENARIO, DEVIATION, car, start=start, gap=13.0, path=path, road_user=CYCLIST)
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_interfaces(CYCLIST.kernels, car.kernels)["steer"]
+    steer = road_user_parts(CYCLIST.kernels, car.kernels)["steer"]
     assert steer(model.parameters, state, way) == expected
     state[STATE_DIM] = math.radians(60.0)  # 60° to the left
     if way == on_foot.SOUTH:

@@ -24,8 +24,8 @@ from skd_adversary.crossing import cars, model
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, PAPER
-from skd_adversary.crossing.on_foot import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.crossing.parts import bound
+from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.crossing.roads import STRAIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_sim.errors import UsageError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import transfer
 from cars.catalogue import CARS
-from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim.scenario.scenario import load_scenario

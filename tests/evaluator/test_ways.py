@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 from skd_adversary.crossing import on_wheels
-from skd_adversary.crossing.on_foot import ACTION_COUNT, AS_PHI, STAY, action_velocity
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, STAY, action_velocity, road_user_named
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
 from skd_sim.scenario.scenario import load_scenario
 

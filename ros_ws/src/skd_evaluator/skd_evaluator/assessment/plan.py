@@ -20,9 +20,8 @@ from typing import Any, Protocol
 
 import numpy as np
 from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER, objective_named
-from skd_adversary.crossing.on_foot import EAST, PEDESTRIAN
-from skd_adversary.crossing.road_users import check_kind
-from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, check_kind
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError

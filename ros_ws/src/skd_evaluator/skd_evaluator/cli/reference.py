@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
+from skd_sim.scenario.scenario_file import REGULATORY
 
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.result_folder import write_json
