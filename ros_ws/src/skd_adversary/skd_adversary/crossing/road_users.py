@@ -9,10 +9,10 @@ why these numbers. Kinds of installed packages are registered (`skd_sim.scenario
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -124,10 +124,22 @@ _PEDESTRIAN_KERNELS = RoadUserKernels(
 )
 
 
-def _on_foot(scenario: Scenario, action: int) -> Pair:
+def _on_foot(scenario: Scenario, own: Pair, action: int) -> Pair:
     """Return the velocity of an action, m/s, as `compass_velocity`."""
     vx, vy = action_velocity(action, scenario.adversary.speed)
     return scenario.end.crossing * vx, vy
+
+
+def _nothing_before(scenario: Scenario, path: FloatArray) -> Pair:
+    return 0.0, 0.0
+
+
+def _nothing_after(own: Pair, vx: float, vy: float) -> Pair:
+    return own
+
+
+def _at_once(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return vx, vy
 
 
 _ON_FOOT: Final = {
@@ -141,12 +153,7 @@ PEDESTRIAN: Final = RoadUserModel(
     "pedestrian",
     _PEDESTRIAN_KERNELS,
     lambda scenario: {},
-    Motion(
-        first=lambda scenario, path: (0.0, 0.0),
-        after=lambda own, vx, vy: own,
-        velocity=lambda scenario, own, action: _on_foot(scenario, action),
-        nearest=lambda scenario, own, vx, vy: (vx, vy),
-    ),
+    Motion(_nothing_before, _nothing_after, _on_foot, _at_once),
     fastest=12.0,
     height=1.8,
     names={**_ON_FOOT, "metadrive": "PEDESTRIAN"},
@@ -223,23 +230,29 @@ _WALKER_KERNELS = replace(
 )
 
 
+def _walker_first(scenario: Scenario, path: FloatArray) -> Pair:
+    vx, vy = path_velocities(path, 1, scenario.time_step)[0].tolist()
+    return vx, vy
+
+
+def _walker_after(own: Pair, vx: float, vy: float) -> Pair:
+    return vx, vy
+
+
+def _walker_action(acceleration: float, scenario: Scenario, own: Pair, action: int) -> Pair:
+    return _walker_nearest(acceleration, scenario, own, *_on_foot(scenario, own, action))
+
+
+def _walker_nearest(acceleration: float, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return nearest_walked(acceleration * scenario.time_step, *own, vx, vy)
+
+
 def walker(
     name: str, acceleration: float, *, fastest: float, height: float, names: Mapping[str, str] | None = None
 ) -> RoadUserModel:
     """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
-
-    def first(scenario: Scenario, path: FloatArray) -> Pair:
-        vx, vy = path_velocities(path, 1, scenario.time_step)[0].tolist()
-        return vx, vy
-
-    def nearest(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
-        return nearest_walked(acceleration * scenario.time_step, *own, vx, vy)
-
     motion = Motion(
-        first=first,
-        after=lambda own, vx, vy: (vx, vy),
-        velocity=lambda scenario, own, action: nearest(scenario, own, *_on_foot(scenario, action)),
-        nearest=nearest,
+        _walker_first, _walker_after, partial(_walker_action, acceleration), partial(_walker_nearest, acceleration)
     )
     return RoadUserModel(
         name,
@@ -472,22 +485,28 @@ def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[
     }
 
 
+def _wheeled_first(scenario: Scenario, path: FloatArray) -> Pair:
+    return _arrived(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
+
+
+def _wheeled_after(own: Pair, vx: float, vy: float) -> Pair:
+    return settled(own[0], vx, vy)
+
+
+def _wheeled_action(limits: RidingLimits, scenario: Scenario, own: Pair, action: int) -> Pair:
+    return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
+
+
+def _wheeled_nearest(limits: RidingLimits, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)
+
+
 def wheeled(
     name: str, limits: RidingLimits, *, fastest: float, height: float, names: Mapping[str, str] | None = None
 ) -> RoadUserModel:
     """Return a kind of road user on wheels; see `RoadUserModel`."""
-
-    def first(scenario: Scenario, path: FloatArray) -> Pair:
-        return _arrived(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
-
-    def velocity(scenario: Scenario, own: Pair, action: int) -> Pair:
-        return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
-
-    def nearest(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
-        return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)
-
-    motion = Motion(first, lambda own, vx, vy: settled(own[0], vx, vy), velocity, nearest)
-    parameters = functools.partial(_wheeled_parameters_of, limits)
+    motion = Motion(_wheeled_first, _wheeled_after, partial(_wheeled_action, limits), partial(_wheeled_nearest, limits))
+    parameters = partial(_wheeled_parameters_of, limits)
     return RoadUserModel(name, _WHEELED_KERNELS, parameters, motion, fastest, height, names or {})
 
 
