@@ -24,9 +24,11 @@ import numpy as np
 from scipy import stats
 from skd_adversary.car_models import fit_car, observe
 from skd_adversary.car_models.car_model_file import car_model_text
-from skd_evaluator.assessment.plan import Plan, kamikaze_sets, probe_episodes, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.controllers import PAPER_MULTIPLIERS

@@ -29,10 +29,13 @@ from typing import Any
 
 import numpy as np
 from margin_variances import margins
-from skd_evaluator.assessment.plan import KamikazeSet, Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.objective_result import KamikazeSet
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.assessment.stages.pipeline import planners_of
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.difference import Difference, difference

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from skd_evaluator.assessment.from_options import scenario_for
 from skd_evaluator.assessment.options import SYNTHETIC
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.assessment.stages.margin import warm_up_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_sim.world.episode import Mode
 from skd_sim.world.state import Trajectory

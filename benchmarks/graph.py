@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from skd_evaluator.assessment.options import COMPOSED, SEPARATE, GraphOptions
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.ros.processes import GraphSetting
 from skd_evaluator.ros.session import graph_session, prepare_ros
 from skd_sim.options.car_under_test import CarUnderTest

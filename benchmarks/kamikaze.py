@@ -19,9 +19,11 @@ from typing import Any
 
 from skd_adversary.pomdp.planner import Planner
 from skd_adversary.warm_up import warm_up_episodes
-from skd_evaluator.assessment.plan import Plan, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.skd import compute_skd
 from skd_sim.options.adversary import Objective

@@ -25,8 +25,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.margins import margin_figures

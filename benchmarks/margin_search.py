@@ -22,8 +22,9 @@ from cars.memory import MEMORY_CARS
 from rich.console import Console
 from rich.table import Table
 from skd_evaluator.assessment.options import SYNTHETIC
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import in_processes
 from skd_evaluator.margin.search.search import DEEPER, IN_PROCESS, Effort, SearchedMargins, search_margins

@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import stats
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import exact_margins, warm_up_margins
+from skd_evaluator.assessment.stages.margin import exact_margins, warm_up_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import variance_components
 from skd_sim.arrays import FloatArray
 from skd_sim.scenario.scenario import load_scenario

@@ -11,14 +11,14 @@ from contacts import run_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import least_ways
+from skd_evaluator.assessment.stages.margin import least_ways
+from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_evaluator.metrics.risks import SCALES, Touch
-from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.cars import AnyCar
 from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.options.adversary import Objective

@@ -35,8 +35,9 @@ from cars.catalogue import CARS, Car
 from rank_agreement import Agreement, agreement
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.clustered import clustered_mean
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_multiplier
 from skd_sim.options.car_under_test import BASIC, DYNAMICS

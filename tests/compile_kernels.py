@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from skd_adversary.warm_up import any_car_models, warm_up_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import warm_up_margins
+from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.metrics.frechet import discrete_frechet
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import transfer
 from cars.catalogue import CARS
-from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.scenario.scenario import load_scenario
 
 CARS_HERE = [car for car in CARS if car.label in ("basic, C = 0.75", "basic, C = 1.5")]

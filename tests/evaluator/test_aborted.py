@@ -17,7 +17,7 @@ from skd_evaluator.assessment.files.episodes_npz import _risk_columns, read_epis
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.files.verification import rating_of
 from skd_evaluator.assessment.options import WALKERS
-from skd_evaluator.assessment.stages.bounded_kamikazes import held_to
+from skd_evaluator.assessment.stages.kamikazes import bounded_point
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.aborted import aborted_lines, at_worst, lost_in
 from skd_evaluator.metrics.behaviour.model import load_behaviour
@@ -292,7 +292,7 @@ def test_a_risk_whose_subset_simulation_was_aborted_is_not_known(tmp_path: Path)
     assert "risk_lost" not in {*_risk_columns(with_risk(Touch.NONE))}  # of a car without any the file is as ever
 
 
-def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
+def test_aborted_bounded_kamikazes_are_counted() -> None:
     ends = {0: Outcome.ABORTED, 1: Outcome.COLLISION}
 
     class Runner:
@@ -302,7 +302,7 @@ def test_aborted_kamikazes_that_are_held_to_a_budget_are_counted() -> None:
                 yield replace(log, episode=episode, outcome=ends.get(number, Outcome.ARRIVED))
 
     plan = replace(PLAN, kamikaze_count=20, objective=Objective.DEVIATION)
-    point = held_to(replace(rating(0).results[0], plan=plan), 0.5, Runner())
+    point = bounded_point(replace(rating(0).results[0], plan=plan), rating(0).safe, 0.5, Runner())
     assert (point.trials, point.aborted) == (9, 1)
     every = BudgetPoint(0.5, 0, 0, 3)
     assert (every.probability, budget_points([every])) == (None, [every])

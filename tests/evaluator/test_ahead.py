@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 from common import wait_until
-from skd_evaluator.margin import assessment_margin as ahead
-from skd_evaluator.margin.assessment_margin import margins_compiled_beside
+from skd_evaluator.assessment.stages import margin as ahead
+from skd_evaluator.assessment.stages.margin import margins_compiled_beside
 from skd_evaluator.margin.exact.exact import search_least_way
 from skd_evaluator.metrics import frechet as frechet_kernels
 from skd_sim.kernels import compilation

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.batches import Replay
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.risk import crude_crossings
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search import rounds as searching
 from skd_evaluator.margin.search.search import Effort, search_margins
 from skd_evaluator.margin.search.trial import prescribed
 from skd_evaluator.metrics.behaviour.model import load_behaviour
-from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.cars import AnyCar, batched_car
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings
 from skd_sim.options.adversary import Knowledge

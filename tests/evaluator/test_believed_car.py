@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from shapely import Polygon
 from skd_adversary.adversary import make_adversary
-from skd_adversary.crossing.parts import CAR_S, CAR_SPEED
+from skd_adversary.crossing.model import CAR_S, CAR_SPEED
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.cli.show import shown_episode
 from skd_evaluator.report.episode_pictures import DEVIATIONS, EpisodePicture, believed_car
 from skd_evaluator.report.html.subjects import read_subjects

@@ -11,21 +11,15 @@ import numpy as np
 import pytest
 import shapely
 from cli_support import skd
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.options import SYNTHETIC
-from skd_evaluator.assessment.plan import (
-    TRIALS_PER_REQUESTED,
-    Plan,
-    Runner,
-    Stage,
-    collision_runs,
-    episode_id,
-    kamikaze_sets,
-    safe_trajectories,
-)
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, episode_id, runs_along
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
@@ -33,6 +27,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
+from stages import rate
 
 CROSSING = load_scenario("crossing")
 SMALL = Plan(CROSSING, safe_count=2, kamikaze_count=5, collision_runs=7, seed=3, simulations=100)
@@ -45,7 +40,7 @@ REPORTED = {
 
 def rated(plan: Plan, safe: Sequence[Trajectory], runner: Runner) -> Assessment:
     """Rate by the plan's objective alone."""
-    return rate(plan, [plan.objective], safe, runner, quiet)
+    return rate(plan, [plan.objective], safe, runner)
 
 
 def quiet(_label: str, _done: int, _total: int) -> None:
@@ -155,12 +150,11 @@ def test_everything_aborted_leaves_no_rate():
 @pytest.mark.parametrize(("runs", "count"), [(500, 5), (7, 2), (2, 3)])
 def test_collision_runs_are_dealt_evenly(runs, count):
     safe = [straight(0.1 * k, f"{k}") for k in range(count)]
-    logs = collision_runs(replace(SMALL, collision_runs=runs), safe, StubRunner(lambda _episode: Outcome.ARRIVED))
-    assert len(logs) == runs
-    assert len({log.episode.episode_id for log in logs}) == runs
-    dealt = [sum(log.episode.safe_trajectory is phi for log in logs) for phi in safe]
+    episodes = runs_along(replace(SMALL, collision_runs=runs), safe)
+    assert len({one.episode_id for one in episodes}) == len(episodes) == runs
+    dealt = [sum(one.safe_trajectory is phi for one in episodes) for phi in safe]
     assert max(dealt) - min(dealt) <= 1
-    assert {log.episode.mode for log in logs} == {Mode.REPLAY}
+    assert {one.mode for one in episodes} == {Mode.REPLAY}
 
 
 def test_safe_trajectories_are_those_that_arrive():
@@ -231,7 +225,7 @@ def test_episode_ids_are_unique_and_bounded():
 def run_all(plan: Plan, workers: int) -> bytes:
     """Return episodes.npz of a campaign."""
     with InProcessRunner(workers) as runner:
-        found = rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
+        found = rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner)
     file = io.BytesIO()
     write_episodes(file, found)
     return file.getvalue()

@@ -24,7 +24,7 @@ from common import assert_valid, wait_until
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages import pipeline
+from skd_evaluator.assessment.stages import car_model
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign import command
 from skd_evaluator.extensions.campaign.episode_store import FILE_NAME, EpisodeStore
@@ -117,7 +117,7 @@ def test_each_cell_is_what_assess_gives(here, skd_here, monkeypatch):
 def test_a_cell_whose_car_was_learned_is_done_when_the_campaign_is_resumed(here, skd_here, monkeypatch):
     """What the adversary knows is asked for until it has learned, and follows from its model after that."""
     taught = lambda plan, *_how, **_more: dataclasses.replace(plan, car_model=any_car_models()[0])  # noqa: E731
-    monkeypatch.setattr(pipeline, "learned", taught)
+    monkeypatch.setattr(car_model, "learned", taught)
     write(here, "cars: [{controller: basic, knowledge: learned}]")
     assert skd_here("campaign", "campaign.yaml", "--out", "out", "--workers", "1").returncode == 0
     before = campaign(here)["cells"]
@@ -232,7 +232,7 @@ class Graph:
             yield dataclasses.replace(run_episode(one), timing=Timing((0.01, 0.02), 1, 0.5))
 
     def publish_assessment(self, rating):
-        assert rating.replays
+        assert rating.nominal_runs
 
 
 def test_cells_of_the_node_graph_are_resumed_too(here, skd_here, monkeypatch):

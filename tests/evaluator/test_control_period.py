@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from search_support import CROSSING, kamikaze_episode
 from skd_adversary.adversary import make_adversary
-from skd_evaluator.assessment.plan import OWN, Plan, probe_episodes, safe_trajectories
+from skd_evaluator.assessment.options import OWN
+from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins

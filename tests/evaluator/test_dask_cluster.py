@@ -12,7 +12,6 @@ from common import wait_until
 pytest.importorskip("distributed", reason="Dask is not installed: python -m pip install '.[dask]'")
 
 from local_dask import local_cluster, start_worker
-from skd_evaluator.assessment.objective_result import assess
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run import dask_cluster
 from skd_evaluator.assessment.run.dask_cluster import make_runner
@@ -20,6 +19,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode
+from stages import rate
 from test_campaign import straight
 
 CAR = """
@@ -68,11 +68,11 @@ def test_one_process_two_workers_and_a_cluster_find_the_same_to_the_bit(cluster)
     found = []
     for address, workers in ((None, 1), (None, 2), (cluster.address, 2)):
         with make_runner(address, workers) as runner:
-            found.append(assess(plan, phis, runner, lambda *_: None))
-    figures, *others = [{**one.figures(), "probability_bound": None} for one in found]
+            found.append(rate(plan, [plan.objective], phis, runner))
+    figures, *others = [{**one.results[0].figures(), "probability_bound": None} for one in found]
     assert all(other == figures for other in others)
     episodes, *others = [
-        [bits(log) for log in (*(log for group in one.kamikaze for log in group.in_order), *one.replays)]
+        [bits(log) for group in one.results[0].kamikaze for log in group.in_order] + [*map(bits, one.nominal_runs)]
         for one in found
     ]
     assert all(other == episodes for other in others)

@@ -20,16 +20,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior, car_model_text
-from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
-from skd_evaluator.assessment.objective_result import assess
 from skd_evaluator.assessment.options import OWN, SYNTHETIC
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import AdversaryState, CarState
+from stages import rate
 
 DIGESTS = Path(__file__).with_name("digests.json")
 COLUMNS = ("mode", "safe_index", "outcome", "episode_id", "impact_time", "impact_speed")
@@ -129,9 +129,9 @@ def digest_of(name: str) -> str:
             path = Path(folder) / "walk.csv"
             path.write_text(a_walk(), encoding="utf-8")
             plan = replace(plan, safe=str(path))
-        assessment = assess(plan, safe_trajectories(plan, runner), runner, lambda *_progress: None)
+        assessment = rate(plan, [plan.objective], safe_trajectories(plan, runner), runner)
     file = io.BytesIO()
-    write_episodes(file, Assessment((assessment,), 0.0))
+    write_episodes(file, assessment)
     file.seek(0)
     digest = hashlib.sha256()
     with np.load(file) as found:
@@ -139,7 +139,7 @@ def digest_of(name: str) -> str:
         for key in sorted(arrays):
             array = arrays[key]
             digest.update(f"{key} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    skd = assessment.skd.skd
+    skd = assessment.results[0].skd.skd
     return f"{digest.hexdigest()[:32]} {'none' if skd is None else skd.hex()}"
 
 

@@ -14,9 +14,10 @@ from cli_support import CROSSING, one_line
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.driving.hand import Controls, Hand, LeftError, Wish, driving_in_process, key_names
 from skd_evaluator.driving.screen import KEYS, Screen, top_view
 from skd_evaluator.driving.situation import Onlooker, Situation

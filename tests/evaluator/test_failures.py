@@ -11,30 +11,33 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 from skd_evaluator.assessment import failures as module
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.failures import HARDLY, Walkers, failures_of, nine_normals
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.risk import single_crossing
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of
 from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.report.formats import kept_failures
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.repeat import repeat_crossing
-from skd_evaluator.risk.assessment_risk import RiskAsked, single_crossing, with_risks
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
+from stages import rate, with_risks
 
 PLAN = Plan(
     load_scenario("crossing"), safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20, multiplier=0.8
 )
 WALKERS = load_behaviour("walkers")
 TICK = 0.3
-ASKED = RiskAsked(WALKERS, runs=60)
+ASKED = RiskRequest(WALKERS, runs=60)
 
 
 def quiet(*_told: object) -> None:
@@ -44,13 +47,13 @@ def quiet(*_told: object) -> None:
 @pytest.fixture(scope="module")
 def rated() -> Assessment:
     with InProcessRunner(1) as runner:
-        return rate(PLAN, [Objective.DEVIATION], safe_trajectories(PLAN, runner), runner, quiet)
+        return rate(PLAN, [Objective.DEVIATION], safe_trajectories(PLAN, runner), runner)
 
 
 @pytest.fixture(scope="module")
 def found(rated) -> Assessment:
     with InProcessRunner(1) as runner:
-        return with_risks(rated, ASKED, runner, quiet)
+        return with_risks(rated, ASKED, runner)
 
 
 @pytest.fixture
@@ -172,9 +175,9 @@ def test_few_are_kept_however_many_there_are(found, monkeypatch):
 
 def test_they_are_the_same_whoever_runs_the_car(rated, found, monkeypatch):
     """Compiled crossings, and whole episodes in two processes."""
-    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.has_exact_margin", lambda *_of: False)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.has_exact_margin", lambda *_of: False)
     with InProcessRunner(2) as runner:
-        other = with_risks(rated, ASKED, runner, quiet).risks
+        other = with_risks(rated, ASKED, runner).risks
     mine = found.risks
     assert mine is not None
     assert other is not None

@@ -8,7 +8,6 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.figure_table import (
     AT_THE_TOP,
     FIGURES,
@@ -19,12 +18,13 @@ from skd_evaluator.assessment.figure_table import (
 )
 from skd_evaluator.assessment.files.assessment_json import as_text, assessment_schema
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.risk.assessment_risk import risk_asked, with_risks
+from skd_evaluator.assessment.stages.risk import risk_request
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
+from stages import rate, with_margins, with_risks
 
 MEASURE = Path(__file__).parents[2] / "docs" / "measure.md"
 
@@ -35,9 +35,9 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StoredResult:
     folder = tmp_path_factory.mktemp("result")
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(plan, runner)
-        rating = rate(plan, DEFAULT_OBJECTIVES, safe, runner, lambda *_progress: None)
-        rating = with_margins(rating, runner, lambda *_progress: None, 300)
-        write_assessment(folder, with_risks(rating, risk_asked("walkers"), runner, lambda *_progress: None))
+        rating = rate(plan, DEFAULT_OBJECTIVES, safe, runner)
+        rating = with_margins(rating, runner, 300)
+        write_assessment(folder, with_risks(rating, risk_request("walkers"), runner))
     return read_result(folder)
 
 

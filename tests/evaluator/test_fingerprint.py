@@ -9,7 +9,7 @@ import pytest
 from skd_evaluator import provenance as fingerprint
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
-from skd_evaluator.assessment.stages.learning import files_of, folder_of
+from skd_evaluator.assessment.stages.car_model import files_of, folder_of
 from skd_evaluator.provenance import code_files, code_paths, provenance
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge

@@ -15,13 +15,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli_support import SMALL, one_line
-from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.compare.gate import Check, Limit, check_limits
 from skd_evaluator.assessment.files.assessment_json import check_figure, figure, scalar_figures
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.gate import Gate
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, at_worst
@@ -32,6 +32,7 @@ from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
+from stages import rate
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=4, collision_runs=8, seed=5, simulations=30)
 
@@ -45,9 +46,7 @@ def cars(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Path]:
         for multiplier in (0.5, 1.15):
             plan = replace(PLAN, multiplier=multiplier)
             (folder / f"{multiplier}").mkdir()
-            write_assessment(
-                folder / f"{multiplier}", rate(plan, DEFAULT_OBJECTIVES, safe, runner, lambda *_progress: None)
-            )
+            write_assessment(folder / f"{multiplier}", rate(plan, DEFAULT_OBJECTIVES, safe, runner))
     return {0.5: folder / "0.5", 1.15: folder / "1.15"}
 
 
@@ -141,7 +140,7 @@ def test_a_car_that_may_be_behind_by_its_aborted_episodes_is_not_judged(cars, tm
     plan = replace(PLAN, multiplier=1.15)
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
-        write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner), lambda *_progress: None))
+        write_assessment(tmp_path, rate(plan, DEFAULT_OBJECTIVES, safe, Aborting(runner)))
     earlier, mine = read_result(cars[1.15]), read_result(tmp_path)
     counts = mine.figures["objectives"]["deviation"]
     assert sum(map(len, mine.worst["deviation"])) == counts["trials"] + counts["aborted"]

@@ -17,8 +17,8 @@ from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages import learning
-from skd_evaluator.assessment.stages.learning import folder_of, kept_models, learned, needs_learning
+from skd_evaluator.assessment.stages import car_model as learning
+from skd_evaluator.assessment.stages.car_model import folder_of, kept_models, learned, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge

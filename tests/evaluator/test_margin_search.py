@@ -13,9 +13,9 @@ from search_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.margin import least_ways
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
-from skd_evaluator.margin.assessment_margin import least_ways
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.margin.search.group import Group, search
 from skd_evaluator.margin.search.rounds import in_processes, repeated

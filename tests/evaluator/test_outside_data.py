@@ -21,10 +21,10 @@ from skd_adversary.car_models.car_model_file import LawCalibration, car_model_fo
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.verification import folders_below
+from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.bags.car_logs import read_recordings
 from skd_evaluator.metrics.behaviour.model import load_behaviour, write_behaviour
 from skd_evaluator.report.history import find_runs
-from skd_evaluator.risk.assessment_risk import risk_asked
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -141,14 +141,14 @@ def test_a_model_that_was_changed_where_it_was_written_is_refused(tmp_path):
     behaviour.parent.mkdir()
     write_behaviour(behaviour, load_behaviour("walkers"))
     write_manifests(behaviour.parent)
-    assert risk_asked(str(behaviour.parent)).behaviour == load_behaviour("walkers")
+    assert risk_request(str(behaviour.parent)).behaviour == load_behaviour("walkers")
     text = behaviour.read_text()
     behaviour.write_text(text.replace("value: 0.3\n", "value: 0.0\n"))
     for source in (behaviour, behaviour.parent):
         with pytest.raises(UsageError, match=r"behaviour\.yaml: is not what was written: .* copy it to another folder"):
-            risk_asked(str(source))
+            risk_request(str(source))
     shutil.copy(behaviour, tmp_path / "mine.yaml")
-    assert risk_asked(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
+    assert risk_request(str(tmp_path / "mine.yaml")).behaviour != load_behaviour("walkers")
 
 
 @pytest.mark.parametrize("value", [".nan", "[1]"])

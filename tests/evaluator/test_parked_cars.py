@@ -13,9 +13,10 @@ from cli_support import one_line, skd
 from search_support import search_margin
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.compare.comparability import scenario_difference
-from skd_evaluator.assessment.plan import Plan, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
 from skd_evaluator.metrics.deviation import LeastWay

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import ObjectiveResult, judge
-from skd_evaluator.assessment.plan import KamikazeSet, Plan
+from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, objective_result
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
@@ -47,11 +48,15 @@ def assessment(counts: list[int], *, north: float = 0.0, name: str = "φ") -> Ob
             car = np.column_stack([np.zeros(6), np.linspace(-16.0, -2.5, 6), np.full(6, 8.0)])
             logs.append(EpisodeLog(episode, Outcome.COLLISION, walked, car, 1.4, 5.0))
         sets.append(KamikazeSet(phi, tuple(logs), 2 * count + 1))
-    return judge(Plan(CROSSING, safe_count=len(counts)), safe, sets, [], 1.0)
+    return objective_result(Plan(CROSSING, safe_count=len(counts)), sets)
+
+
+def whole(what: ObjectiveResult, **more: Any) -> Assessment:
+    return Assessment(what.plan, tuple(one.safe_trajectory for one in what.kamikaze), (what,), **more)
 
 
 def draw(path: Path, what: ObjectiveResult) -> None:
-    save_trajectories(path, Assessment((what,), 1.0), what)
+    save_trajectories(path, whole(what), what)
 
 
 @pytest.fixture(autouse=True)
@@ -188,7 +193,7 @@ def with_margins(what: ObjectiveResult) -> Assessment:
             for k in range(2 + number)
         ]
         ways.append((*mine, None))
-    return Assessment((what,), 1.0, margins=Margins(tuple(ways), CROSSING.eta_max))
+    return whole(what, margins=Margins(tuple(ways), CROSSING.eta_max))
 
 
 def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_path, figures):
@@ -218,7 +223,7 @@ def test_who_walked_into_the_standing_car_does_not_look_like_one_that_was_hit(tm
     slow = dataclasses.replace(group.logs[1], impact_speed=0.1)
     group = dataclasses.replace(group, logs=(group.logs[0], slow, group.logs[2]))
     plan = dataclasses.replace(what.plan, objective="deviation")
-    again = judge(plan, what.safe, [group], [], 1.0)
+    again = objective_result(plan, [group])
     draw(tmp_path / "picture.png", again)
     (panel,) = figures[0].axes
     assert len(lines(panel, palette.KAMIKAZE.lower())) == 2
@@ -254,7 +259,7 @@ def test_each_picture_has_the_figure_that_is_the_car_s(tmp_path, figures):
         dataclasses.replace(one, plan=dataclasses.replace(one.plan, objective=objective))
         for one, objective in ((assessment([3, 2]), "deviation"), (assessment([2, 2]), "paper"))
     )
-    both = Assessment((deviating, paper), 1.0)
+    both = dataclasses.replace(whole(deviating), results=(deviating, paper))
     for number, what in enumerate((deviating, paper)):
         save_trajectories(tmp_path / f"{number}.png", both, what)
         titles = figures[number].get_suptitle() + "".join(axes.get_title() for axes in figures[number].axes)

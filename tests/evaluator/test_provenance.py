@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cli_support import CONTROLLERS, SMALL
 from common import assert_valid
-from skd_evaluator.provenance import controller_revision, git_revision, surroundings_of
+from skd_evaluator.provenance import controller_revision, git_revision, provenance
 from skd_sim.options.car_under_test import CarUnderTest
 
 
@@ -49,7 +49,7 @@ def test_a_folder_whose_name_is_no_text_is_said_in_escapes(skd_here, here, monke
     said = content(here / "out")["provenance"]
     assert said["controller_files"][0]["path"] == f"{here}/\\xffodd/strange_cars.py"
     monkeypatch.chdir(odd)
-    assert surroundings_of(["skd"])["folder"] == f"{here}/\\xffodd"
+    assert provenance(["skd"], CarUnderTest("basic"))["folder"] == f"{here}/\\xffodd"
 
 
 def test_every_part_of_a_sweep_is_an_assessment(skd_here, here):
@@ -101,9 +101,9 @@ def test_the_commit_of_a_car_is_that_of_its_own_checkout(tmp_path, monkeypatch):
         subprocess.run([*git, *words], check=True)
     head = subprocess.run([*git, "rev-parse", "HEAD"], check=True, capture_output=True, text=True).stdout.strip()
     monkeypatch.syspath_prepend(str(tmp_path))
-    car, own = CarUnderTest("car_of_mine:Car"), {"revision": "0" * 40, "modified": False}
-    assert controller_revision(car, "", own) == {"revision": head, "modified": False}
+    car = CarUnderTest("car_of_mine:Car")
+    assert controller_revision(car) == {"revision": head, "modified": False}
     (tmp_path / "car_of_mine.py").write_text("class Car: pass\n")
-    assert controller_revision(car, "", own) == {"revision": head, "modified": True}
-    assert controller_revision(CarUnderTest("basic"), "", own) == own
-    assert controller_revision(CarUnderTest("external"), "python3 no_such_file.py", own) is None
+    assert controller_revision(car) == {"revision": head, "modified": True}
+    assert controller_revision(CarUnderTest("basic")) == git_revision()
+    assert controller_revision(CarUnderTest("external"), "python3 no_such_file.py") is None

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment, in_order, rate
+from skd_evaluator.assessment.assessment import Assessment, in_order
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.objective_result import standing_contacts
-from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.presentation import picture_names
@@ -19,7 +20,8 @@ from skd_evaluator.report.terminal import headline_table
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective, objectives_named
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
-from test_campaign import StubRunner, quiet, straight, trial
+from stages import rate
+from test_campaign import StubRunner, straight, trial
 from test_warnings import shown
 
 CROSSING = load_scenario("crossing")
@@ -32,18 +34,18 @@ def both() -> Assessment:
     # An adversary that hardly thinks, against a careful car: some trials fail.
     plan = replace(PLAN, multiplier=1.1)
     with InProcessRunner(1) as runner:
-        return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner, quiet)
+        return rate(plan, DEFAULT_OBJECTIVES, safe_trajectories(plan, runner), runner)
 
 
 def alone(objective: Objective, plan: Plan = PLAN) -> Assessment:
     plan = replace(plan, multiplier=1.1)
     with InProcessRunner(1) as runner:
-        return rate(plan, [objective], safe_trajectories(plan, runner), runner, quiet)
+        return rate(plan, [objective], safe_trajectories(plan, runner), runner)
 
 
 def test_runs_along_phi_are_run_once() -> None:
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, (PAPER, DEVIATION), [straight()], runner, quiet)
+    found = rate(PLAN, (PAPER, DEVIATION), [straight()], runner)
     asked = [episode for batch in runner.batches for episode in batch]
     assert sum(episode.mode == Mode.REPLAY for episode in asked) == PLAN.collision_runs
     kamikazes = [(episode.objective, trial(episode)) for episode in asked if episode.mode == Mode.KAMIKAZE]
@@ -83,7 +85,7 @@ def test_each_figure_at_the_top_is_of_the_objective_it_is_named_for(both: Assess
 
 @pytest.mark.parametrize("objective", list(Objective))
 def test_the_only_one_gives_every_figure(objective: Objective) -> None:
-    found = rate(PLAN, [objective], [straight()], StubRunner(lambda _episode: Outcome.COLLISION), quiet).as_dict()
+    found = rate(PLAN, [objective], [straight()], StubRunner(lambda _episode: Outcome.COLLISION)).as_dict()
     (figures,) = found["objectives"].values()
     assert found["skd"] == figures["skd"] is not None
     assert found["deviation"] == figures["deviation"] is not None
@@ -91,7 +93,7 @@ def test_the_only_one_gives_every_figure(objective: Objective) -> None:
 
 def test_of_frechet_and_deviation_each_is_first_in_its_own() -> None:
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    found = rate(PLAN, [FRECHET, DEVIATION], [straight()], runner, quiet)
+    found = rate(PLAN, [FRECHET, DEVIATION], [straight()], runner)
     assert (found.for_skd.plan.objective, found.for_deviation.plan.objective) == (FRECHET, DEVIATION)
     assert in_order([FRECHET, PAPER, DEVIATION, PAPER]) == (DEVIATION, PAPER, FRECHET)
     assert list(picture_names(found)) == ["trajectories.png", "trajectories_frechet.png"]
@@ -138,12 +140,12 @@ def test_the_mean_deviation_is_recomputable_from_disk(both: Assessment, tmp_path
 def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
     """The stub's ψ is one of deviation 1.8 m and of another Fréchet distance."""
     runner = StubRunner(lambda _episode: Outcome.COLLISION)
-    free = rate(PLAN, (DEVIATION, PAPER), [straight()], runner, quiet)
+    free = rate(PLAN, (DEVIATION, PAPER), [straight()], runner)
     needed = free.for_deviation.deviation.distances.max()
     distance = free.for_skd.skd.distances.max()
     assert needed < distance
     between = 0.5 * (needed + distance)
-    found = rate(replace(PLAN, maximum_distance=between), (DEVIATION, PAPER), [straight()], runner, quiet)
+    found = rate(replace(PLAN, maximum_distance=between), (DEVIATION, PAPER), [straight()], runner)
     figures = found.as_dict()["objectives"]
     assert figures["deviation"]["discarded_by_distance"] == 0
     assert figures["paper"]["discarded_by_distance"] == 4
@@ -153,7 +155,7 @@ def test_a_maximum_is_one_of_the_distance_that_is_planned_for() -> None:
 
 def test_eta_max_is_the_scenario_s() -> None:
     plan = replace(PLAN, scenario=replace(CROSSING, eta_max=2.5))
-    found = rate(plan, [DEVIATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED), quiet).as_dict()
+    found = rate(plan, [DEVIATION], [straight()], StubRunner(lambda _episode: Outcome.MISSED)).as_dict()
     assert (found["deviation"], found["eta_max"], found["objectives"]["deviation"]["failed"]) == (2.5, 2.5, 8)
 
 
@@ -174,7 +176,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
                 slow = number < (1 if stage == Stage.KAMIKAZE else 2)
                 yield replace(log, impact_speed=0.05) if slow else log
 
-    found = rate(PLAN, (DEVIATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION), quiet)
+    found = rate(PLAN, (DEVIATION, PAPER), [straight()], Standing(lambda _episode: Outcome.COLLISION))
     result = found.as_dict()
     assert [figures["standing_contacts"] for figures in result["objectives"].values()] == [1, 1]
     assert result["collision_standing_contacts"] == 2

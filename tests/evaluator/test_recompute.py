@@ -16,18 +16,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import rate
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.bounded_kamikazes import with_budgets
-from skd_evaluator.margin.assessment_margin import with_margins
-from skd_evaluator.risk.assessment_risk import risk_asked, with_risks
+from skd_evaluator.assessment.stages import kamikazes
+from skd_evaluator.assessment.stages.risk import risk_request
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome, abort_reason, kind_of
 from skd_sim.world.state import Trajectory
+from stages import rate, with_margins, with_risks
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = ROOT / "examples" / "recompute"
@@ -81,11 +82,11 @@ def results(request: pytest.FixtureRequest, safe, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     with InProcessRunner(1) as runner:
         plan = replace(PLAN, maximum_distance=request.param)
-        rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner), lambda *_progress: None)
-        rating = with_margins(rating, runner, lambda *_progress: None, 300)
+        rating = rate(plan, DEFAULT_OBJECTIVES, safe, SometimesAborts(runner))
+        rating = with_margins(rating, runner, 300)
         runs = None if request.param is None else 2000  # without subset simulation, and with it
-        rating = with_risks(rating, risk_asked("walkers", runs), runner, lambda *_progress: None)
-        rating = with_budgets(rating, runner, lambda *_progress: None)
+        rating = with_risks(rating, risk_request("walkers", runs), runner)
+        rating = kamikazes.run_bounded(Context(runner, runner, curve=True), rating)
     write_assessment(folder, rating)
     return folder
 

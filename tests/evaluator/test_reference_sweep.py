@@ -8,8 +8,8 @@ import pytest
 from cli_support import one_line
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.cli.reference import asked_of_result, equivalent_in, reference_sweep
 from skd_evaluator.library import assess
-from skd_evaluator.margin.reference import asked_of_result, equivalent_in, reference_sweep
 
 SIZES = {"collision_runs": 1, "simulations": 20, "behaviour": "none", "objective": "deviation", "workers": 1}
 

@@ -13,8 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_support import skd
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
-from skd_evaluator.assessment.repeatability import (
+from skd_evaluator.assessment.episode_figures import standing
+from skd_evaluator.assessment.plan import Plan
+from skd_evaluator.assessment.run.assembly import aborted
+from skd_evaluator.assessment.run.episodes import run_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.checks import (
     DRIVES,
     SAMPLE,
     Drive,
@@ -22,12 +26,9 @@ from skd_evaluator.assessment.repeatability import (
     is_same,
     repeatability,
     sample_of,
-    standing,
     undisturbed_drives,
 )
-from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
 from skd_sim.controllers import Controller, make_controller
 from skd_sim.errors import AssessmentError

@@ -17,7 +17,7 @@ from report_support import HOSTILE, edited, hostile
 from skd_evaluator.assessment.figure_table import Of, keys_of
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import single_episode
+from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.files import tails
 from skd_evaluator.report.html import page

@@ -10,22 +10,15 @@ import numpy as np
 import pytest
 from cli_support import SMALL, one_line, skd
 from scipy import special, stats
-from skd_evaluator.assessment.assessment import Assessment, rate
-from skd_evaluator.assessment.plan import Plan, Stage, safe_trajectories, split_episode_id
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import RiskRequest
+from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.risk import RUNS, crude_crossings, draws_of, risk_request, runs_of, why_no_risk
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
-from skd_evaluator.risk.assessment_risk import (
-    RUNS,
-    RiskAsked,
-    crude_crossings,
-    draws_of,
-    risk_asked,
-    runs_of,
-    why_no_risk,
-    with_risks,
-)
 from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
 from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
@@ -33,6 +26,7 @@ from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
 from skd_sim.world.state import Trajectory
+from stages import rate, with_risks
 
 CROSSING = load_scenario("crossing")
 PLAN = Plan(CROSSING, safe_count=3, kamikaze_count=2, collision_runs=8, seed=5, simulations=20)
@@ -223,16 +217,16 @@ def test_uniform_draws_of_the_car_come_from_its_normals(safe):
 def ratings(safe) -> dict[str, Assessment]:
     plans = {"basic": replace(PLAN, multiplier=1.5), "carla": replace(PLAN, controller="carla")}
     with InProcessRunner(1) as runner:
-        return {name: rate(plan, [Objective.DEVIATION], list(safe), runner, quiet) for name, plan in plans.items()}
+        return {name: rate(plan, [Objective.DEVIATION], list(safe), runner) for name, plan in plans.items()}
 
 
 @pytest.mark.parametrize("name", ["basic", "carla"])
 def test_the_number_of_workers_changes_nothing(name, ratings):
-    asked = RiskAsked(WALKERS, runs=RUNS if name == "basic" else 6)
+    asked = RiskRequest(WALKERS, runs=RUNS if name == "basic" else 6)
     found = []
     for workers in (1, 2):
         with InProcessRunner(workers) as runner:
-            found.append(with_risks(ratings[name], asked, runner, quiet))
+            found.append(with_risks(ratings[name], asked, runner))
     one, two = (rating.risks for rating in found)
     assert one is not None
     assert two is not None
@@ -246,9 +240,9 @@ def test_the_number_of_workers_changes_nothing(name, ratings):
 
 def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, monkeypatch):
     small = Effort(replicates=2, per_level=20, levels=2)
-    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.Effort", lambda: small)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.Effort", lambda: small)
     with InProcessRunner(2) as runner:
-        found = with_risks(ratings["carla"], RiskAsked(WALKERS, runs=6, subset=True), runner, quiet).risks
+        found = with_risks(ratings["carla"], RiskRequest(WALKERS, runs=6, subset=True), runner).risks
     assert found is not None
     assert [one.subsets is not None for one in found.scales] == [True] * 3
     assert found.scales[0].episodes >= 6 + 2 * 20
@@ -257,7 +251,7 @@ def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, mon
 def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings, monkeypatch):
     """They counted as misses: of the crude crossings, which come first, none is aborted here."""
     small = Effort(replicates=2, per_level=20, levels=2)
-    monkeypatch.setattr("skd_evaluator.risk.assessment_risk.Effort", lambda: small)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.Effort", lambda: small)
 
     class Quitter(InProcessRunner):
         def run(self, episodes):
@@ -266,24 +260,24 @@ def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings
                 yield log if crude else replace(log, outcome=Outcome.ABORTED, reason="process ended: it did")
 
     with Quitter(1) as runner:
-        found = with_risks(ratings["carla"], RiskAsked(WALKERS, runs=6, subset=True), runner, quiet)
+        found = with_risks(ratings["carla"], RiskRequest(WALKERS, runs=6, subset=True), runner)
     assert [(one.value, one.lost, one.runs) for one in found.risks.scales] == [(None, 20, 6)] * 3
     assert found.as_dict()["risk_1"] is None
     assert found.risk_note == ""
 
 
 def test_how_many_runs_there_are():
-    asked, many = RiskAsked(WALKERS), replace(PLAN, collision_runs=500)
+    asked, many = RiskRequest(WALKERS), replace(PLAN, collision_runs=500)
     assert runs_of(many, asked) == 2000
     assert runs_of(replace(many, controller="carla"), asked) == 500
     assert runs_of(PLAN, asked) == 32
     assert runs_of(many, asked, graph=True) == 100
     assert runs_of(PLAN, asked, graph=True) == 8
-    assert runs_of(PLAN, RiskAsked(WALKERS, runs=77)) == 77
+    assert runs_of(PLAN, RiskRequest(WALKERS, runs=77)) == 77
 
 
 def test_why_there_is_no_risk():
-    assert "--behaviour none" in why_no_risk(PLAN, risk_asked("none").behaviour)
+    assert "--behaviour none" in why_no_risk(PLAN, risk_request("none").behaviour)
     cyclist = replace(PLAN, scenario=load_scenario("cyclist"))
     assert "behaviour walkers is of a pedestrian, and the adversary is a cyclist" in why_no_risk(cyclist, WALKERS)
     assert not why_no_risk(PLAN, WALKERS)

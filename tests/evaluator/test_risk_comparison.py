@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skd_evaluator.assessment.assessment import rate
 from skd_evaluator.assessment.compare.comparison import (
     LESS_SAFE,
     NOT_TOLD_APART,
@@ -15,15 +14,16 @@ from skd_evaluator.assessment.compare.comparison import (
     Comparison,
     compare,
 )
+from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.files.results import StoredResult, read_result, write_assessment
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import Parameter, load_behaviour
 from skd_evaluator.metrics.difference import Difference
-from skd_evaluator.risk.assessment_risk import RiskAsked, with_risks
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
+from stages import rate, with_margins, with_risks
 
 PLAN = Plan(load_scenario("crossing"), safe_count=4, kamikaze_count=2, collision_runs=4, seed=5, simulations=20)
 WALKERS = load_behaviour("walkers")
@@ -40,9 +40,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StoredResult]
     with InProcessRunner(1) as runner:
         safe = safe_trajectories(PLAN, runner)
         for name, multiplier, behaviour in (("A", 0.6, WALKERS), ("B", 1.4, WALKERS), ("C", 1.4, OTHERS)):
-            rating = rate(replace(PLAN, multiplier=multiplier), [Objective.DEVIATION], safe, runner, quiet)
-            rating = with_margins(rating, runner, quiet, 50)
-            rating = with_risks(rating, RiskAsked(behaviour, runs=400), runner, quiet)
+            rating = rate(replace(PLAN, multiplier=multiplier), [Objective.DEVIATION], safe, runner)
+            rating = with_margins(rating, runner, 50)
+            rating = with_risks(rating, RiskRequest(behaviour, runs=400), runner)
             folder = tmp_path_factory.mktemp("risks") / name
             folder.mkdir()
             write_assessment(folder, rating)

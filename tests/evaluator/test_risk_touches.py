@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from contact_support import Seen, distances, watched
 from skd_evaluator.assessment.episode_figures import closing_speed, collision_partner, surrogates_of
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.risk import crude_crossings
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.metrics.behaviour.model import load_behaviour
 from skd_evaluator.metrics.contact_place import car_at_contact, car_until_contact, last_car_position
 from skd_evaluator.metrics.risks import Touch
 from skd_evaluator.metrics.surrogate_measures import fatality_risk, greater_delta_v
-from skd_evaluator.risk.assessment_risk import crude_crossings
 from skd_evaluator.risk.cars import AnyCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan
 from skd_sim.controllers import Controller

@@ -9,18 +9,10 @@ from typing import cast
 
 import numpy as np
 import pytest
-from skd_adversary.safe_trajectories.sources import read_csv_trajectory
+from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import judge
-from skd_evaluator.assessment.plan import (
-    MANOEUVRES,
-    KamikazeSet,
-    Plan,
-    Stage,
-    episode_id,
-    probe_scenario,
-    probe_trajectory,
-)
+from skd_evaluator.assessment.objective_result import KamikazeSet, objective_result
+from skd_evaluator.assessment.plan import MANOEUVRES, Plan, Stage, episode_id, probe_scenario, probe_trajectory
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of
@@ -147,8 +139,9 @@ def test_the_picture_has_car_lane_and_adversary_in_it(scenario: Scenario, tmp_pa
     phi = across(scenario)
     kamikazes = [replace(log, episode=replace(log.episode, mode=Mode.KAMIKAZE)) for log in logs]
     sets = [KamikazeSet(phi, tuple(kamikazes), 12)]
-    assessment = judge(Plan(scenario, safe_count=1), [phi], sets, [], 1.0)
-    save_trajectories(tmp_path / "picture.png", Assessment((assessment,), 1.0), assessment)
+    plan = Plan(scenario, safe_count=1)
+    result = objective_result(plan, sets)
+    save_trajectories(tmp_path / "picture.png", Assessment(plan, (phi,), (result,)), result)
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
     car_at_impact = float(np.median([last_car_position(log) for log in logs]))
     assert -3.0 < car_at_impact < 3.0  # its front or its side is at the crossing line

@@ -13,7 +13,7 @@ import pytest
 from common import run_skd
 from report_support import edited
 from scipy import special, stats
-from skd_evaluator.assessment.stages.calibrated_simulator import draw_warnings, propagated
+from skd_evaluator.extensions.fusion.assessed_draws import draw_warnings, propagated
 from skd_evaluator.extensions.fusion.calibrate_command import warnings_of
 from skd_evaluator.extensions.fusion.calibration import (
     Recorded,

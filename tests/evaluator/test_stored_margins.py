@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_support import one_line
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparison import compare
 from skd_evaluator.assessment.compare.gate import Limit, check_limits
 from skd_evaluator.assessment.files.results import read_result, write_assessment
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.margin.assessment_margin import with_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.common_trajectories import check_not_worse
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Outcome
+from stages import rate, with_margins
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
@@ -42,7 +43,7 @@ def ratings() -> dict[float, Assessment]:
         found = {}
         for multiplier in (0.5, 1.15):
             plan = replace(PLAN, multiplier=multiplier)
-            found[multiplier] = with_margins(rate(plan, [Objective.DEVIATION], safe, runner, quiet), runner, quiet, 50)
+            found[multiplier] = with_margins(rate(plan, [Objective.DEVIATION], safe, runner), runner, 50)
         return found
 
 

@@ -7,17 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.episodes_npz import write_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.sequential import LOOKS, rate_until_width
+from skd_evaluator.assessment.stages import sequential
+from skd_evaluator.assessment.stages.sequential import LOOKS
 from skd_evaluator.metrics.clustered import DISTANCES, clustered_mean
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.state import Trajectory
+from stages import rate
 
 PLAN = Plan(load_scenario("crossing"), multiplier=0.9, safe_count=2, kamikaze_count=2, collision_runs=3, simulations=20)
 
@@ -27,8 +30,9 @@ def silent(_label: str, _done: int, _total: int) -> None:
 
 
 def until(wanted: float, plan: Plan = PLAN) -> tuple[Assessment, list[Trajectory]]:
-    safe: list[Trajectory] = []
-    return rate_until_width(plan, [Objective.DEVIATION], wanted, safe, InProcessRunner(1), silent), safe
+    runner = InProcessRunner(1)
+    found = sequential.run(Context(runner, runner, (Objective.DEVIATION,), until_width=wanted), Assessment(plan))
+    return found, list(found.safe)
 
 
 def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
@@ -38,7 +42,7 @@ def test_it_is_the_assessment_of_all_phi_at_once(tmp_path) -> None:
     assert (len(safe), len(stop.looks), stop.reached) == (2 * LOOKS, LOOKS, False)
     assert [count for count, _ in stop.looks] == list(range(2, 2 * LOOKS + 1, 2))
     plan = replace(PLAN, safe_count=2 * LOOKS, collision_runs=2 * 2 * LOOKS)  # two runs along each, rounded up
-    at_once = rate(plan, [Objective.DEVIATION], safe, InProcessRunner(1), silent)
+    at_once = rate(plan, [Objective.DEVIATION], safe, InProcessRunner(1))
     contents = []
     for name, rating in (("one", found), ("other", at_once)):
         write_episodes(tmp_path / name, rating)

@@ -27,7 +27,9 @@ BREAKS = Measure("broken", "", _breaks)
 """
 (ENTRIES,) = re.findall(r"```toml\n(.*?)```", DOCUMENT, re.DOTALL)
 ENTRIES = re.sub(r'\[project\.entry-points\."(.*?)"\]', r"[\1]", ENTRIES).replace('"', "")  # as pip writes them
-ENTRIES += """never = my_scenarios:NEVER
+ENTRIES += """
+[skd.measures]
+never = my_scenarios:NEVER
 breaks = my_scenarios:BREAKS
 """
 COUNTS = ("--safe-count", "1", "--kamikaze-count", "4", "--collision-runs", "2", "--simulations", "60", "--seed", "5")
@@ -77,6 +79,9 @@ def test_one_of_each(package: Path, tmp_path: Path):
     assert (never["mean"], never["ci95"], never["pairs"], never["undefined"]) == (None, None, 0, len(times))
     assert result["measures"]["breaks"]["error"] == "RuntimeError: no idea"
     assert "time of the contact (s)" in done.stdout
+    with np.load(tmp_path / "out" / "episodes.npz") as found:
+        hard = int((hits & (found["impact_speed"] > 5.0)).sum())
+    assert f"{hard} hits at more than 5 m/s" in result["warnings"]
     assert "broken" in done.stdout
     assert not re.search(r"^\W*nothing\b", done.stdout, re.MULTILINE)  # no row of that name
 
@@ -136,6 +141,7 @@ def test_without_the_package_the_name_is_unknown(tmp_path: Path, option: str, na
         ("[skd.measures]\nlost = nowhere:DATA\n", (), "measure 'lost' cannot be loaded"),
         ("[skd.measures]\nlost = my_scenarios:QUIET\n", (), "must be a Measure"),
         ("[skd.measures]\na_name_that_is_too_long = my_scenarios:ENDS\n", (), "at most 16"),
+        ("[skd.stages]\nlost = nowhere:run\n", (), "stage 'lost' cannot be loaded"),
         ("[skd.objectives]\nlost = my_scenarios:QUIET\n", ("--objective", "lost"), "must be an ObjectiveModel"),
     ],
 )

@@ -17,14 +17,17 @@ from cli_support import one_line
 from edited_results import change_array, edit
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from skd_evaluator.assessment.assessment import judge_all
+from skd_evaluator.assessment.assessment import assessment_of
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import MANIFEST, write_manifests
 from skd_evaluator.assessment.files.results import read_result, write_assessment
 from skd_evaluator.assessment.files.verification import verify
-from skd_evaluator.assessment.plan import Plan, collision_runs, kamikaze_set, kamikaze_sets, safe_trajectories
+from skd_evaluator.assessment.objective_result import kamikaze_set
+from skd_evaluator.assessment.plan import Plan, runs_along
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_sim.errors import UsageError
@@ -208,7 +211,7 @@ def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
     plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=2, collision_runs=4, simulations=20)
     runner = InProcessRunner(1)
     safe = safe_trajectories(plan, runner)
-    sets, replays = kamikaze_sets(plan, safe, runner), collision_runs(plan, safe, runner)
+    sets, replays = kamikaze_sets(plan, safe, runner), list(runner.run(runs_along(plan, safe)))
 
     def lost(log: EpisodeLog) -> EpisodeLog:
         reason = "no answer: car_controller was silent"
@@ -218,7 +221,7 @@ def test_a_result_with_aborted_episodes_follows_from_them(tmp_path, began):
 
     logs = sets[0].in_order
     sets[0] = kamikaze_set(safe[0], [lost(logs[0]), *logs[1:]])
-    rating = judge_all(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]], 1.0)
+    rating = assessment_of(plan, safe, {plan.objective: sets}, [lost(replays[0]), *replays[1:]])
     write_assessment(tmp_path, rating)
     write_manifests(tmp_path)
     assert read_result(tmp_path).figures["aborted"] == 2

@@ -13,7 +13,7 @@ from skd_adversary.adversary import predicted_car
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_from, car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan, split_episode_id
-from skd_evaluator.assessment.stages.learning import CHOICES, WAITING_TRIALS, with_waiting_reward
+from skd_evaluator.assessment.stages.car_model import CHOICES, WAITING_TRIALS, with_waiting_reward
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge, Objective

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.report.formats import margin_warnings
 from skd_evaluator.report.presentation import figure_warnings, too_many_aborted, undefined
 from skd_evaluator.report.terminal import details_table, headline, headline_table, safe_trajectory_table
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import AbortKind, EpisodeLog, Mode, Outcome, abort_reason
+from stages import rate
 from test_campaign import straight, trial
 
 CROSSING = load_scenario("crossing")
@@ -34,7 +35,7 @@ def assessed(decide, plan: Plan = PLAN) -> Assessment:
                 yield EpisodeLog(episode, outcome, walked, np.zeros((3, 3)), *hit, reason=reason, clipped=clipped)
 
     safe = [straight(name="one"), straight(1.0, "two")]
-    return rate(plan, [plan.objective], safe, Runner(), lambda *_progress: None)
+    return rate(plan, [plan.objective], safe, Runner())
 
 
 def shown(rating: Assessment) -> str:
@@ -113,10 +114,7 @@ def test_everything_aborted_names_the_culprit_and_not_the_adversary():
 @pytest.mark.parametrize("name", ["[/nope]", "[bold]x[/bold]", "my_cars:[red]"])
 def test_controller_is_called_what_it_is_called(name):
     found = assessed(lambda episode: (Outcome.COLLISION, 0))
-    renamed = replace(
-        found, results=tuple(replace(one, plan=replace(one.plan, controller=name)) for one in found.results)
-    )
-    assert name in shown(renamed)
+    assert name in shown(replace(found, plan=replace(found.plan, controller=name)))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skd_evaluator.assessment.assessment import Assessment, rate
+from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import LeastWay
@@ -19,6 +19,7 @@ from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
+from stages import rate
 
 OF_THE_CAMPAIGN = {"header", "campaign", "scenario_name"}
 IN_WORDS = {"equivalent_multiplier", "equivalent_multiplier_ci95", "margin_converged"}
@@ -40,7 +41,7 @@ def rated(outcome: Outcome) -> Assessment:
     x = np.arange(-3.5, 3.0, 0.75)
     safe = [Trajectory(np.column_stack([x, np.full_like(x, y)]), 0.3, f"{y}") for y in (0.0, 1.0)]
     plan = Plan(load_scenario("crossing"), safe_count=2, kamikaze_count=5, collision_runs=8, seed=7)
-    return rate(plan, DEFAULT_OBJECTIVES, safe, Runner(), lambda *_progress: None)
+    return rate(plan, DEFAULT_OBJECTIVES, safe, Runner())
 
 
 @pytest.mark.parametrize("outcome", [Outcome.COLLISION, Outcome.MISSED])

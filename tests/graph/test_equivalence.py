@@ -14,10 +14,11 @@ import pytest
 from common import assert_valid
 from graph_support import HERE, MULTIPLIERS, Campaign, assert_same_log, assert_same_results, whole_graph
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.plausibility import examine
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.ros.evaluator import Evaluator
 from skd_sim.options.adversary import Objective

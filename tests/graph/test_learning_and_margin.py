@@ -17,9 +17,10 @@ from skd_adversary.car_models.car_model_file import car_model_text
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.assessment.plan import Plan, walks_a_way
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
-from skd_evaluator.assessment.stages import learning
-from skd_evaluator.assessment.stages.pipeline import learned_plan
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages import car_model as learning
+from skd_evaluator.assessment.stages.car_model import graph_settings, learned
+from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
 from skd_sim.controllers import BasicController
@@ -101,13 +102,14 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
     said: list[str] = []
     with whole_graph(tmp_path, options) as (node, _):
         graph = Counted(node)
-        informed = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
+        how = {"command": options.controller_command, "graph": graph_settings(options)}
+        informed = learned(theirs, graph, say=said.append, **how)
         after_lesson = len(graph.logs)
         episode = single_episode(informed, Mode.KAMIKAZE, 0, safe_number=0)
         log = node.run_episode(episode)
-        again = learned_plan(theirs, graph, lambda *_told: None, said.append, options)
+        again = learned(theirs, graph, say=said.append, **how)
         another = dataclasses.replace(theirs, seed=theirs.seed + 1, kamikaze_count=1)
-        learned_plan(another, graph, lambda *_told: None, said.append, options)
+        learned(another, graph, say=said.append, **how)
 
     assert after_lesson in (66 + 2, 66 + 3 * 2)  # one way to wait was tried, or all of them
     assert len(graph.logs) == after_lesson  # kept: whatever the seed and the budget

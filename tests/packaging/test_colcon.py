@@ -20,9 +20,10 @@ import pytest
 from colcon_support import Workspace, make_workspace, signal_group, workspace_folder
 from common import PATIENCE, new_domain
 from packaging_support import ALL_NODES, NODES, PYTHON_PACKAGES, SOURCE
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.run.workers import InProcessRunner, single_episode
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories, single_episode
 from skd_evaluator.bags.read import read_episodes
 from skd_sim.ros_environment import ensure_ros
 from skd_sim.scenario.scenario import load_scenario

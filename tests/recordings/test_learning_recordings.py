@@ -12,7 +12,7 @@ from skd_adversary.car_models.car_model_file import car_model_text, fitted_car
 from skd_adversary.warm_up import any_car_models
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.assessment.stages.learning import own_trials
+from skd_evaluator.assessment.stages.car_model import own_trials
 from skd_evaluator.ros.recording import bag_name
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario

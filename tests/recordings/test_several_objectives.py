@@ -12,9 +12,10 @@ import pytest
 from bag_forge import Sent, campaign_messages
 from common import assert_same_episodes, assert_valid, run_skd
 from recordings_support import crossing, trials
-from skd_evaluator.assessment.assessment import Assessment, judge_all
+from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.files.results import write_assessment
-from skd_evaluator.assessment.plan import Plan, kamikaze_set, split_episode_id
+from skd_evaluator.assessment.objective_result import kamikaze_set
+from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import EpisodeLog, Mode
@@ -45,7 +46,7 @@ def live(by_objective: dict[Objective, list[EpisodeLog]]) -> Assessment:
         for objective, logs in by_objective.items()
     }
     replays = [log for logs in by_objective.values() for log in logs if log.episode.mode == Mode.REPLAY]
-    return judge_all(PLAN, SAFE, sets, replays, 0.0)
+    return assessment_of(PLAN, SAFE, sets, replays)
 
 
 def _is_of(log: EpisodeLog, index: int) -> bool:
@@ -108,6 +109,6 @@ def test_logs_of_both_teach_a_car_model_and_none_is_taken_for_another_s_double(
         (log.adversary.tobytes(), log.car.tobytes())
         for one in live.results
         for group in one.kamikaze
-        for log in (*group.logs, *group.misses, *live.replays)
+        for log in (*group.logs, *group.misses, *live.nominal_runs)
     }
     assert json.loads(said.out)["logs"] == len(states)

@@ -7,7 +7,7 @@ import threading
 import time
 import warnings
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from skd_sim.options.options import option, options_of, read_options
 from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Progress, silent
 from skd_evaluator.assessment.files.episodes_npz import StoredEpisodes, read_episodes
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import StoredResult, read_result
@@ -30,14 +31,14 @@ from skd_evaluator.assessment.options import (
     CampaignOptions,
     GraphOptions,
 )
-from skd_evaluator.assessment.plan import Plan, Progress
 from skd_evaluator.assessment.run.dask_cluster import make_runner
 from skd_evaluator.assessment.run.workers import available_workers
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
+from skd_evaluator.assessment.stages.checks import fresh_process
+from skd_evaluator.assessment.stages.pipeline import assess_in_process
+from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
+from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import aborted_lines, fill, why_failed, with_failures
-from skd_evaluator.risk.assessment_risk import risk_asked
 
 _COMMAND = ("skd_evaluator.assess",)
 _ONE_AT_A_TIME = threading.RLock()
@@ -98,18 +99,23 @@ def assess(
     with _ONE_AT_A_TIME:
         begin = time.perf_counter()
         plan = plan_of(values, scenario_for(scenario, values["safe"]))
-        origin = partial(provenance, _COMMAND, surroundings=_surroundings(plan))
+        origin = provenance(_COMMAND, plan.car)
         plan = replace(plan, scenario=check_car(values, plan.scenario, graph=False))
         objectives = objectives_named(values["objective"])
-        risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
+        risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
         folder = None if out is None else ResultFolder(Path(out).expanduser(), overwrite=False)
         runner = make_runner(None, workers or available_workers(), isolated=plan.runs_others_code)
-        runners = Runners.in_process(runner)
-        told = progress or (lambda *_told: None)
-        further = Further(values["margin_limit"], curve=values["curve"], risk=risk)
-        rating = assess_in_process(
-            plan, objectives, runners, told, further, lambda known: origin(known.car, car_model=known.car_model)
+        context = Context(
+            runner,
+            runner,
+            objectives,
+            values["margin_limit"],
+            values["curve"],
+            risk=risk,
+            progress=progress or silent,
+            fresh=fresh_process,
         )
+        rating = assess_in_process(context, Assessment(plan, provenance=origin))
         seconds, failed = time.perf_counter() - begin, with_failures(rating, values["max_aborted"] / 100.0)
         rating = replace(failed, seconds=seconds)
         if folder is not None:
@@ -129,15 +135,6 @@ def load_result(folder: str | Path) -> Result:
         UsageError: there is none, or it contradicts itself.
     """
     return result_of(read_result(Path(folder).expanduser()))
-
-
-def _surroundings(plan: Plan) -> dict[str, Any]:
-    """Return what `provenance` is told of around an assessment: this starts programs, and so comes before any fork.
-
-    A worker that is forked while another thread starts a program keeps that thread waiting for the worker's end.
-    """
-    around = surroundings_of(_COMMAND)
-    return {**around, "controller_git": controller_revision(plan.car, "", around["git"])}
 
 
 class Result(StoredResult):

@@ -190,63 +190,45 @@ def _below(folder: Path) -> Iterator[Path]:
 _GIT_PATIENCE = 10.0  # s
 
 
-def provenance(
-    command: Sequence[str],
-    car: CarUnderTest,
-    *,
-    controller_command: str = "",
-    car_model: str = "",
-    surroundings: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Return the entry `provenance` of results, as JSON; its date is now.
+def provenance(command: Sequence[str], car: CarUnderTest, *, controller_command: str = "") -> dict[str, Any]:
+    """Return the entry `provenance` of results, as JSON; its date is now. This starts programs.
 
     Args:
         command: words of the command line.
         car: the car under test.
         controller_command: command that starts the car's own node, if it has one.
-        car_model: text of the model with which the adversary plans; empty: none was given.
-        surroundings: what `surroundings_of` gave, and as `controller_git` what `controller_revision` gave; found out by
-            default.
     """
-    now = datetime.datetime.now(datetime.UTC)
-    around = surroundings_of(command) if surroundings is None else surroundings
+    digests = code_files(car, controller_command).digests
     return {
-        "date": now.isoformat(timespec="seconds").replace("+00:00", "Z"),
-        **around,
-        "controller_files": [
-            {"path": path, "sha256": digest}
-            for path, digest in code_files(car, controller_command).digests.items()
-            if digest  # whoever has removed it meanwhile
-        ],
-        "controller_git": around["controller_git"]
-        if "controller_git" in around
-        else controller_revision(car, controller_command, around["git"]),
-        "car_model_sha256": hashlib.sha256(car_model.encode()).hexdigest() if car_model else None,
-    }
-
-
-def surroundings_of(command: Sequence[str]) -> dict[str, Any]:
-    """Return the part of the entry that is the same for all results of a command; this starts programs."""
-    return {
+        "date": date_now(),
         "host": platform.node(),
         "platform": platform.platform(),
         "python": platform.python_version(),
         "command": shlex.join(command),
         "folder": in_words(Path.cwd()),
         "git": git_revision(),
+        # Without a digest: somebody has removed it meanwhile.
+        "controller_files": [{"path": path, "sha256": digest} for path, digest in digests.items() if digest],
+        "controller_git": controller_revision(car, controller_command),
+        "car_model_sha256": None,  # until it is known
     }
 
 
-def controller_revision(car: CarUnderTest, command: str, own: dict[str, Any] | None) -> dict[str, Any] | None:
+def date_now() -> str:
+    """Return the date and time, as `provenance` says it."""
+    now = datetime.datetime.now(datetime.UTC)
+    return now.isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
+def controller_revision(car: CarUnderTest, command: str = "") -> dict[str, Any] | None:
     """Return the commit of the checkout that the last of a car's files is in; None: in none. This starts programs.
 
     Args:
         car: the car under test.
         command: command that starts the car's own node, if it has one.
-        own: commit of the checkout that SKD's code is in, for its own cars.
     """
     if car.is_own:
-        return own
+        return git_revision()
     return next(filter(None, map(git_revision, reversed(code_paths(car, command)))), None)
 
 

@@ -1,9 +1,9 @@
-"""The rating of a car: what kamikazes of one or more objectives reached on the same φ, and the runs along φ."""
+"""The assessment of a car: all that is known of it, and the figures that follow."""
 
 from __future__ import annotations
 
+import hashlib
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,21 +17,18 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import Surrogates, command_age, simulator_contacts, surrogates_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, figures_html, keys_of, ordered, taken
-from skd_evaluator.assessment.objective_result import CONFIDENCE, ObjectiveResult, judge, standing_contacts
-from skd_evaluator.assessment.plan import (
+from skd_evaluator.assessment.objective_result import (
+    CONFIDENCE,
     KamikazeSet,
-    Plan,
-    Progress,
-    Runner,
-    collision_runs,
-    kamikaze_sets,
-    split_episode_id,
+    ObjectiveResult,
+    objective_result,
+    standing_contacts,
 )
+from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries
 from skd_evaluator.metrics.margins import Margins, optimality_gap
-from skd_evaluator.metrics.measures import load_measures
 from skd_evaluator.metrics.risks import Risks
 from skd_evaluator.metrics.sample_size import UntilWidth
 from skd_evaluator.metrics.statistics import Interval, wilson_interval
@@ -45,18 +42,22 @@ _FEWEST_RUNS = 10
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessments of one car by kamikazes of different objectives, over the same φ and the same runs along φ.
+    """What is known of a car: each stage adds to it, and the figures of assessment.json follow from it.
 
     Attributes:
-        results: one for each objective, at least one, in the order of `in_order`.
+        plan: what is assessed; once kamikazes have run, its objective is the first of theirs.
+        safe: the safe trajectories Φ.
+        results: what the kamikazes of each objective reached, in the order of `in_order`.
+        nominal_runs: runs of the car against an adversary that follows φ.
         seconds: wall-clock time it took.
-        margins: the least way of each trial; None where the margin is not known.
+        confidence: confidence of the intervals by φ; above 95 % if they were looked at before more φ were run.
+        margins: the minimal deviation of each trial; None where the margin is not known.
         margin_note: why the margin is not known; else empty.
         risks: the risk; None where it is not known.
         risk_note: why the risk is not known; else empty.
         equivalent: the C of the basic car with the same margin on the same φ; None where the margin is not known.
         equivalent_note: how it was found, or why there is none.
-        budgets: how often kamikazes were hit that were held to a largest deviation, if that was asked for.
+        budgets: how often kamikazes were hit that were bounded in their deviation, if that was requested.
         left_out: what recordings held besides, and why it does not count, a line each.
         warnings: what a reader should know of the episodes that count, a line each.
         until_width: when and why the assessment stopped, if it went on until its interval was narrow enough.
@@ -65,8 +66,12 @@ class Assessment:
         simulation: what a simulator other than SKD's own says of the car in it; None where it says nothing.
     """
 
-    results: tuple[ObjectiveResult, ...]
-    seconds: float
+    plan: Plan
+    safe: tuple[Trajectory, ...] = ()
+    results: tuple[ObjectiveResult, ...] = ()
+    nominal_runs: tuple[EpisodeLog, ...] = ()
+    seconds: float = 0.0
+    confidence: float = CONFIDENCE
     margins: Margins | None = None
     margin_note: str = ""
     risks: Risks | None = None
@@ -80,21 +85,6 @@ class Assessment:
     provenance: Mapping[str, Any] | None = None
     static_tests: tuple[Mapping[str, Any], ...] = ()
     simulation: Mapping[str, Any] | None = None
-
-    @property
-    def plan(self) -> Plan:
-        """What was assessed; its objective is that of the first assessment."""
-        return self.results[0].plan
-
-    @property
-    def safe(self) -> tuple[Trajectory, ...]:
-        """Φ."""
-        return self.results[0].safe
-
-    @property
-    def replays(self) -> tuple[EpisodeLog, ...]:
-        """Runs of the car against an adversary that follows φ."""
-        return self.results[0].replays
 
     @property
     def for_skd(self) -> ObjectiveResult:
@@ -123,20 +113,20 @@ class Assessment:
     @property
     def episodes(self) -> int:
         """Episodes run, kamikaze and along φ, aborted ones included."""
-        return sum(group.trials for one in self.results for group in one.kamikaze) + len(self.replays)
+        return sum(group.trials for one in self.results for group in one.kamikaze) + len(self.nominal_runs)
 
     @property
     def reasons(self) -> list[str]:
         """Why episodes were aborted, one each."""
-        of_replays = [log.reason for log in self.replays if log.outcome == Outcome.ABORTED]
-        return [*(reason for one in self.results for reason in one.reasons), *of_replays]
+        of_runs = [log.reason for log in self.nominal_runs if log.outcome == Outcome.ABORTED]
+        return [*(reason for one in self.results for reason in one.reasons), *of_runs]
 
     @property
     def clipped(self) -> list[int]:
         """Per episode in which the car was commanded more than it can do, how often."""
-        of_replays = [log.clipped for log in self.replays if log.clipped]
+        of_runs = [log.clipped for log in self.nominal_runs if log.clipped]
         of_kamikazes = [count for one in self.results for group in one.kamikaze for count in group.clipped]
-        return [*of_kamikazes, *of_replays]
+        return [*of_kamikazes, *of_runs]
 
     @property
     def kamikaze_logs(self) -> list[EpisodeLog]:
@@ -147,7 +137,7 @@ class Assessment:
     def _logs(self) -> Iterator[EpisodeLog]:
         """Yield the episodes that ran to their end, and those along φ that did not."""
         yield from self.kamikaze_logs
-        yield from self.replays
+        yield from self.nominal_runs
 
     def hits(self) -> list[tuple[int, int]]:
         """Return for each safe trajectory how many runs along it ended in a collision, and how many there were.
@@ -159,7 +149,7 @@ class Assessment:
     def _per_phi(self, counts_as: Callable[[EpisodeLog], bool]) -> list[tuple[int, int]]:
         """Return for each safe trajectory how many runs along it count, and how many there were; see `hits`."""
         counts: dict[bytes, dict[int, list[int]]] = {}
-        for log in self.replays:
+        for log in self.nominal_runs:
             along = log.episode.safe_trajectory
             if log.outcome != Outcome.ABORTED and along is not None:
                 index = split_episode_id(log.episode.episode_id)[1]
@@ -176,7 +166,7 @@ class Assessment:
     @property
     def hit_runs(self) -> int:
         """Runs along φ that ended in a hit by the moving car."""
-        return sum(log.hit for log in self.replays)
+        return sum(log.hit for log in self.nominal_runs)
 
     def optimality_gap(self) -> tuple[float | None, Interval | None]:
         """Return how many times the margin the kamikazes that rank the car needed, in the same trials."""
@@ -197,7 +187,7 @@ class Assessment:
         kamikazes = [
             (log, str(one.plan.objective)) for one in self.results for group in one.kamikaze for log in group.in_order
         ]
-        return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.replays)])
+        return surrogates_of(self.plan.scenario, [*kamikazes, *((log, "") for log in self.nominal_runs)])
 
     @property
     def vulnerability(self) -> Vulnerability | None:
@@ -209,24 +199,24 @@ class Assessment:
         return Vulnerability(planned, self.budgets, None if self.margins is None else self.margins.curve)
 
     @property
-    def completed_replays(self) -> int:
+    def completed_runs(self) -> int:
         """Runs along φ that were not aborted."""
-        return sum(log.outcome != Outcome.ABORTED for log in self.replays)
+        return sum(log.outcome != Outcome.ABORTED for log in self.nominal_runs)
 
     @property
     def collisions(self) -> int:
         """Runs along φ that ended in a collision."""
-        return sum(log.outcome == Outcome.COLLISION for log in self.replays)
+        return sum(log.outcome == Outcome.COLLISION for log in self.nominal_runs)
 
     @property
     def clustered_contact_rate(self) -> Clustered | None:
         """The contact rate with what its error over φ is."""
-        return clustered_rate(self.hits(), self.results[0].confidence)
+        return clustered_rate(self.hits(), self.confidence)
 
     @property
     def contact_rate(self) -> float | None:
         """Share of the runs along φ that ended in a collision."""
-        return self.collisions / self.completed_replays if self.completed_replays else None
+        return self.collisions / self.completed_runs if self.completed_runs else None
 
     @property
     def credible(self) -> bool:
@@ -246,7 +236,7 @@ class Assessment:
         objectives = {str(one.plan.objective): one.figures() for one in self.results}
         of_skd, of_deviation = (objectives[str(one.plan.objective)] for one in (self.for_skd, self.for_deviation))
         close, close_interval = self.optimality_gap()
-        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.results[0].confidence)
+        nominal_collision_rate = clustered_rate(self._per_phi(lambda log: log.hit), self.confidence)
         rate = self.contact_rate
         clustered = self.clustered_contact_rate
         clusterings: dict[Of, Mapping[str, Any]] = {
@@ -272,10 +262,10 @@ class Assessment:
             **simulator_contacts(self._logs()),
             **({} if self.simulation is None else {"simulation": dict(self.simulation)}),
             "command_age": command_age(self._logs()),
-            "nominal_collision_rate": self.hit_runs / self.completed_replays if self.completed_replays else None,
+            "nominal_collision_rate": self.hit_runs / self.completed_runs if self.completed_runs else None,
             "nominal_collision_rate_ci95": nominal_collision_rate and nominal_collision_rate.interval,
             "contact_rate": rate,
-            "contact_rate_ci95_runs": wilson_interval(self.collisions, self.completed_replays)
+            "contact_rate_ci95_runs": wilson_interval(self.collisions, self.completed_runs)
             if rate is not None
             else None,
             "contact_rate_ci95": clustered and clustered.interval,
@@ -283,8 +273,8 @@ class Assessment:
                 one.key: clusterings[one.of][one.source or one.key] for one in AT_THE_TOP.values() if one.clustered
             },
             "until_width": self.until_width and self.until_width.as_dict(),
-            "collision_runs": self.completed_replays,
-            "collision_standing_contacts": standing_contacts(self.replays),
+            "collision_runs": self.completed_runs,
+            "collision_standing_contacts": standing_contacts(self.nominal_runs),
             "left_out": list(self.left_out),
             "warnings": list(self.warnings),
             **({"static_tests": list(self.static_tests)} if self.static_tests else {}),
@@ -305,9 +295,15 @@ class Assessment:
             "car_model": json.loads(plan.car_model) if plan.car_model else None,
             "scenario": plan.scenario.as_dict(),
             "version": version(),
-            "provenance": None if self.provenance is None else dict(self.provenance),
+            "provenance": self._provenance(),
         }
         return ordered(found)
+
+    def _provenance(self) -> dict[str, Any] | None:
+        if self.provenance is None:
+            return None
+        model = self.plan.car_model
+        return {**self.provenance, "car_model_sha256": hashlib.sha256(model.encode()).hexdigest() if model else None}
 
     def _per_safe_trajectory(self, of_skd: dict[str, Any], of_deviation: dict[str, Any]) -> list[dict[str, Any]]:
         rows = zip(of_skd["per_safe_trajectory"], of_deviation["per_safe_trajectory"], self.hits(), strict=True)
@@ -334,50 +330,29 @@ def in_order(objectives: Sequence[Objective]) -> tuple[Objective, ...]:
     return tuple(sorted(set(objectives), key=order.index))
 
 
-def judge_all(
-    plan: Plan,
-    safe: Sequence[Trajectory],
-    kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
-    replays: Sequence[EpisodeLog],
-    seconds: float,
-    confidence: float = CONFIDENCE,
-) -> Assessment:
-    """Compute the rating from episodes that have been run, now or long ago.
+def objective_results(
+    plan: Plan, kamikaze: Mapping[Objective, Sequence[KamikazeSet]], confidence: float = CONFIDENCE
+) -> tuple[ObjectiveResult, ...]:
+    """Compute the result of each objective of which kamikazes have been run, now or long ago.
 
     Args:
         plan: what was assessed, whatever its objective.
-        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ, by objective; at least of one.
-        replays: the runs along φ.
-        seconds: wall-clock time it took.
         confidence: confidence of the intervals over φ.
     """
-    results = tuple(
-        judge(replace(plan, objective=objective), safe, kamikaze[objective], replays, seconds, confidence)
+    return tuple(
+        objective_result(replace(plan, objective=objective), kamikaze[objective], confidence)
         for objective in in_order(tuple(kamikaze))
     )
-    return Assessment(results, seconds)
 
 
-def rate(
+def assessment_of(
     plan: Plan,
-    objectives: Sequence[Objective],
     safe: Sequence[Trajectory],
-    runner: Runner,
-    progress: Progress,
+    kamikaze: Mapping[Objective, Sequence[KamikazeSet]],
+    nominal_runs: Sequence[EpisodeLog],
+    confidence: float = CONFIDENCE,
 ) -> Assessment:
-    """Run the kamikaze episodes of each objective, once the runs along φ, and judge them.
-
-    Args:
-        plan: what to assess, whatever its objective.
-        objectives: the objectives of the kamikazes, at least one.
-        safe: the safe trajectories Φ.
-        runner: runs the episodes.
-        progress: called with how far the work is.
-    """
-    begin = time.perf_counter()
-    load_measures()  # one that cannot be loaded is said before anything is run
-    plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
-    kamikaze = {one.objective: kamikaze_sets(one, safe, runner, progress) for one in plans}
-    replays = collision_runs(plans[0], safe, runner, progress)
-    return judge_all(plan, safe, kamikaze, replays, time.perf_counter() - begin)
+    """Return the assessment that follows from episodes; see `objective_results`."""
+    results = objective_results(plan, kamikaze, confidence)
+    return Assessment(results[0].plan, tuple(safe), results, tuple(nominal_runs), confidence=confidence)

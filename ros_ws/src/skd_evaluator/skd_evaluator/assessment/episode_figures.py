@@ -19,6 +19,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import RoadUserState
 
 from skd_evaluator.assessment.plan import split_episode_id
+from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.contact_place import Pose, car_at_contact
 from skd_evaluator.metrics.surrogate_measures import SURROGATE_MEASURES, clearances, surrogate_measures
 from skd_evaluator.metrics.surrogate_scenes import Scene, course_of
@@ -202,3 +203,47 @@ def surrogates_of(scenario: Scenario, episodes: Iterable[tuple[EpisodeLog, str]]
     )
     collided = np.array([collision_partner(log) == ADVERSARY for log in logs], bool)
     return Surrogates(tuple(logs), tuple(name for _, name in kept), surrogate_measures(scenario, courses, collided))
+
+
+DRIVES_NOT: Final = "a car that does not drive hits nobody, so its figures do not say how it avoids people"
+_NEARLY_ALL = 0.9  # of the runs along φ
+_GENTLY, _ROOM = 2.0, 5.0  # m/s², m
+
+
+def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
+    """Return in a line that a car comes to stand far from everybody in nearly all runs along φ; empty if it does not.
+
+    It follows from what happened, so it is asked of recordings, too.
+
+    Args:
+        car: name of the car.
+        logs: its runs along φ.
+    """
+    runs = [one for one in logs if one.outcome != Outcome.ABORTED]
+    still = sum(map(_stands_far_off, runs))
+    if not runs or still < _NEARLY_ALL * len(runs):
+        return ()
+    return (
+        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while everybody was more than "
+        f"{_far(runs[0].episode.scenario):.0f} m away, and stayed there: {DRIVES_NOT}",
+    )
+
+
+def _far(scenario: Scenario) -> float:
+    """Return from how far on a car has no need to slow down for anybody yet, m: it can still stop gently."""
+    return scenario.car.start_speed**2 / (2.0 * _GENTLY) + _ROOM
+
+
+def _stands_far_off(log: EpisodeLog) -> bool:
+    """Tell whether a car was slower than a hit begins from some tick to the end, and everybody was far away then."""
+    scenario = log.episode.scenario
+    drives = np.flatnonzero(log.car[:, 2] >= scenario.collision.hit_speed)
+    tick = int(drives[-1]) + 1 if drives.size else 0
+    if log.hit or tick == len(log.car):
+        return False
+    x, y = log.car[tick, :2].tolist()
+    (near_x, near_y), adversary = log.adversary[tick].tolist(), scenario.adversary
+    away = [math.hypot(near_x - x, near_y - y) - adversary.reach]
+    for other, state in zip(scenario.others, scenario.others_at(tick), strict=True):
+        away.append(math.hypot(state.x - x, state.y - y) - other.reach)
+    return min(away) - scenario.car.front > _far(scenario)

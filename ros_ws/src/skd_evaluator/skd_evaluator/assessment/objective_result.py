@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,15 +13,7 @@ from skd_sim.world.episode import EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.episode_figures import closing_speed
-from skd_evaluator.assessment.plan import (
-    KamikazeSet,
-    Plan,
-    Progress,
-    Runner,
-    collision_runs,
-    kamikaze_sets,
-    split_episode_id,
-)
+from skd_evaluator.assessment.plan import Plan, split_episode_id
 from skd_evaluator.metrics.clustered import Clustered, clustered_rate
 from skd_evaluator.metrics.deviation import MeanDeviation, Trials, mean_deviation
 from skd_evaluator.metrics.measures import (
@@ -55,17 +46,65 @@ def standing_contacts(logs: Iterable[EpisodeLog]) -> int:
 
 
 @dataclass(frozen=True)
+class KamikazeSet:
+    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
+
+    Attributes:
+        safe_trajectory: the safe trajectory φ.
+        logs: the episodes that collided.
+        trials: number of episodes.
+        misses: the episodes that ran to their end and did not collide.
+        lost: the episodes that were aborted.
+    """
+
+    safe_trajectory: Trajectory
+    logs: tuple[EpisodeLog, ...]
+    trials: int
+    misses: tuple[EpisodeLog, ...] = ()
+    lost: tuple[EpisodeLog, ...] = ()
+
+    @property
+    def in_order(self) -> list[EpisodeLog]:
+        """Logs of all episodes, in the order of their trials."""
+        return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why episodes were aborted, one each."""
+        return [log.reason for log in self.lost]
+
+    @property
+    def clipped(self) -> list[int]:
+        """Per episode in which the car was commanded more than it can do, how often."""
+        return [log.clipped for log in self.in_order if log.clipped]
+
+    @property
+    def aborted(self) -> int:
+        """Number of episodes that were aborted."""
+        return len(self.lost)
+
+
+def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
+    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their trials."""
+    tried = tuple(logs)
+    return KamikazeSet(
+        safe_trajectory,
+        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
+        len(tried),
+        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
+        tuple(log for log in tried if log.outcome == Outcome.ABORTED),
+    )
+
+
+@dataclass(frozen=True)
 class ObjectiveResult:
     """What the kamikazes of one objective reached, and everything reported with it.
 
     Attributes:
         plan: what was assessed.
-        safe: the safe trajectories Φ.
         kamikaze: Ψ(φ) per φ.
-        replays: runs of the car against an adversary that follows φ.
         skd: discrete Fréchet distances of all pairs.
         deviation: deviations of all trials.
-        seconds: wall-clock time it took.
         trial_deviations: for each φ, what each trial counts as in the mean deviation, in the order of the
             trials, m; nan: it was aborted, or not run.
         measured: the further measures of all pairs, by name.
@@ -73,12 +112,9 @@ class ObjectiveResult:
     """
 
     plan: Plan
-    safe: tuple[Trajectory, ...]
     kamikaze: tuple[KamikazeSet, ...]
-    replays: tuple[EpisodeLog, ...]
     skd: SkdResult
     deviation: MeanDeviation
-    seconds: float
     trial_deviations: tuple[FloatArray, ...] = ()
     measured: Mapping[str, Measured] = field(default_factory=dict)
     confidence: float = CONFIDENCE
@@ -201,15 +237,8 @@ class ObjectiveResult:
         ]
 
 
-def judge(
-    plan: Plan,
-    safe: Sequence[Trajectory],
-    kamikaze: Sequence[KamikazeSet],
-    replays: Sequence[EpisodeLog],
-    seconds: float,
-    confidence: float = CONFIDENCE,
-) -> ObjectiveResult:
-    """Compute the assessment from episodes that have been run, now or long ago.
+def objective_result(plan: Plan, kamikaze: Sequence[KamikazeSet], confidence: float = CONFIDENCE) -> ObjectiveResult:
+    """Compute the result of kamikazes of one objective that have been run, now or long ago.
 
     A maximum distance applies to the distance for which the objective plans: kamikazes of objective `deviation` are
     discarded by their deviation, others by their Fréchet distance. Discarded kamikazes do not count in SKD. The mean
@@ -234,12 +263,9 @@ def judge(
     others = {name: one for name, one in measured.items() if not one.measure.headline}
     return ObjectiveResult(
         plan,
-        tuple(safe),
         tuple(kamikaze),
-        tuple(replays),
         result,
         deviation,
-        seconds,
         measured=others,
         confidence=confidence,
         trial_deviations=tuple(
@@ -281,11 +307,3 @@ def _by_trial(group: KamikazeSet, distances: FloatArray, eta_max: float) -> Floa
     for log, distance in zip(group.logs, distances.tolist(), strict=True):
         found[split_episode_id(log.episode.episode_id)[2]] = min(distance, eta_max) if log.hit else eta_max
     return found
-
-
-def assess(plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress) -> ObjectiveResult:
-    """Run the kamikaze episodes and the runs along φ of a plan, and judge them."""
-    begin = time.perf_counter()
-    kamikaze = kamikaze_sets(plan, safe, runner, progress)
-    replays = collision_runs(plan, safe, runner, progress)
-    return judge(plan, safe, kamikaze, replays, time.perf_counter() - begin)

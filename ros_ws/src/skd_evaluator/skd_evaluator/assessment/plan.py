@@ -10,18 +10,16 @@ again and again, each time at another phase of its ticks.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER, objective_named
-from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, check_kind
-from skd_adversary.safe_trajectories.sources import load_safe_trajectories
+from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.road_users import check_kind
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
@@ -29,13 +27,12 @@ from skd_sim.options.adversary import check_knowledge
 from skd_sim.options.car_under_test import DEFAULT, CarUnderTest, is_own_world
 from skd_sim.options.options import shared_options
 from skd_sim.scenario.road import beside_road
-from skd_sim.scenario.scenario import Scenario, check_way
+from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome, Role, generator
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.options import GENERATED, OWN, WALKERS, CampaignOptions
-from skd_evaluator.errors import AssessmentError
-from skd_evaluator.metrics.behaviour.model import load_behaviour, normals_of, walked
+from skd_evaluator.assessment.options import WALKERS, CampaignOptions
+from skd_evaluator.metrics.behaviour.model import load_behaviour
 
 TRIALS_PER_REQUESTED = 2
 """Cap on kamikaze episodes per wanted kamikaze trajectory."""
@@ -149,220 +146,6 @@ class Plan(CampaignOptions):
             safe_trajectory=safe,
             **shared_options(self),
         )
-
-
-class Runner(Protocol):
-    """Runs episodes and yields their logs in the order of the episodes."""
-
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`."""
-
-
-@dataclass(frozen=True)
-class KamikazeSet:
-    """Ψ(φ): the kamikaze episodes of one safe trajectory that collided, and what became of the others.
-
-    Attributes:
-        safe_trajectory: the safe trajectory φ.
-        logs: the episodes that collided.
-        trials: number of episodes.
-        misses: the episodes that ran to their end and did not collide.
-        lost: the episodes that were aborted.
-    """
-
-    safe_trajectory: Trajectory
-    logs: tuple[EpisodeLog, ...]
-    trials: int
-    misses: tuple[EpisodeLog, ...] = ()
-    lost: tuple[EpisodeLog, ...] = ()
-
-    @property
-    def in_order(self) -> list[EpisodeLog]:
-        """Logs of all episodes, in the order of their trials."""
-        return sorted((*self.logs, *self.misses, *self.lost), key=lambda log: log.episode.episode_id)
-
-    @property
-    def reasons(self) -> list[str]:
-        """Why episodes were aborted, one each."""
-        return [log.reason for log in self.lost]
-
-    @property
-    def clipped(self) -> list[int]:
-        """Per episode in which the car was commanded more than it can do, how often."""
-        return [log.clipped for log in self.in_order if log.clipped]
-
-    @property
-    def aborted(self) -> int:
-        """Number of episodes that were aborted."""
-        return len(self.lost)
-
-
-def kamikaze_set(safe_trajectory: Trajectory, logs: Iterable[EpisodeLog]) -> KamikazeSet:
-    """Return Ψ(φ) of the kamikaze episodes that were run for φ, in the order of their trials."""
-    tried = tuple(logs)
-    return KamikazeSet(
-        safe_trajectory,
-        tuple(log for log in tried if log.outcome == Outcome.COLLISION),
-        len(tried),
-        tuple(log for log in tried if log.outcome not in (Outcome.COLLISION, Outcome.ABORTED)),
-        tuple(log for log in tried if log.outcome == Outcome.ABORTED),
-    )
-
-
-class Recorder:
-    """A runner that remembers the logs of another one, for the case that the work is interrupted.
-
-    Attributes:
-        logs: what happened in every episode so far.
-    """
-
-    def __init__(self, runner: Runner) -> None:
-        """Let `runner` do the work."""
-        self._runner = runner
-        self.logs: list[EpisodeLog] = []
-
-    def run(self, episodes: Sequence[Episode]) -> Iterator[EpisodeLog]:
-        """Run all of `episodes`; see `Runner`."""
-        for log in self._runner.run(episodes):
-            self.logs.append(log)
-            yield log
-
-
-Progress = Callable[[str, int, int], None]
-"""Called with (what is being done, done, of how many)."""
-
-
-def _silent(_label: str, _done: int, _total: int) -> None:
-    pass
-
-
-def _collect(
-    runner: Runner, episodes: Sequence[Episode], label: str, done: int, total: int, progress: Progress
-) -> Iterable[EpisodeLog]:
-    for count, log in enumerate(runner.run(episodes), start=1):
-        progress(label, done + count, total)
-        yield log
-
-
-def safe_trajectories(plan: Plan, runner: Runner, progress: Progress = _silent) -> list[Trajectory]:
-    """Return Φ: recorded, or generated, by the safe POMDP or a behaviour model, before the reference or the plan's car.
-
-    Raises:
-        UsageError: the source has too few, or too few generated episodes arrived.
-        AssessmentError: most generated episodes were aborted.
-    """
-    if plan.safe not in GENERATED:
-        return load_safe_trajectories(plan.safe, plan.scenario, plan.safe_count)
-    found: list[Trajectory] = []
-    trial = 0
-    reasons: list[str] = []
-    while len(found) < plan.safe_count:
-        if trial >= SAFE_TRIALS_PER_REQUESTED * plan.safe_count:
-            if 2 * len(reasons) > trial:
-                raise AssessmentError(
-                    f"{len(reasons)} of {trial} safe episodes were aborted, the last one so: {reasons[-1]}"
-                )
-            raise UsageError(
-                f"only {len(found)} of {plan.safe_count} safe trajectories arrived without a collision in {trial} "
-                f"episodes of scenario {plan.scenario.name}: is the destination within its horizon?"
-            )
-        missing = plan.safe_count - len(found)
-        episodes = [_safe_episode(plan, episode_id(Stage.SAFE, 0, trial + i)) for i in range(missing)]
-        for log in _collect(runner, episodes, "safe trajectories", len(found), plan.safe_count, progress):
-            if log.outcome == Outcome.ARRIVED and (plan.safe != WALKERS or _crosses(plan.scenario, log.trajectory)):
-                found.append(replace(log.trajectory, name=f"{plan.safe}/{trial}"))
-            elif log.outcome == Outcome.ABORTED:
-                reasons.append(log.reason)
-            trial += 1
-    return found
-
-
-def _safe_episode(plan: Plan, number: int) -> Episode:
-    """Return an episode, by its id, that makes a safe trajectory if it arrives unharmed."""
-    # The reference car decides once a tick, whatever the car under test does: φ are the same for all cars.
-    reference = Episode(
-        replace(plan.scenario, control_period=None),
-        Mode.SAFE,
-        plan.seed,
-        number,
-        multiplier=REFERENCE_MULTIPLIER,
-        simulations=SAFE_SIMULATIONS,
-    )
-    if plan.safe == WALKERS:
-        return replace(reference, mode=Mode.REPLAY, safe_trajectory=_walker(plan.scenario, plan.seed, number))
-    if plan.safe == OWN:
-        return replace(
-            reference,
-            scenario=plan.scenario,
-            controller=plan.controller,
-            multiplier=plan.multiplier,
-            car_model=plan.car_model,
-            knowledge=plan.knowledge,
-            simulator=plan.simulator,
-        )
-    return reference
-
-
-def _walker(scenario: Scenario, seed: int, number: int) -> Trajectory:
-    """Return how somebody walks who means to go straight across, by the behaviour model, until arrival or horizon."""
-    adversary, ticks, step = scenario.adversary, scenario.ticks, scenario.time_step
-    velocity = PEDESTRIAN.motion.velocity(scenario, (0.0, 0.0), EAST)
-    along = step * np.arange(ticks + 1)[:, None] * np.array(velocity)
-    normals = generator(seed, number, Role.WALKER).standard_normal(normals_of(ticks))
-    intended = np.array([adversary.start_x, adversary.start_y]) + along
-    way = walked(intended, load_behaviour(WALKERS).values, normals, 1.0, step)
-    arrived = next((tick for tick, (x, y) in enumerate(way.tolist()) if scenario.end.arrived(x, y)), ticks)
-    return Trajectory(way[: arrived + 1], step)
-
-
-def _crosses(scenario: Scenario, way: Trajectory) -> bool:
-    """Tell whether a way leads from elsewhere to the destination, and into no obstacle."""
-    first, last = (scenario.end.arrived(*place) for place in way.positions[[0, -1]].tolist())
-    with contextlib.suppress(UsageError):
-        check_way(scenario, way)
-        return last and not first
-    return False
-
-
-def kamikaze_sets(
-    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = _silent, *, first: int = 0
-) -> list[KamikazeSet]:
-    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
-
-    Args:
-        plan: the campaign.
-        safe: Φ, or the part of it that follows on `first` others.
-        runner: runs the episodes.
-        progress: called with how far the work is.
-        first: number of the first φ.
-    """
-    tried: list[list[EpisodeLog]] = [[] for _ in safe]
-    found = [0] * len(safe)
-    cap = TRIALS_PER_REQUESTED * plan.kamikaze_count
-    total = plan.kamikaze_count * len(safe)
-    label = f"kamikazes ({plan.objective})"
-    while True:
-        batch: list[tuple[int, Episode]] = []
-        for index, trajectory in enumerate(safe):
-            trials = len(tried[index])
-            missing = min(plan.kamikaze_count - found[index], cap - trials)
-            for trial in range(trials, trials + missing):
-                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, trial, trajectory)))
-        if not batch:
-            break
-        logs = _collect(runner, [spec for _, spec in batch], label, sum(found), total, progress)
-        for (index, _), log in zip(batch, logs, strict=True):
-            tried[index].append(log)
-            found[index] += plan.succeeds(log)
-    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
-
-
-def collision_runs(
-    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = _silent
-) -> list[EpisodeLog]:
-    """Run the car under test against an adversary that follows φ, the runs dealt out evenly over Φ."""
-    episodes = runs_along(plan, safe)
-    return list(_collect(runner, episodes, "contact rate", 0, len(episodes), progress))
 
 
 def runs_along(plan: Plan, safe: Sequence[Trajectory]) -> list[Episode]:

@@ -11,18 +11,11 @@ from skd_sim.options.options import options_of, shared_options
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, in_order, judge_all
+from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
+from skd_evaluator.assessment.episode_figures import standing
+from skd_evaluator.assessment.objective_result import KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.options import RECORDED
-from skd_evaluator.assessment.plan import (
-    TRIALS_PER_REQUESTED,
-    KamikazeSet,
-    Plan,
-    Stage,
-    kamikaze_set,
-    split_episode_id,
-    walks_a_way,
-)
-from skd_evaluator.assessment.repeatability import standing
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, Stage, split_episode_id, walks_a_way
 from skd_evaluator.bags.checks import (
     Damage,
     aborted_episodes,
@@ -140,7 +133,7 @@ def rating_from(
             "maximum_distance": maximum_distance or first.maximum_distance,
         },
     )
-    rating = judge_all(plan, [group.safe_trajectory for group in ordered], sets, replays, seconds)
+    rating = replace(assessment_of(plan, [group.safe_trajectory for group in ordered], sets, replays), seconds=seconds)
     stands = standing(plan.controller, replays)
     lost = aborted_lines(rating.as_dict()) if rating.reasons else []
     if damage is None:

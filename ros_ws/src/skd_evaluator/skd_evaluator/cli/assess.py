@@ -18,19 +18,17 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import EpisodeLog, Mode, counts_in_words
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, judge_all
+from skd_evaluator.assessment.assessment import Assessment, assessment_of
+from skd_evaluator.assessment.context import Context, Recorder
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import write_assessment
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
+from skd_evaluator.assessment.objective_result import kamikaze_set
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import Plan, Recorder, Stage, kamikaze_set, split_episode_id
-from skd_evaluator.assessment.repeatability import fresh_process
-from skd_evaluator.assessment.stages.pipeline import (
-    Further,
-    Runners,
-    assess_in_process,
-    compile_for_graph,
-)
+from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
+from skd_evaluator.assessment.stages.checks import fresh_process
+from skd_evaluator.assessment.stages.pipeline import assess_in_process, compile_for_graph
+from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.cli.output import print_json
@@ -48,15 +46,14 @@ from skd_evaluator.report.terminal import (
     safe_trajectory_table,
     surrogate_table,
 )
-from skd_evaluator.risk.assessment_risk import risk_asked
-from skd_evaluator.ros.processes import log_of
-from skd_evaluator.ros.session import prepare_ros, rated_through_graph
+from skd_evaluator.ros.processes import GraphSetting, log_of
+from skd_evaluator.ros.session import assess_through_graph, prepare_ros
 
 EXIT_INTERRUPTED = 130
 
 
 def print_result(
-    rating: Assessment,
+    assessment: Assessment,
     out: ResultFolder,
     arguments: argparse.Namespace,
     gate: Gate,
@@ -66,23 +63,23 @@ def print_result(
     """Print an assessment and where it is, check the gate's conditions, and return the exit code.
 
     Args:
-        rating: what was found.
+        assessment: what was found.
         out: folder to which the result was written.
         arguments: arguments of the command.
         gate: the conditions that it has to meet.
         problem: why the result is not where it was asked for; None if it is.
-        said: warnings of the rating that were printed before.
+        said: warnings of the assessment that were printed before.
     """
-    result = rating.as_dict()
+    result = assessment.as_dict()
     if arguments.json:
         print_json(result)
     else:
         print_tables(result, details=arguments.details)
-        seconds = f"{rating.seconds:.1f} s"
+        seconds = f"{assessment.seconds:.1f} s"
         print(seconds if problem else f"{seconds}; results in {out.path}")
-    for line in warnings_of(rating, said=said):
+    for line in warnings_of(assessment, said=said):
         print(f"skd {arguments.command}: warning: {line}", file=sys.stderr)
-    failures = [*([problem] if problem else []), *why_failed(rating, arguments.max_aborted)]
+    failures = [*([problem] if problem else []), *why_failed(assessment, arguments.max_aborted)]
     checks = gate.checks(result, None if problem else out.path, failures)
     if len(checks) > 1 and checks[0].error and not failures:
         failures.append(f"gate: nothing can be said of the car: {checks[0].text}")
@@ -97,8 +94,10 @@ def print_result(
         print(f"skd {arguments.command}: {why}", file=sys.stderr)
     # How many of which is among the warnings, and the reason among the failures, if they are too many.
     logs = out.path / "logs"
-    if rating.reasons and (logs.is_dir() or not any(most_frequent(rating.reasons) in why for why in failures)):
-        print(f"skd {arguments.command}: why episodes were aborted: {_reasons(rating.reasons, logs)}", file=sys.stderr)
+    if assessment.reasons and (logs.is_dir() or not any(most_frequent(assessment.reasons) in why for why in failures)):
+        print(
+            f"skd {arguments.command}: why episodes were aborted: {_reasons(assessment.reasons, logs)}", file=sys.stderr
+        )
     return 1 if failures else 0
 
 
@@ -136,33 +135,38 @@ def print_tables(result: Mapping[str, Any], *, details: bool) -> None:
         print(f"Stopped {result['until_width']['text']}")
 
 
-def print_what_there_is(
-    plan: Plan, safe: Sequence[Trajectory], recorder: Recorder, begin: float, arguments: argparse.Namespace
-) -> int:
+def print_what_there_is(plan: Plan, recorder: Recorder, begin: float, arguments: argparse.Namespace) -> int:
     """Print what an interrupted assessment has found so far, and how much of it is missing; return the exit code."""
     objectives = objectives_named(arguments.objective)
-    tried: dict[tuple[Objective, int], list[EpisodeLog]] = {}
+    safe: dict[int, Trajectory] = {}
+    tried: dict[tuple[Objective, int], dict[int, EpisodeLog]] = {}
+    runs: list[EpisodeLog] = []
     for log in recorder.logs:
-        if log.episode.mode == Mode.KAMIKAZE:
-            index = split_episode_id(log.episode.episode_id)[1]
-            tried.setdefault((log.episode.objective, index), []).append(log)
+        stage, index, trial = split_episode_id(log.episode.episode_id)
+        phi = log.episode.safe_trajectory
+        if phi is not None and log.episode.mode == Mode.KAMIKAZE and stage == Stage.KAMIKAZE:
+            safe.setdefault(index, phi)
+            tried.setdefault((log.episode.objective, index), {}).setdefault(trial, log)  # later ones are bounded
+        elif stage == Stage.NOMINAL:
+            runs.append(log)
     sets = {
-        objective: [kamikaze_set(one, tried.get((objective, index), ())) for index, one in enumerate(safe)]
+        objective: [kamikaze_set(safe[index], tried.get((objective, index), {}).values()) for index in sorted(safe)]
         for objective in objectives
     }
-    along = [log for log in recorder.logs if log.episode.mode == Mode.REPLAY]
-    replays = [log for log in along if split_episode_id(log.episode.episode_id)[0] == Stage.NOMINAL]
-    rating = judge_all(plan, safe, sets, replays, time.perf_counter() - begin)
-    rating = replace(rating, margin_note="interrupted before it was searched")
-    result = rating.as_dict()
+    assessment = replace(
+        assessment_of(plan, [safe[index] for index in sorted(safe)], sets, runs),
+        seconds=time.perf_counter() - begin,
+        margin_note="interrupted before it was searched",
+    )
+    result = assessment.as_dict()
     if arguments.json:
         print_json({"interrupted": True, **result})
     else:
         print_tables(result, details=True)
-    wanted = plan.kamikaze_count * len(safe) * len(objectives)
+    requested = plan.kamikaze_count * plan.safe_count * len(objectives)
     print(
-        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {rating.successes} of "
-        f"{wanted} kamikaze trajectories and {len(replays)} of {plan.collision_runs} runs along φ; the same command "
+        f"skd {arguments.command}: interrupted; nothing was written. What is above is of {assessment.successes} of "
+        f"{requested} kamikaze trajectories and {len(runs)} of {plan.collision_runs} runs along φ; the same command "
         "begins anew and gives the same",
         file=sys.stderr,
     )
@@ -184,10 +188,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     begin = time.perf_counter()
     plan = plan_of(vars(arguments), scenario_for(arguments.scenario, arguments.safe))
-    objectives = objectives_named(arguments.objective)
     plan = replace(plan, scenario=check_car(vars(arguments), plan.scenario, graph=arguments.graph))
     make_simulator(plan.simulator)
-    further = further_of(arguments)
+    request = requested(arguments)
     for option in ("curve", "until_width", "scheduler"):
         if arguments.graph and getattr(arguments, option):
             raise UsageError(f"--{option.replace('_', '-')} goes with assessments in process: leave out --graph")
@@ -196,44 +199,46 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     if arguments.graph:
         prepare_ros(graph_options(arguments))
     out = result_folder(arguments)
+    command = arguments.controller_command or ""
+    origin = provenance(arguments.command_line, plan.car, controller_command=command)
+    assessment = Assessment(plan, provenance=origin)
     if arguments.graph:
-        rating, problem = _assess_graph(arguments, plan, further, out, begin)
-        return print_result(rating, out, arguments, gate, problem)
-    safe: list[Trajectory] = []
-    runner = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=arguments.startup_timeout)
-    recorder = Recorder(runner)
-    runners = Runners.in_process(runner, recorder, fresh=partial(fresh_process, arguments.startup_timeout))
-    origin, tell = partial(origin_of, arguments), partial(say, arguments.command)
+        assessment, problem = _assess_graph(arguments, assessment, request, out, begin)
+        return print_result(assessment, out, arguments, gate, problem)
+    workers = runner_of(arguments, isolated=plan.runs_others_code, answer_limit=arguments.startup_timeout)
+    recorder = Recorder(workers)
+    fresh = partial(fresh_process, arguments.startup_timeout)
     try:
         with progress_bar(quiet=arguments.quiet) as progress:
-            rating = assess_in_process(plan, objectives, runners, progress, further, origin, tell, safe)
+            context = Context(recorder, workers, progress=progress, fresh=fresh, **request)
+            assessment = assess_in_process(context, assessment)
     except KeyboardInterrupt:
-        if not recorder.logs:
+        if not any(log.episode.mode == Mode.KAMIKAZE for log in recorder.logs):
             raise
-        return print_what_there_is(plan, safe, recorder, begin, arguments)
-    rating = replace(rating, seconds=time.perf_counter() - begin)
-    problem = out.save(lambda folder: _write(folder, rating, arguments, may_fork=True))
-    return print_result(rating, out, arguments, gate, problem)
+        return print_what_there_is(plan, recorder, begin, arguments)
+    assessment = replace(assessment, seconds=time.perf_counter() - begin)
+    problem = out.save(lambda folder: _write(folder, assessment, arguments, may_fork=True))
+    return print_result(assessment, out, arguments, gate, problem)
 
 
-def _write(folder: Path, rating: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
-    """Write an assessment, with its pictures if they are asked for."""
+def _write(folder: Path, assessment: Assessment, arguments: argparse.Namespace, *, may_fork: bool = False) -> None:
+    """Write an assessment, with its pictures if they are requested."""
     if arguments.pictures:
-        fill(folder, rating, may_fork=may_fork)
+        fill(folder, assessment, may_fork=may_fork)
     else:
-        write_assessment(folder, rating)
+        write_assessment(folder, assessment)
 
 
-def further_of(arguments: argparse.Namespace) -> Further:
-    """Return what else the assessment is to have, as the options say."""
-    risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
-    return Further(arguments.margin_limit, arguments.curve, arguments.until_width, risk)
-
-
-def origin_of(arguments: argparse.Namespace, plan: Plan) -> dict[str, Any]:
-    """Return where an assessment comes from; see `provenance`."""
-    command = arguments.controller_command or ""
-    return provenance(arguments.command_line, plan.car, controller_command=command, car_model=plan.car_model)
+def requested(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what the options request of the stages, as arguments of `Context`."""
+    return {
+        "objectives": objectives_named(arguments.objective),
+        "margin_limit": arguments.margin_limit,
+        "curve": arguments.curve,
+        "until_width": arguments.until_width,
+        "risk": risk_request(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset),
+        "say": partial(say, arguments.command),
+    }
 
 
 def say(command: str, line: str) -> None:
@@ -242,22 +247,19 @@ def say(command: str, line: str) -> None:
 
 
 def _assess_graph(
-    arguments: argparse.Namespace, plan: Plan, further: Further, out: ResultFolder, begin: float
+    arguments: argparse.Namespace, assessment: Assessment, request: dict[str, Any], out: ResultFolder, begin: float
 ) -> tuple[Assessment, str | None]:
-    objectives = objectives_named(arguments.objective)
-    compile_for_graph(plan, objectives)
+    compile_for_graph(assessment.plan, request["objectives"])
     with out.scratch() as scratch:
+        setting = GraphSetting(
+            options=graph_options(arguments),
+            car=assessment.plan.car,
+            log_folder=scratch.logs,
+            simulator=assessment.plan.simulator,
+            record_to=scratch.folder / "bags" if arguments.record else None,
+        )
         with progress_bar(quiet=arguments.quiet) as progress:
-            rating = rated_through_graph(
-                plan,
-                objectives,
-                graph_options(arguments),
-                further,
-                log_folder=scratch.logs,
-                record_to=scratch.folder / "bags" if arguments.record else None,
-                progress=progress,
-                say=partial(say, arguments.command),
-            )
-        rating = replace(rating, provenance=origin_of(arguments, rating.plan), seconds=time.perf_counter() - begin)
-        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, rating, arguments))
-    return rating, problem
+            assessment = assess_through_graph(assessment, setting, {**request, "progress": progress})
+        assessment = replace(assessment, seconds=time.perf_counter() - begin)
+        problem = save_with_scratch(out, scratch.folder, lambda folder: _write(folder, assessment, arguments))
+    return assessment, problem

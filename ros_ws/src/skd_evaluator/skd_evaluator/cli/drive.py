@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+from skd_adversary.safe_trajectories import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import Knowledge
@@ -22,8 +22,9 @@ from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.files.results import episode_summary
 from skd_evaluator.assessment.from_options import check_car, default_folder, plan_of, scenario_for
 from skd_evaluator.assessment.options import GENERATED, SYNTHETIC, CampaignOptions, GraphOptions
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.driving.hand import Controls, Drive, Hand, LeftError, Wish, driving_in_process
 from skd_evaluator.driving.screen import KEYS, KEYS_OF_ONLOOKER, Lines, Screen, can_draw, drawing, terminal

@@ -12,13 +12,14 @@ from skd_sim.world.episode import Mode, Outcome
 
 from skd_evaluator.assessment.files.results import episode_summary
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
-from skd_evaluator.assessment.run.workers import single_episode
-from skd_evaluator.assessment.stages.pipeline import compile_for_graph, learned_plan
+from skd_evaluator.assessment.stages.car_model import graph_settings, learned
+from skd_evaluator.assessment.stages.pipeline import compile_for_graph
+from skd_evaluator.assessment.stages.risk import behaviour_asked, single_crossing
+from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import graph_options, say
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.report.presentation import episode_line, fill_episode, write_with_scratch
-from skd_evaluator.risk.assessment_risk import behaviour_asked, single_crossing
 from skd_evaluator.ros.processes import GraphSetting, log_of
 from skd_evaluator.ros.session import graph_session, prepare_ros
 
@@ -51,7 +52,13 @@ def run(arguments: argparse.Namespace) -> int:
         with graph_session(setting) as evaluator:
             if episode.mode == Mode.KAMIKAZE:  # nobody else plans against the car
                 graph = graph_options(arguments)
-                plan = learned_plan(plan, evaluator, lambda *_told: None, partial(say, arguments.command), graph)
+                plan = learned(
+                    plan,
+                    evaluator,
+                    say=partial(say, arguments.command),
+                    command=graph.controller_command,
+                    graph=graph_settings(graph),
+                )
                 episode = replace(episode, car_model=plan.car_model)
             log = evaluator.run_episode(episode)
         write_with_scratch(out, scratch.folder, lambda folder: fill_episode(folder, log))

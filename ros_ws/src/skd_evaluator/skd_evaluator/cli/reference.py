@@ -1,35 +1,118 @@
-"""`skd scenarios reference`: margins of basic cars in a scenario, and the equivalent multiplier of a car in it."""
+"""`skd scenarios reference`: margins of basic cars of several C, and the equivalent multiplier of a car among them.
+
+Where these margins are exact the equivalent multiplier needs none of it (`basic_margins.py`). Elsewhere they are
+searched for, as that of the car under test is: both are upper bounds, found by the same search. The basic cars are the
+paper's, which decide once a tick; on a road with curves they move as the car under test.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from skd_adversary.safe_trajectories.sources import count_safe_trajectories
+from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.scenario.scenario_file import REGULATORY
+from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
+from skd_sim.world.episode import Mode
+from skd_sim.world.state import Trajectory
 
+from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.files.results import read_result
+from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.options import SYNTHETIC
-from skd_evaluator.assessment.plan import Plan, Progress, safe_trajectories
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
+from skd_evaluator.assessment.stages.margin import least_ways, warm_up_margins
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.margin.assessment_margin import warm_up_margins
-from skd_evaluator.margin.reference import MULTIPLIERS, Asked, asked_of_result, equivalent_in, reference_sweep
-from skd_evaluator.metrics.equivalent_multiplier import equivalent_entries
+from skd_evaluator.margin.basic_margins import yardstick
+from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier, equivalent_entries, equivalent_multiplier
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.formats import bounded, spoken_interval
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.terminal import narrow_table, print_table
+
+MULTIPLIERS = (0.5, 0.75, 1.0, 1.25, 1.5)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceTrials:
+    """Where basic cars are compared.
+
+    Attributes:
+        name: of the scenario, or the folder of the assessment.
+        plan: of the trials; its `kamikaze_count` is how many there are on each φ.
+        safe: Φ.
+        result: the assessment whose car is compared with them; None: no car is.
+    """
+
+    name: str
+    plan: Plan
+    safe: Sequence[Trajectory]
+    result: StoredResult | None = None
+
+
+def asked_of_result(result: StoredResult) -> ReferenceTrials:
+    """Return the trials in which an assessment has margins.
+
+    Raises:
+        UsageError: it has none.
+    """
+    groups = result.groups.get("margin", ())
+    if not groups:
+        raise UsageError(f"{result.folder}: has no margin to compare with those of basic cars")
+    scenario = scenario_from_dict(result.figures["scenario"], f"scenario in {result.folder / ASSESSMENT}")
+    count = min(len(one) for one in groups)
+    plan = Plan(scenario, objective=Objective.DEVIATION, seed=int(result.figures["seed"]), kamikaze_count=count)
+    safe = [Trajectory(one, scenario.time_step, f"φ {number}") for number, one in enumerate(result.safe)]
+    return ReferenceTrials(str(result.folder), plan, safe, result)
+
+
+def reference_sweep(
+    asked: ReferenceTrials, multipliers: Sequence[float], runner: Workers, progress: Progress, limit: int
+) -> dict[float, Margins]:
+    """Return the margins of the basic cars with some C.
+
+    Args:
+        asked: where.
+        multipliers: the C.
+        runner: computes margins, in several processes.
+        progress: called with how far the work is.
+        limit: candidates that may be driven in a trial.
+    """
+    found = {}
+    for multiplier in multipliers:
+        plan = yardstick(asked.plan, multiplier)
+        count = plan.kamikaze_count
+        episodes = [
+            plan.episode(Mode.KAMIKAZE, index, trial, phi)
+            for index, phi in enumerate(asked.safe)
+            for trial in range(count)
+        ]
+
+        def told(_label: str, done: int, total: int, multiplier: float = multiplier) -> None:
+            progress(f"{asked.name}, C = {multiplier:g}", done, total)
+
+        ways = least_ways(episodes, {}, runner, told, limit)
+        grouped = tuple(tuple(ways.ways[start : start + count]) for start in range(0, len(episodes), count))
+        found[multiplier] = Margins(grouped, plan.scenario.eta_max, ways.budget, ways.converged, ways.excess)
+    return found
+
+
+def equivalent_in(asked: ReferenceTrials, basic: Mapping[float, Margins]) -> EquivalentMultiplier | None:
+    """Return the C of the basic car that has the margin of the assessment's car; None without an assessment."""
+    if asked.result is None or len(basic) < 2:
+        return None
+    return equivalent_multiplier(asked.result.groups["margin"], {one: found.per_phi for one, found in basic.items()})
+
 
 RESULT = "reference.json"
 _SYNTHETIC = 5
@@ -72,7 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _asked(name: str, arguments: argparse.Namespace, runner: Workers, progress: Progress) -> Asked:
+def _asked(name: str, arguments: argparse.Namespace, runner: Workers, progress: Progress) -> ReferenceTrials:
     """Return where basic cars are compared: in the trials of an assessment, or on a scenario's own φ."""
     if (Path(name) / ASSESSMENT).is_file():
         result = read_result(Path(name))
@@ -89,10 +172,10 @@ def _asked(name: str, arguments: argparse.Namespace, runner: Workers, progress: 
         kamikaze_count=arguments.trials,
         seed=arguments.seed,
     )
-    return Asked(name, plan, safe_trajectories(plan, runner, progress))
+    return ReferenceTrials(name, plan, safe_trajectories(plan, runner, progress))
 
 
-def _entry(asked: Asked, found: Mapping[float, Margins]) -> dict[str, Any]:
+def _entry(asked: ReferenceTrials, found: Mapping[float, Margins]) -> dict[str, Any]:
     rows = [
         {"multiplier": multiplier, **margins.figures(), "margins": [one.tolist() for one in margins.per_phi]}
         for multiplier, margins in found.items()

@@ -8,7 +8,9 @@ from dataclasses import replace
 
 from skd_sim.errors import UsageError
 
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
+from skd_evaluator.assessment.stages import margin
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.bags.read import read_bags
 from skd_evaluator.bags.replay import rating_from
@@ -16,7 +18,6 @@ from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import print_result
 from skd_evaluator.cli.gate import Gate, gate_of
 from skd_evaluator.margin.actions import has_exact_margin
-from skd_evaluator.margin.assessment_margin import NEEDS_THE_CAR, warm_up_margins, with_margins
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import fill
 from skd_evaluator.report.progress import progress_bar
@@ -51,13 +52,14 @@ def _run(arguments: argparse.Namespace, gate: Gate) -> int:
     known = has_exact_margin(plan.car, plan.scenario) or plan.car.is_own
     if known:
         if arguments.margin_limit:
-            warm_up_margins()
+            margin.warm_up_margins()
         with InProcessRunner(available_workers()) as runner, progress_bar(quiet=arguments.quiet) as progress:
             runner.start(())
-            rating = with_margins(rating, runner, progress, arguments.margin_limit)
+            context = Context(runner, runner, margin_limit=arguments.margin_limit, progress=progress, repeats=False)
+            rating = margin.run(context, rating)
     else:
-        rating = replace(rating, margin_note=NEEDS_THE_CAR)
-    origin = provenance(arguments.command_line, rating.plan.car, car_model=rating.plan.car_model)
+        rating = replace(rating, margin_note=margin.NEEDS_THE_CAR)
+    origin = provenance(arguments.command_line, rating.plan.car)
     rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
     problem = out.save(lambda folder: fill(folder, rating))
     return print_result(rating, out, arguments, gate, problem, damage.warnings)

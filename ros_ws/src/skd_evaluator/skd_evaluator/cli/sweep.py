@@ -15,22 +15,22 @@ from skd_sim.errors import UsageError
 from skd_sim.options.adversary import objectives_named
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.from_options import plan_of, scenario_for
 from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS
-from skd_evaluator.assessment.plan import safe_trajectories
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, planners_of
+from skd_evaluator.assessment.stages.pipeline import run_stages, start_workers
+from skd_evaluator.assessment.stages.risk import risk_request
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.margin.assessment_margin import margins_compiled_beside
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import fill, warnings_of, why_failed
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import sweep_table
 from skd_evaluator.report.terminal import print_table
-from skd_evaluator.risk.assessment_risk import risk_asked, warm_up_risk
 
 _RECORDED = "recorded"
 _COLUMNS = ("kind", "multiplier", *columns("sweep"))
@@ -89,18 +89,15 @@ def run(arguments: argparse.Namespace) -> int:
     out = result_folder(arguments)
     objectives = objectives_named(arguments.objective)
     asked = plans["synthetic"]
-    origin = provenance(arguments.command_line, asked.car, car_model=asked.car_model)
-    risk = risk_asked(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
-    further = Further(arguments.margin_limit, risk=risk)
+    origin = provenance(arguments.command_line, asked.car)
+    risk = risk_request(arguments.behaviour, arguments.risk_runs, subset=arguments.risk_subset)
     ratings: list[tuple[str, Assessment]] = []
     try:
         with runner_of(arguments) as runner:
             # Recorded ones are read first: bad input is said before anything is compiled.
             safe_by_kind = {kind: safe_trajectories(plans[kind], runner) for kind in kinds if kind == _RECORDED}
-            with margins_compiled_beside(wanted=arguments.margin_limit > 0) as load_margins:
-                if risk.behaviour is not None:
-                    warm_up_risk(asked)
-                runner.start(planners_of(plans["synthetic"], objectives), inherited=load_margins)
+            context = Context(runner, runner, objectives, arguments.margin_limit, risk=risk)
+            start_workers(context, asked)
             with progress_bar(quiet=arguments.quiet) as progress:
                 for kind, plan in plans.items():
                     safe = safe_by_kind.get(kind) or safe_trajectories(plan, runner, progress)
@@ -111,8 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
                             progress(f"{label} {stage.split()[0]}", done, total)
 
                         car = replace(plan, multiplier=value)
-                        rating = assessed(car, objectives, Runners(runner, runner, runner), labelled, further, safe)
-                        ratings.append((kind, replace(rating, provenance=origin)))
+                        begun = Assessment(car, tuple(safe), provenance=origin)
+                        ratings.append((kind, run_stages(replace(context, progress=labelled), begun)))
     except KeyboardInterrupt:
         if not ratings:
             raise

@@ -30,7 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing.road_users import AS_PHI
+from skd_adversary.crossing.on_foot import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json
@@ -39,7 +39,8 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan import Plan, Progress
+from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.margin.actions import has_exact_margin, velocities
 from skd_evaluator.margin.exact.exact import exact_margin

@@ -21,9 +21,10 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.compare.comparability import refusals
 from skd_evaluator.assessment.compare.gate import Check, not_worse
+from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.files.results import StoredResult, read_result
-from skd_evaluator.assessment.plan import Plan, Progress
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes

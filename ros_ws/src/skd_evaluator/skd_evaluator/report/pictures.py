@@ -20,8 +20,7 @@ from skd_sim.world.state import Trajectory
 
 from skd_evaluator import palette
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.objective_result import ObjectiveResult
-from skd_evaluator.assessment.plan import KamikazeSet
+from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult
 from skd_evaluator.metrics.contact_place import last_car_position
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.drawing import PAGE, TYPE, car_outline, draw_car, draw_fronts, draw_road, save_picture
@@ -183,7 +182,7 @@ def _intervals(rating: Assessment, assessment: ObjectiveResult) -> str:
     parts = [f"{name} {ends[0]:.2f} to {ends[1]:.2f} m" for name, ends in known if name in own and ends is not None]
     sure = f"95 % by φ: {', '.join(parts)}; " if parts else ""
     reached = "were hit" if assessment.plan.limits_deviation else "collided"
-    return f"{sure}{assessment.successes} of {assessment.trials} trials {reached}, {len(assessment.safe)} φ"
+    return f"{sure}{assessment.successes} of {assessment.trials} trials {reached}, {len(assessment.kamikaze)} φ"
 
 
 def _draw_ways(axes: Axes, ways: Sequence[Trajectory], shown: int) -> None:

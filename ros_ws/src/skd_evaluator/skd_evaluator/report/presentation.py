@@ -66,7 +66,7 @@ def figure_warnings(rating: Assessment, *, planned: bool = True) -> list[str]:
     if rating.clipped:
         low, high = _limits(rating)
         found.append(clipped_line(rating.clipped, low, high))
-    return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.replays]))
+    return found + contact_warnings(simulator_contacts([*rating.kamikaze_logs, *rating.nominal_runs]))
 
 
 def _limits(rating: Assessment) -> tuple[float, float]:
@@ -79,7 +79,7 @@ def _limits(rating: Assessment) -> tuple[float, float]:
 def _hits_of_others(rating: Assessment) -> list[str]:
     """Return how often the car ran into others than the adversary, which counts as any collision, in a line each."""
     others = rating.plan.scenario.others
-    logs = [*rating.kamikaze_logs, *rating.replays] if others else []
+    logs = [*rating.kamikaze_logs, *rating.nominal_runs] if others else []
     who = [collision_partner(log) for log in logs]
     return [
         f"in {who.count(index)} of {len(logs)} episodes the car ran into others[{index}], a {other.kind}, and not into "

@@ -23,7 +23,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from skd_evaluator.assessment.plan import Progress as CampaignProgress
+from skd_evaluator.assessment.context import Progress as CampaignProgress
 from skd_evaluator.verbosity import is_verbose, say
 
 LINE_EVERY = 30.0

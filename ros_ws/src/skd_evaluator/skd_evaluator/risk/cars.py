@@ -23,8 +23,9 @@ from skd_sim.world.contact import sweep, to_car_frame
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import AdversaryState, Trajectory, next_speed, travelled
 
+from skd_evaluator.assessment.context import Runner
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner
-from skd_evaluator.assessment.plan import Runner, Stage, episode_id
+from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.assessment.run.batches import answers_batches, replayed, why_not_side_by_side
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.metrics.behaviour.model import walk, walked

@@ -20,6 +20,8 @@ from skd_sim.options.options import CommandOptions, options_of, values_of
 from skd_sim.ros.support import NodeParameter, declare, run_node, settings_of
 from skd_sim.world.episode import Mode, Outcome
 
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.files.result_folder import ResultFolder
 from skd_evaluator.assessment.from_options import (
     default_folder,
@@ -31,9 +33,10 @@ from skd_evaluator.assessment.from_options import (
 )
 from skd_evaluator.assessment.options import CampaignOptions, EvaluatorOptions, managed_nodes
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.run.workers import check_controller, single_episode
-from skd_evaluator.assessment.stages.learning import learned
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, compile_for_graph
+from skd_evaluator.assessment.run.workers import InProcessRunner, check_controller
+from skd_evaluator.assessment.stages.car_model import learned
+from skd_evaluator.assessment.stages.pipeline import compile_for_graph, run_stages
+from skd_evaluator.assessment.stages.safe_trajectories import single_episode
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.presentation import (
@@ -136,11 +139,18 @@ class EvaluatorProcess(Evaluator):
     def _assess(self, scratch: Path) -> int:
         begin = time.perf_counter()
         plan = self._learned()
-        origin = provenance(sys.argv, plan.car, car_model=plan.car_model)
-        runners = Runners.of_graph(plan, self, fresh=lambda: nullcontext(self))
-        rating = assessed(plan, self._objectives, runners, self._say_progress, Further())
+        origin = provenance(sys.argv, plan.car)
+        context = Context(
+            self,
+            InProcessRunner(1),
+            self._objectives,
+            progress=self._say_progress,
+            repeats=False,
+            fresh=lambda: nullcontext(self),
+        )
+        rating = run_stages(context, Assessment(plan, provenance=origin))
         self.publish_assessment(rating)
-        rating = replace(rating, provenance=origin, seconds=time.perf_counter() - begin)
+        rating = replace(rating, seconds=time.perf_counter() - begin)
         write_with_scratch(self._out, scratch, lambda folder: fill(folder, rating))
         for line in warnings_of(rating):
             self.get_logger().warning(line)

@@ -5,25 +5,25 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.options.adversary import Objective
 from skd_sim.options.options import LOCKSTEP
 from skd_sim.ros.commands import command_format
 from skd_sim.ros_environment import ensure_messages, ensure_ros, enter_ros, is_sourced, message_variables
 from skd_sim.world.episode import counts_in_words
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Fresh, Runner
 from skd_evaluator.assessment.options import GraphOptions
-from skd_evaluator.assessment.plan import Plan, Progress, Runner
-from skd_evaluator.assessment.repeatability import Fresh
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan, with_repeatability
+from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.checks import run_again
+from skd_evaluator.assessment.stages.pipeline import run_stages
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.ros.processes import AbortedEpisodes, GraphSetting, log_of
 
@@ -142,44 +142,36 @@ def fresh_graph(evaluator: Runner | None, setting: GraphSetting) -> Fresh | None
     return partial(graphs_session, replace(setting, options=options, log_folder=folder, record_to=None, campaign=""))
 
 
-def rated_through_graph(
-    plan: Plan,
-    objectives: Sequence[Objective],
-    options: GraphOptions,
-    further: Further,
-    *,
-    log_folder: Path,
-    record_to: Path | None,
-    progress: Progress,
-    say: Callable[[str], None],
+def assess_through_graph(
+    assessment: Assessment,
+    setting: GraphSetting,
+    request: Mapping[str, Any],
     kept_by: Callable[[Runner], Runner] = lambda evaluator: evaluator,
 ) -> Assessment:
     """Return the assessment of a plan, for which kernels have been compiled (`compile_for_graph`).
 
+    Margins are computed in this process: the graph's threads make it unsafe to fork.
+
     Args:
-        plan: what to assess.
-        objectives: the objectives of the kamikazes.
-        options: how the graph is run.
-        further: what the assessment has besides the figures of its kamikazes.
-        log_folder: folder for the output of the graph's processes.
-        record_to: folder for one bag per episode; none: do not record.
-        progress: called with how far the work is.
-        say: called with one line about what was done.
-        kept_by: makes of the runner of the graph's episodes one that keeps those of which figures are.
+        assessment: what is known: at least the plan.
+        setting: what the graph runs.
+        request: further arguments of `Context`.
+        kept_by: makes of the runner of the graph's episodes one that keeps them.
 
     Raises:
         UsageError: a process cannot be started.
         AssessmentError: the graph cannot go on; says where the logs are.
     """
-    setting = GraphSetting(
-        options=options, car=plan.car, log_folder=log_folder, simulator=plan.simulator, record_to=record_to
-    )
+    options = setting.options
     with graphs_session(setting) as evaluator:
-        plan = learned_plan(plan, evaluator, progress, say, options)
-        # Only nodes that wait for one another can walk a way again.
-        ways = evaluator if options.pacing == LOCKSTEP else None
-        runners = Runners.of_graph(plan, kept_by(evaluator), ways, fresh_graph(evaluator, setting))
-        rating = assessed(plan, objectives, runners, progress, further)
-        evaluator.publish_assessment(rating)
-    fresh = fresh_graph(None, setting)
-    return rating if fresh is None else with_repeatability(rating, fresh)
+        context = Context(
+            kept_by(evaluator),
+            InProcessRunner(1),
+            graph=options,
+            repeats=options.pacing == LOCKSTEP,  # only nodes that wait for one another give the same again
+            fresh=fresh_graph(evaluator, setting),
+            **request,
+        )
+        assessment = run_stages(context, assessment)
+        evaluator.publish_assessment(assessment)
+    return run_again(replace(context, fresh=fresh_graph(None, setting)), assessment)

@@ -120,7 +120,7 @@ def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
     for assessment in rating.results:
         for index, kamikaze in enumerate(assessment.kamikaze):
             rows += [(log, index, str(assessment.plan.objective)) for log in kamikaze.in_order]
-    rows += [(log, _index_of(rating, log), "") for log in rating.replays]
+    rows += [(log, _index_of(rating, log), "") for log in rating.nominal_runs]
     logs = [log for log, _, _ in rows]
     columns = episode_columns(logs)
     if any(log.belief is not None for log in logs):

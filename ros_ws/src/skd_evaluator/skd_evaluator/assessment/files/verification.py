@@ -21,13 +21,13 @@ from skd_sim.scenario.scenario import Scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, judge_all
+from skd_evaluator.assessment.assessment import Assessment, assessment_of
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, Told
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes, read_episodes, with_failures
 from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, read_manifest
-from skd_evaluator.assessment.objective_result import CONFIDENCE
-from skd_evaluator.assessment.plan import KamikazeSet, Plan, kamikaze_set
+from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, kamikaze_set
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import Excess, Margins
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
@@ -88,10 +88,11 @@ def rating_of(figures: Mapping[str, Any], stored: StoredEpisodes) -> Assessment:
             for phi, mine in zip(safe, rows, strict=True)
         ]
     confidence = _confidence(figures)
-    rating = judge_all(plan, safe, sets, replays, float(figures["seconds"]), confidence)
+    rating = assessment_of(plan, safe, sets, replays, confidence)
     margins = _stored_margins(figures, stored, scenario, confidence)
     risks = stored_risks(figures, stored, confidence)
-    return replace(rating, margins=margins, risks=risks and with_failures(risks, stored, scenario))
+    seconds = float(figures["seconds"])
+    return replace(rating, seconds=seconds, margins=margins, risks=risks and with_failures(risks, stored, scenario))
 
 
 def _confidence(figures: Mapping[str, Any]) -> float:

@@ -43,10 +43,8 @@ from skd_sim.errors import UsageError
 from skd_sim.interruption import SIGNALS
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.episode import Episode, EpisodeLog, Mode
-from skd_sim.world.state import Trajectory
+from skd_sim.world.episode import Episode, EpisodeLog
 
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
 from skd_evaluator.assessment.run.assembly import aborted
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError, OutOfReachError
@@ -497,20 +495,3 @@ def check_controller(car: CarUnderTest, scenario: Scenario) -> Scenario:
     finally:
         child.close()
     return with_control_period(scenario, period, car.controller)
-
-
-def single_episode(plan: Plan, mode: Mode, trial: int, safe: Trajectory | None = None, safe_number: int = 0) -> Episode:
-    """Return one episode of a plan, the same that a campaign would run.
-
-    Args:
-        plan: plan of the assessment.
-        mode: what the adversary does.
-        trial: number of the trial within its stage and φ.
-        safe: φ, if it is known already; only modes kamikaze and replay need it.
-        safe_number: number of φ among those of the plan, counted from 0; of no meaning in safe mode.
-    """
-    if mode == Mode.SAFE:
-        return plan.episode(mode, 0, trial, None)
-    if safe is None:
-        safe = safe_trajectories(plan, InProcessRunner(1))[safe_number]
-    return plan.episode(mode, safe_number, trial, safe)

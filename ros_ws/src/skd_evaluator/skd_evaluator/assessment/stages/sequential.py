@@ -7,28 +7,23 @@ assessment of all φ so far, the same as if they had been asked for at once, exc
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from skd_adversary.safe_trajectories.sources import count_safe_trajectories, load_safe_trajectories
+from skd_adversary.safe_trajectories import count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.assessment import Assessment, in_order, judge_all
+from skd_evaluator.assessment.assessment import Assessment, assessment_of, in_order
+from skd_evaluator.assessment.context import Context, Runner
+from skd_evaluator.assessment.objective_result import KamikazeSet
 from skd_evaluator.assessment.options import GENERATED
-from skd_evaluator.assessment.plan import (
-    KamikazeSet,
-    Plan,
-    Progress,
-    Runner,
-    Stage,
-    kamikaze_sets,
-    safe_trajectories,
-)
+from skd_evaluator.assessment.plan import Plan, Stage
+from skd_evaluator.assessment.stages import safe_trajectories
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
 from skd_evaluator.metrics.clustered import Clustered
 from skd_evaluator.metrics.measures import load_measures
 from skd_evaluator.metrics.sample_size import UntilWidth, narrow_enough, nominal_confidence
@@ -37,28 +32,17 @@ LOOKS = 10
 """Batches of φ at most."""
 
 
-def rate_until_width(
-    plan: Plan,
-    objectives: Sequence[Objective],
-    wanted: float,
-    safe: list[Trajectory],
-    runner: Runner,
-    progress: Progress,
-) -> Assessment:
+def run(context: Context, assessment: Assessment) -> Assessment:
     """Run batches of φ until the interval of the mean deviation is narrow enough, or there are no more looks.
 
-    Args:
-        plan: the campaign; its number of φ, and of runs along them, is that of one batch.
-        objectives: the objectives of the kamikazes, at least one.
-        wanted: width, m, > 0.
-        safe: an empty list, which receives the φ that are run.
-        runner: runs the episodes.
-        progress: called with how far the work is.
+    The plan's number of φ, and of runs along them, is that of one batch. Without a requested width nothing is done.
 
     Raises:
         UsageError: a batch of one φ, or a source that has not even two batches.
     """
-    begin = time.perf_counter()
+    width, plan = context.until_width, assessment.plan
+    if width is None:
+        return assessment
     load_measures()
     batch = plan.safe_count
     if batch < 2:
@@ -66,26 +50,37 @@ def rate_until_width(
     known, looks = _recorded(plan)
     confidence = nominal_confidence(looks)
     each = -(-plan.collision_runs // batch)
-    plans = [replace(plan, objective=objective) for objective in in_order(objectives)]
+    plans = [replace(plan, objective=objective) for objective in in_order(context.objectives)]
+    safe: list[Trajectory] = []
     sets: dict[Objective, list[KamikazeSet]] = {one.objective: [] for one in plans}
     along: list[list[EpisodeLog]] = []
     seen: list[tuple[int, Clustered | None]] = []
     while True:
         done, count = len(safe), len(safe) + batch
-        now = known[:count] if known else safe_trajectories(replace(plan, safe_count=count), runner, progress)
-        safe.extend(now[done:])
+        if known:
+            safe = known[:count]
+        else:
+            more = safe_trajectories.run(context, replace(assessment, plan=replace(plan, safe_count=count)))
+            safe = list(more.safe)
         for one in plans:
-            sets[one.objective].extend(kamikaze_sets(one, safe[done:], runner, progress, first=done))
-        along.extend(_runs_along(plans[0], safe, done, each, runner))
-        progress("looks", len(seen) + 1, looks)
-        asked = replace(plan, safe_count=count, collision_runs=each * count)
-        replays = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
-        seconds = time.perf_counter() - begin
-        rating = judge_all(asked, safe, sets, replays, seconds, confidence)
-        found = rating.for_deviation.deviation.clustered
+            sets[one.objective] += kamikaze_sets(one, safe[done:], context.runner, context.progress, first=done)
+        along += _runs_along(plans[0], safe, done, each, context.runner)
+        context.progress("looks", len(seen) + 1, looks)
+        so_far = replace(plan, safe_count=count, collision_runs=each * count)
+        nominal_runs = [runs[number] for number in range(each) for runs in along]  # dealt out, as in any assessment
+        result = assessment_of(so_far, safe, sets, nominal_runs, confidence)
+        found = result.for_deviation.deviation.clustered
         seen.append((count, found))
-        if len(seen) == looks or narrow_enough(found, wanted):
-            return replace(rating, until_width=UntilWidth(wanted, looks, confidence, tuple(seen)))
+        if len(seen) == looks or narrow_enough(found, width):
+            return replace(
+                assessment,
+                plan=result.plan,
+                safe=result.safe,
+                results=result.results,
+                nominal_runs=result.nominal_runs,
+                confidence=confidence,
+                until_width=UntilWidth(width, looks, confidence, tuple(seen)),
+            )
 
 
 def _recorded(plan: Plan) -> tuple[list[Trajectory], int]:

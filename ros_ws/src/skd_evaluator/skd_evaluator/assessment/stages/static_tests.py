@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import Controller
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context
 from skd_evaluator.assessment.episode_figures import ADVERSARY, collision_partner, speed_ahead
-from skd_evaluator.assessment.plan import Runner
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 
@@ -166,34 +165,23 @@ def place_of(name: str) -> float | None:
         return None
 
 
-def with_static_tests(rating: Assessment, runner: Runner) -> Assessment:
-    """Return the rating with the static test of each impact place that one of its φ stands for.
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the static test of each impact place that one of its φ stands for.
 
     There are some with the φ of a protocol, in SKD's own world, of a car that is no node of its own.
-
-    Args:
-        rating: the rating, whose episodes have been run.
-        runner: runs the tests, whose episodes belong to none of its figures.
     """
-    plan = rating.plan
-    places = _places(rating)
-    if not places or not is_own_world(plan.simulator) or plan.car.is_external:
-        return rating
-    assert plan.scenario.protocol is not None
-    every = zip(plan.scenario.protocol.impact_places, static_episodes(plan.scenario, plan.car), strict=True)
-    wanted = [(place, episode) for place, episode in every if place in places]
+    plan, protocol = assessment.plan, assessment.plan.scenario.protocol
+    if plan.safe != REGULATORY or protocol is None or not is_own_world(plan.simulator) or plan.car.is_external:
+        return assessment
+    places = {place_of(one.name) for one in assessment.safe}
+    every = zip(protocol.impact_places, static_episodes(plan.scenario, plan.car), strict=True)
+    chosen = [(place, episode) for place, episode in every if place in places]
     try:
-        logs = list(runner.run([episode for _, episode in wanted]))
+        logs = list(context.workers.run([episode for _, episode in chosen]))
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails here alone has its figures all the same
-        tests = tuple(Tested(place=place, aborted=str(error)) for place, _ in wanted)
+        tests = [Tested(place=place, aborted=str(error)) for place, _ in chosen]
     else:
-        tests = tuple(Tested.of(place, log) for (place, _), log in zip(wanted, logs, strict=True))
-    return dataclasses.replace(rating, static_tests=tuple(one.as_dict() for one in tests))
-
-
-def _places(rating: Assessment) -> Sequence[float]:
-    if rating.plan.safe != REGULATORY or rating.plan.scenario.protocol is None:
-        return ()
-    return [place for one in rating.safe if (place := place_of(one.name)) is not None]
+        tests = [Tested.of(place, log) for (place, _), log in zip(chosen, logs, strict=True)]
+    return dataclasses.replace(assessment, static_tests=tuple(one.as_dict() for one in tests))

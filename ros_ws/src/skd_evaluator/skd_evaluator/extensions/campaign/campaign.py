@@ -18,10 +18,10 @@ from skd_sim.options.options import further_options
 
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.compare.comparability import unlike_rows
-from skd_evaluator.assessment.plan import Progress, Runner
-from skd_evaluator.assessment.repeatability import fresh_process
+from skd_evaluator.assessment.context import Context, Progress, Runner
 from skd_evaluator.assessment.run.workers import Workers
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assessed, learned_plan
+from skd_evaluator.assessment.stages.checks import fresh_process
+from skd_evaluator.assessment.stages.pipeline import run_stages
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.campaign.cells import (
     DONE,
@@ -44,11 +44,13 @@ from skd_evaluator.extensions.campaign.episode_store import (
     remove_files,
 )
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.provenance import controller_revision, provenance, surroundings_of
+from skd_evaluator.provenance import date_now, provenance
 from skd_evaluator.report.presentation import fill
-from skd_evaluator.ros.session import rated_through_graph
+from skd_evaluator.ros.processes import GraphSetting
+from skd_evaluator.ros.session import assess_through_graph
 
 _SELDOM = 20.0  # times as long as it takes to write the rows they are not written again
+_COUNTED = ("safe trajectories", "kamikazes", "contact rate")  # stages whose episodes were foreseen
 _FAREWELL = 10.0  # s for cells to notice that they are to stop
 
 
@@ -88,9 +90,11 @@ class Campaign:
         self._begin = time.perf_counter()
         # Asked here, once: who starts a program while another thread forks a worker waits for that worker's end, too,
         # which has the pipe by which the program says that it has begun.
-        self._surroundings = surroundings_of(command)
-        own = self._surroundings["git"]
-        self._revisions = {one.name: controller_revision(one.plan.car, _command_of(one), own) for one in cells}
+        self._origins: dict[tuple[str, str], dict[str, Any]] = {}
+        for cell in cells:
+            car, words = cell.plan.car, _command_of(cell)
+            if (car.controller, words) not in self._origins:
+                self._origins[car.controller, words] = provenance(command, car, controller_command=words)
         self._lock = threading.Lock()  # of rows and of pictures
         self._stop = threading.Event()
         rows = {cell.name: row_of(cell, folder.path / cell.name, maximum_aborted) for cell in cells}
@@ -233,13 +237,12 @@ class Campaign:
         self, cell: Cell, runner: Workers, progress: Progress, finish: Callable[[Assessment, Path | None], None]
     ) -> None:
         begin = time.perf_counter()
-        plan = learned_plan(cell.plan, runner, lambda *_told: None, partial(_say, cell), cell.graph)
-        cell = replace(cell, plan=plan)  # its identity stays the same
-        origin = self._provenance(cell)
         storing = self._storing(cell, runner)
-        runners = Runners.in_process(runner, storing, storing, partial(fresh_process, cell.answer_limit))
-        rating = assessed(cell.plan, cell.objectives, runners, progress, _further(cell))
-        finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), None)
+        context = Context(
+            storing, runner, progress=progress, fresh=partial(fresh_process, cell.answer_limit), **_request(cell)
+        )
+        rating = run_stages(context, Assessment(cell.plan, provenance=self._provenance(cell)))
+        finish(replace(rating, seconds=time.perf_counter() - begin), None)
 
     def _rate_graph(
         self, cell: Cell, graphs: int, progress: Progress, finish: Callable[[Assessment, Path | None], None]
@@ -248,21 +251,20 @@ class Campaign:
         begin = time.perf_counter()
         with self._folder.logs(cell.name) as logs:
             try:
-                rating = rated_through_graph(
-                    cell.plan,
-                    cell.objectives,
-                    replace(cell.graph, graphs=graphs),
-                    _further(cell),
-                    log_folder=logs,
-                    record_to=None,
-                    progress=progress,
-                    say=partial(_say, cell),
-                    kept_by=partial(self._storing, cell),
+                rating = assess_through_graph(
+                    Assessment(cell.plan, provenance=self._provenance(cell)),
+                    GraphSetting(
+                        options=replace(cell.graph, graphs=graphs),
+                        car=cell.plan.car,
+                        log_folder=logs,
+                        simulator=cell.plan.simulator,
+                    ),
+                    {**_request(cell), "progress": progress},
+                    partial(self._storing, cell),
                 )
             except OSError as error:  # as where its car has removed the logs: it is no matter of the other cells
                 raise AssessmentError(f"its graph cannot run: {error}") from error
-            origin = self._provenance(replace(cell, plan=rating.plan))
-            finish(replace(rating, provenance=origin, seconds=time.perf_counter() - begin), logs)
+            finish(replace(rating, seconds=time.perf_counter() - begin), logs)
 
     def _storing(self, cell: Cell, runner: Runner) -> StoringRunner:
         assert self._store is not None
@@ -270,13 +272,7 @@ class Campaign:
         return self._runs[cell.name]
 
     def _provenance(self, cell: Cell) -> dict[str, Any]:
-        return provenance(
-            self._command,
-            cell.plan.car,
-            controller_command=_command_of(cell),
-            car_model=cell.plan.car_model,
-            surroundings={**self._surroundings, "controller_git": self._revisions[cell.name]},
-        )
+        return {**self._origins[cell.plan.controller, _command_of(cell)], "date": date_now()}
 
     def _finish(self, cell: Cell, rating: Assessment, logs: Path | None) -> None:
         """Write the folder of a cell, take note of it, and forget its stored episodes: in this order."""
@@ -329,8 +325,15 @@ class Campaign:
         )
 
 
-def _further(cell: Cell) -> Further:
-    return Further(cell.margin_limit, cell.curve, risk=cell.risk)
+def _request(cell: Cell) -> dict[str, Any]:
+    """Return what a cell requests of the stages, as arguments of `Context`."""
+    return {
+        "objectives": cell.objectives,
+        "margin_limit": cell.margin_limit,
+        "curve": cell.curve,
+        "risk": cell.risk,
+        "say": partial(_say, cell),
+    }
 
 
 class _OverallProgress:
@@ -347,6 +350,8 @@ class _OverallProgress:
         """Return a function by which a cell reports its progress."""
 
         def tell(stage: str, done: int, _total: int) -> None:
+            if not stage.startswith(_COUNTED):
+                return
             with self._lock:
                 self._done[cell.name, stage] = done
                 self._progress("episodes", min(self._total, sum(self._done.values())), self._total)

@@ -22,6 +22,7 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import RiskRequest
 from skd_evaluator.assessment.figure_table import columns
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT, read_figures, understood
 from skd_evaluator.assessment.files.episodes_npz import EPISODES, read_episodes
@@ -29,14 +30,15 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST, check_unchang
 from skd_evaluator.assessment.files.verification import rating_of
 from skd_evaluator.assessment.from_options import check_car, plan_of, scenario_for
 from skd_evaluator.assessment.options import GENERATED, OF_NO_RESULT, CampaignOptions, GraphOptions
-from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, safe_trajectories
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.bounded_kamikazes import BUDGETS, held_trials
+from skd_evaluator.assessment.stages.kamikazes import BOUNDS, bounded_trials
+from skd_evaluator.assessment.stages.risk import risk_request
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.extensions.campaign.campaign_file import Combination
 from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
 from skd_evaluator.provenance import CodeFiles, code_files, environment
 from skd_evaluator.report.presentation import warnings_of, why_failed
-from skd_evaluator.risk.assessment_risk import RiskAsked, risk_asked
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Cell:
     graph: GraphOptions | None
     margin_limit: int
     curve: bool
-    risk: RiskAsked
+    risk: RiskRequest
     answer_limit: float
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
@@ -94,7 +96,7 @@ class Cell:
 
     @property
     def _of_curve(self) -> int:
-        return self.plan.safe_count * held_trials(self.plan) * len(BUDGETS) if self.curve else 0
+        return self.plan.safe_count * bounded_trials(self.plan) * len(BOUNDS) if self.curve else 0
 
 
 def make_cells(combinations: Iterable[Combination]) -> list[Cell]:
@@ -142,7 +144,7 @@ def _cell(
         safe = recorded[source]
     if values["curve"] and graph:
         raise UsageError("curve goes with assessments in process: leave out graph")
-    risk = risk_asked(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
+    risk = risk_request(values["behaviour"], values["risk_runs"], subset=values["risk_subset"])
     files = _files_of(plan, objectives, values["controller_command"] or "")
     return Cell(
         one.name,
@@ -172,7 +174,7 @@ def _identity(
     plan: Plan,
     objectives: Sequence[Objective],
     safe: Sequence[Trajectory] | None,
-    risk: RiskAsked,
+    risk: RiskRequest,
     files: CodeFiles,
 ) -> dict[str, Any]:
     """Return all that the figures of a cell depend on."""

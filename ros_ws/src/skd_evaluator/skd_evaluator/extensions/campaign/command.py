@@ -16,7 +16,9 @@ from skd_sim.world.episode import Episode
 
 from skd_evaluator.assessment.from_options import inputs_of
 from skd_evaluator.assessment.run.workers import available_workers
+from skd_evaluator.assessment.stages.margin import margins_compiled_beside
 from skd_evaluator.assessment.stages.pipeline import compile_for_graph, planners_of
+from skd_evaluator.assessment.stages.risk import warm_up_risk
 from skd_evaluator.cli.arguments import output_path, runner_of
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED
 from skd_evaluator.cli.output import print_json
@@ -25,12 +27,10 @@ from skd_evaluator.extensions.campaign.campaign import Campaign, planned_rows
 from skd_evaluator.extensions.campaign.campaign_file import Combination, read_campaign
 from skd_evaluator.extensions.campaign.cells import DONE, FAILED, Cell, Row, make_cells
 from skd_evaluator.extensions.campaign.folder import CampaignFolder
-from skd_evaluator.margin.assessment_margin import margins_compiled_beside
 from skd_evaluator.report.progress import Above, draws_bars, progress_bar
 from skd_evaluator.report.repeat import program
 from skd_evaluator.report.side_by_side import LiveTable, campaign_table, cell_line, equal_remarks, plan_table
 from skd_evaluator.report.terminal import counted, print_table
-from skd_evaluator.risk.assessment_risk import warm_up_risk
 from skd_evaluator.ros.session import prepare_ros
 
 _CELLS_ON_A_CLUSTER = 8

@@ -26,7 +26,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 from skd_sim.world.state import Trajectory
 from skd_sim.world.timing import Timing
 
-from skd_evaluator.assessment.plan import Runner
+from skd_evaluator.assessment.context import Runner
 from skd_evaluator.errors import AssessmentError
 
 DIGEST_BYTES = 16

@@ -9,15 +9,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
-from skd_sim.scenario.scenario_file import REGULATORY
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.from_options import check_car
 from skd_evaluator.assessment.options import CampaignOptions, GraphOptions
 from skd_evaluator.assessment.plan import Plan
-from skd_evaluator.assessment.repeatability import fresh_process, repeatability
+from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
+from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
 from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid, scenario_of, wanted_cells
@@ -35,7 +36,6 @@ from skd_evaluator.extensions.ncap.result import (
     with_calculator,
     write_table,
 )
-from skd_evaluator.margin.assessment_margin import warm_up_margins
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
 from skd_evaluator.report.progress import progress_bar

@@ -6,25 +6,28 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
-from skd_sim.scenario.scenario_file import REGULATORY, lineage
+from skd_sim.scenario.scenario_file import lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.objective_result import judge
-from skd_evaluator.assessment.plan import Plan, Progress, kamikaze_sets, safe_trajectories
-from skd_evaluator.assessment.repeatability import undisturbed_drives
+from skd_evaluator.assessment.context import Progress
+from skd_evaluator.assessment.objective_result import objective_result
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
+from skd_evaluator.assessment.stages.checks import undisturbed_drives
+from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
+from skd_evaluator.assessment.stages.margin import least_ways, why_no_margin, with_planned_hits
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
+from skd_evaluator.cli.reference import MULTIPLIERS, ReferenceTrials, reference_sweep
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.extensions.ncap.matrices import Criterion, Matrix, MatrixPoint, colour_of, matrix_of
 from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Cell, Grid, rounded_kmh
-from skd_evaluator.margin.assessment_margin import least_ways, why_no_margin, with_planned_hits
-from skd_evaluator.margin.reference import MULTIPLIERS, reference_sweep
-from skd_evaluator.margin.reference import Asked as ReferenceAsked
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.margins import Margins
 
@@ -288,8 +291,8 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Se
             sets = kamikaze_sets(plan, [phi], runner)
             logs = sets[0].in_order
             seen.kamikazes += logs
-            cell = replace(cell, deviation=judge(plan, [phi], sets, (), 0.0).deviation.mean)
-        if why := why_no_margin(plan, asked.margin_limit):
+            cell = replace(cell, deviation=objective_result(plan, sets).deviation.mean)
+        if why := why_no_margin(plan, asked.margin_limit, whole_episodes=False):
             return replace(cell, margin_why=why)
         episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
         by_id = {log.episode.episode_id: [log] for log in logs}
@@ -314,7 +317,7 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Se
 
 def _with_equivalent(cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: Workers) -> Cell:
     """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
-    where = ReferenceAsked("", plan, [phi])
+    where = ReferenceTrials("", plan, [phi])
     swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)
     found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
     return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)

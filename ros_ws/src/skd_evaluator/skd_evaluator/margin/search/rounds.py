@@ -8,7 +8,7 @@ import numpy as np
 from skd_sim.controllers import Controller, is_sensing, make_controller, takes_batches
 from skd_sim.controllers.isolated import isolated
 
-from skd_evaluator.assessment.plan import Progress, Runner
+from skd_evaluator.assessment.context import Progress, Runner
 from skd_evaluator.assessment.run.batches import Replay, replayed, why_not_side_by_side
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import Workers

@@ -36,20 +36,17 @@ from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge, Objective
 from skd_sim.options.car_under_test import SIMULATORS
+from skd_sim.options.options import options_of
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.plan import (
-    Plan,
-    Progress,
-    Runner,
-    Stage,
-    episode_id,
-    probe_episodes,
-    safe_trajectories,
-)
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent
+from skd_evaluator.assessment.options import OF_NO_RESULT, GraphOptions
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id, probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.bags.car_logs import recording_of
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import make_temporary
@@ -100,10 +97,31 @@ def needs_learning(plan: Plan) -> bool:
     return plan.knows == Knowledge.LEARNED and not plan.car_model
 
 
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the model of the car with which kamikazes plan, if they have to learn one."""
+    runner = context.workers if context.graph is None else context.runner
+    plan = learned(
+        assessment.plan,
+        runner,
+        context.progress,
+        say=context.say,
+        command=None if context.graph is None else context.graph.controller_command,
+        graph=graph_settings(context.graph),
+    )
+    return replace(assessment, plan=plan)
+
+
+def graph_settings(graph: GraphOptions | None) -> dict[str, Any] | None:
+    """Return what results depend on of how the node graph runs, as plain data; None: episodes run in process."""
+    if graph is None:
+        return None
+    return {one.name: getattr(graph, one.name) for one in options_of(GraphOptions) if one.name not in OF_NO_RESULT}
+
+
 def learned(
     plan: Plan,
     runner: Runner,
-    progress: Progress = lambda *_told: None,
+    progress: Progress = silent,
     *,
     say: Callable[[str], None] = lambda _line: None,
     command: str | None = None,
@@ -155,7 +173,7 @@ def _lesson(
 def lesson_of(
     plan: Plan,
     runner: Runner,
-    progress: Progress = lambda *_told: None,
+    progress: Progress = silent,
     of_reference: Runner | None = None,
 ) -> FittedCar:
     """Return what probes and own trials show of a plan's car; neither its seed nor its φ matter.
@@ -246,8 +264,7 @@ def finished(runner: Runner, episodes: Sequence[Episode], label: str, progress: 
     """
     found: list[EpisodeLog] = []
     reason = ""
-    for count, log in enumerate(runner.run(episodes), start=1):
-        progress(label, count, len(episodes))
+    for log in run_episodes(runner, episodes, label, progress):
         if log.outcome == Outcome.ABORTED:
             reason = log.reason
         else:

@@ -11,10 +11,9 @@ simulator says of the car is kept, and warned of.
 
 from __future__ import annotations
 
-import math
 import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -30,10 +29,13 @@ from skd_sim.world.episode import AbortKind, Episode, EpisodeLog, Mode, Outcome,
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment
-from skd_evaluator.assessment.plan import Plan, Runner, Stage, episode_id
-from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
+from skd_evaluator.assessment.context import Context, Fresh, Runner
+from skd_evaluator.assessment.episode_figures import DRIVES_NOT, standing
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id
+from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, UNDISTURBED
+from skd_evaluator.report.presentation import aborted_lines
 
 SAMPLE: Final = 24
 """Episodes that are run again, at most."""
@@ -43,15 +45,28 @@ DRIVES: Final = 5
 """Undisturbed drives."""
 _ALIKE = 1e-6  # m, m/s, s: what libraries that add up in several threads may differ by
 _KEEPS = 0.5  # share of its speed that a car keeps which nobody is in the way of, whatever its noise
-_NEARLY_ALL = 0.9  # of the runs along φ
 _FAR = 1000.0  # m up the road, and as many beside it
 _SECONDS = 6.0  # in which a car of 60 km/h stops at 3 m/s²
-_GENTLY, _ROOM = 2.0, 5.0  # m/s², m
 _LAST = 0xFFFF_FFFF  # number of no crossing; no drive is recorded
-_HITS_NOBODY = "a car that does not drive hits nobody, so its figures do not say how it avoids people"
 
-Fresh = Callable[[], AbstractContextManager[Runner]]
-"""Makes a runner that has run nothing before."""
+
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with warnings: episodes that were aborted, and a user's car that hardly drives."""
+    plan, lines = assessment.plan, list(aborted_lines(assessment))
+    if not plan.car.is_own:
+        lines += standing(plan.controller, assessment.nominal_runs)
+        if is_own_world(plan.simulator) and len(assessment.reasons) < assessment.episodes:
+            lines += driving(plan, context.runner)
+    return replace(assessment, warnings=(*assessment.warnings, *lines))
+
+
+def run_again(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with a warning if a user's car does not repeat itself in a sample of its episodes."""
+    if assessment.plan.car.is_own or context.fresh is None:
+        return assessment
+    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs]
+    found = repeatability(assessment.plan.controller, logs, context.fresh)
+    return replace(assessment, warnings=(*assessment.warnings, *found))
 
 
 @contextmanager
@@ -188,47 +203,8 @@ def driving(plan: Plan, runner: Runner) -> tuple[str, ...]:
     )
     least = plan.scenario.collision.hit_speed
     if statistics.median(drive.last for drive in drives) < least:
-        return (f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {_HITS_NOBODY}",)
+        return (f"{NOT_CREDIBLE}{line}, and a hit begins at {least:g} m/s: {DRIVES_NOT}",)
     return (f"{line}: how far people may deviate, and how seldom they are hit, is due to that, too",)
-
-
-def standing(car: str, logs: Sequence[EpisodeLog]) -> tuple[str, ...]:
-    """Return in a line that a car comes to stand far from everybody in nearly all runs along φ; empty if it does not.
-
-    It follows from what happened, so it is asked of recordings, too.
-
-    Args:
-        car: name of the car.
-        logs: its runs along φ.
-    """
-    runs = [one for one in logs if one.outcome != Outcome.ABORTED]
-    still = sum(map(_stands_far_off, runs))
-    if not runs or still < _NEARLY_ALL * len(runs):
-        return ()
-    return (
-        f"{NOT_CREDIBLE}in {still} of {len(runs)} runs along φ {car} stood while everybody was more than "
-        f"{_far(runs[0].episode.scenario):.0f} m away, and stayed there: {_HITS_NOBODY}",
-    )
-
-
-def _far(scenario: Scenario) -> float:
-    """Return from how far on a car has no need to slow down for anybody yet, m: it can still stop gently."""
-    return scenario.car.start_speed**2 / (2.0 * _GENTLY) + _ROOM
-
-
-def _stands_far_off(log: EpisodeLog) -> bool:
-    """Tell whether a car was slower than a hit begins from some tick to the end, and everybody was far away then."""
-    scenario = log.episode.scenario
-    drives = np.flatnonzero(log.car[:, 2] >= scenario.collision.hit_speed)
-    tick = int(drives[-1]) + 1 if drives.size else 0
-    if log.hit or tick == len(log.car):
-        return False
-    x, y = log.car[tick, :2].tolist()
-    (near_x, near_y), adversary = log.adversary[tick].tolist(), scenario.adversary
-    away = [math.hypot(near_x - x, near_y - y) - adversary.reach]
-    for other, state in zip(scenario.others, scenario.others_at(tick), strict=True):
-        away.append(math.hypot(state.x - x, state.y - y) - other.reach)
-    return min(away) - scenario.car.front > _far(scenario)
 
 
 def _undisturbed(plan: Plan, number: int) -> Episode:
@@ -265,32 +241,29 @@ def described(simulator_and_scenario: tuple[str, Scenario]) -> Mapping[str, Any]
     return dict(describe(scenario)) if callable(describe) else None
 
 
-def with_simulation(rating: Assessment, runner: Workers) -> Assessment:
-    """Return the rating with what its simulator says of the car, asked in a process that may run it.
+def simulation(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with what its simulator says of the car, asked in a process that may run it.
 
     So it is warned of episodes that cannot have happened, and of an adversary that does not go quite as it is told.
-
-    Args:
-        rating: the rating, whose episodes have been run.
-        runner: asks, where it runs episodes.
     """
-    plan = rating.plan
+    plan = assessment.plan
     if is_own_world(plan.simulator):
-        return rating
-    said = next(iter(runner.map(described, [(plan.simulator, plan.scenario)])))
-    return replace(rating, simulation=said, warnings=(*rating.warnings, *_warnings(rating, plan.simulator)))
+        return assessment
+    said = next(iter(context.workers.map(described, [(plan.simulator, plan.scenario)])))
+    lines = (*assessment.warnings, *_warnings(assessment, plan.simulator))
+    return replace(assessment, simulation=said, warnings=lines)
 
 
-def _warnings(rating: Assessment, simulator: str) -> tuple[str, ...]:
-    """Return what a reader should know of what a simulator said in the episodes of a rating, a line each."""
+def _warnings(assessment: Assessment, simulator: str) -> tuple[str, ...]:
+    """Return what a reader should know of what a simulator said in the episodes of an assessment, a line each."""
     found = []
-    refuted = [one for one in rating.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
+    refuted = [one for one in assessment.reasons if kind_of(one) in (AbortKind.REFUTED, AbortKind.NOT_FINITE)]
     if refuted:
         found.append(
-            f"{len(refuted)} of {rating.episodes} episodes in simulator {simulator} cannot have happened, and "
+            f"{len(refuted)} of {assessment.episodes} episodes in simulator {simulator} cannot have happened, and "
             f"count for nothing ({refuted[0]})"
         )
-    logs = [*rating.kamikaze_logs, *rating.replays]
+    logs = [*assessment.kamikaze_logs, *assessment.nominal_runs]
     strayed = [log.strayed for log in logs if log.strayed > _STRAYED]
     if strayed:
         found.append(

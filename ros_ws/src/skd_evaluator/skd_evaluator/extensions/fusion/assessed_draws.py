@@ -19,13 +19,16 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.options import DEFAULT_MARGIN_LIMIT, WALKERS
-from skd_evaluator.assessment.plan import Plan, Progress
+from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Progress
+from skd_evaluator.assessment.options import WALKERS
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import make_runner
-from skd_evaluator.assessment.stages.pipeline import Further, Runners, assess_in_process
+from skd_evaluator.assessment.stages.checks import fresh_process
+from skd_evaluator.assessment.stages.pipeline import assess_in_process
+from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE, not_credible, too_many_aborted
 from skd_evaluator.metrics.margins import stopped_at
-from skd_evaluator.risk.assessment_risk import risk_asked
 
 TRIALS, RUNS = 2, 125
 """Trials on each φ of the margin, and runs along φ, four crossings for each of which the risk has."""
@@ -94,11 +97,9 @@ def assessed_draws(
             knowledge=None if car.is_own and car.has_multiplier else Knowledge.NOTHING,
         )
         runner = make_runner(None, workers, isolated=not car.is_own)
-        runners = Runners.in_process(runner)
         ways = [Trajectory(positions, scenario.time_step, name) for name, positions in safe.items()]
-        further = Further(DEFAULT_MARGIN_LIMIT, risk=risk_asked(WALKERS))
-        rating = assess_in_process(plan, [plan.objective], runners, _silent, further, _nowhere, safe=ways)
-        found.append(rating.as_dict())
+        context = Context(runner, runner, (plan.objective,), risk=risk_request(WALKERS), fresh=fresh_process)
+        found.append(assess_in_process(context, Assessment(plan, tuple(ways))).as_dict())
     progress("draws of the simulator", len(worlds), len(worlds))
     return found
 
@@ -160,11 +161,3 @@ def draw_warnings(figures: Sequence[Mapping[str, Any]], maximum_aborted: float) 
             f"{NOT_CREDIBLE}{line}" if any(too_many_aborted(one, maximum_aborted) for one in aborted) else line
         )
     return [" ".join(line.split()) for line in found]
-
-
-def _silent(*_told: object) -> None:
-    """Say nothing."""
-
-
-def _nowhere(_plan: Plan) -> dict[str, Any]:
-    return {}

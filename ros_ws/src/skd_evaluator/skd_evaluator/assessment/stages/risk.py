@@ -1,15 +1,11 @@
-"""The risk of an assessment: crude crossings of every car, and subset simulation where they show few hits.
+"""The risk of an assessment: how likely the front of the moving car hits people who cross as people do.
 
-Nothing in it depends on time or on who computes it: crude crossings draw by their numbers, replicates by theirs.
-
-What options ask of the risk: by which behaviour model, and by how many crossings.
-
-One crossing of the risk by itself, the same that an assessment runs.
+Of a car that is known compiled crossings are run, of any other whole episodes; subset simulation where they show few
+hits. Nothing in it depends on time or on who computes it: crude crossings draw by their numbers, replicates by theirs.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -23,11 +19,13 @@ from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Role, generator
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Progress, RiskRequest, Runner
 from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import NO_BEHAVIOUR
-from skd_evaluator.assessment.plan import Plan, Progress, Runner, Stage, episode_id, safe_trajectories
+from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner, Workers
+from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behaviour
@@ -66,10 +64,10 @@ def _has_exact_margin(plan: Plan) -> bool:
     return is_own_world(plan.simulator) and has_exact_margin(plan.car, plan.scenario)
 
 
-def runs_of(plan: Plan, asked: RiskAsked, *, graph: bool = False) -> int:
+def runs_of(plan: Plan, request: RiskRequest, *, graph: bool = False) -> int:
     """Return how many crude crossings there are at each scale: at most four for each run along φ, by default."""
-    if asked.runs is not None:
-        return asked.runs
+    if request.runs is not None:
+        return request.runs
     most = GRAPH_RUNS if graph else RUNS if _has_exact_margin(plan) else OTHER_RUNS
     return min(most, plan.collision_runs if graph else 4 * plan.collision_runs)
 
@@ -136,66 +134,39 @@ def warm_up_risk(plan: Plan) -> None:
     car.run_drawn(crossings, draws_of(crossing_plan, crossings), 1.0)
 
 
-def with_risks(
-    rating: Assessment,
-    asked: RiskAsked,
-    runner: Workers,
-    progress: Progress,
-    graph: Runner | None = None,
-) -> Assessment:
-    """Return the rating with the risk of the car.
-
-    Args:
-        rating: the rating, whose episodes have been run.
-        asked: by which behaviour model, and how much.
-        runner: runs crossings, in several processes.
-        progress: called with how far the work is.
-        graph: runs episodes of a car that is a node of its own; None: such a car has no risk.
-    """
-    begin = time.perf_counter()
-    plan = rating.for_deviation.plan
-    why = why_no_risk(plan, asked.behaviour)
-    external = plan.car.is_external
-    if not why and external and graph is None:
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the risk of the car, or why there is none."""
+    request, plan = context.risk, assessment.for_deviation.plan
+    why, external = why_no_risk(plan, request.behaviour), plan.car.is_external
+    if not why and external and not context.repeats:
         why = "the risk of a node of its own takes episodes in lockstep: leave out --pacing real_time"
-    if not why and external and 2 * len(rating.reasons) > rating.episodes:
+    if not why and external and 2 * len(assessment.reasons) > assessment.episodes:
         why = "most episodes were aborted, and so would be those of the risk"
-    if why or asked.behaviour is None:
-        return replace(rating, risk_note=why)
-    crossing_plan = CrossingPlan(plan, rating.safe, asked.behaviour.values)
-    runs = runs_of(plan, asked, graph=external)
-    by_whom: Runner = graph if external and graph is not None else runner
+    if why or request.behaviour is None:
+        return replace(assessment, risk_note=why)
+    crossing_plan = CrossingPlan(plan, assessment.safe, request.behaviour.values)
     try:
         hits: dict[float, dict[int, EpisodeLog]] = {}
-        confidence = rating.results[0].confidence
-        scales = list(_scales(crossing_plan, asked, runs, runner, by_whom, confidence, progress, hits))
-        failures, failing = _failures(crossing_plan, scales, hits, runner)
+        scales = list(_scales(crossing_plan, context, assessment.confidence, hits))
+        failures, failing = _failures(crossing_plan, scales, hits, context.workers)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
-        return replace(rating, risk_note=f"its crossings ended: {error}")
-    seconds = rating.seconds + time.perf_counter() - begin
-    risks = Risks(asked.behaviour.as_dict(), scales, failures, failing)
-    return replace(rating, risks=risks, seconds=seconds)
+        return replace(assessment, risk_note=f"its crossings ended: {error}")
+    return replace(assessment, risks=Risks(request.behaviour.as_dict(), scales, failures, failing))
 
 
 def _scales(
-    crossing_plan: CrossingPlan,
-    asked: RiskAsked,
-    runs: int,
-    runner: Workers,
-    by_whom: Runner,
-    confidence: float,
-    progress: Progress,
-    hits: dict[float, dict[int, EpisodeLog]],
+    crossing_plan: CrossingPlan, context: Context, confidence: float, hits: dict[float, dict[int, EpisodeLog]]
 ) -> Iterator[ScaleRisk]:
     """Yield the risk at each scale, and put into `hits` by scale and number the crossings run as episodes that hit."""
-    plan = crossing_plan.plan
+    plan, workers, progress = crossing_plan.plan, context.workers, context.progress
+    runs = runs_of(plan, context.risk, graph=plan.car.is_external)
     known = KnownCar(crossing_plan) if _has_exact_margin(plan) else None
     crossings, total = crude_crossings(crossing_plan, runs), runs * len(SCALES)
     draws = None if known is None else draws_of(crossing_plan, crossings)
-    together = None if known is not None else batched_car(crossing_plan, runner)
-    other = AnyCar(crossing_plan, by_whom)
+    together = None if known is not None else batched_car(crossing_plan, workers)
+    other = AnyCar(crossing_plan, context.runner if plan.car.is_external else workers)
     effort = Effort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
@@ -213,10 +184,12 @@ def _scales(
                 progress(LABEL, number * runs + int(rows[-1]) + 1, total)
             ends = Ends.together(parts)
         subsets, lost = None, 0
-        if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (asked.subset or (known is not None and runs >= RUNS)):
+        if int((ends.touch == Touch.FRONT).sum()) < FEW_HITS and (
+            context.risk.subset or (known is not None and runs >= RUNS)
+        ):
             unknown = None if known is not None else together or other
             try:
-                subsets = _subsets(crossing_plan, scale, effort, runner, unknown, progress)
+                subsets = _subsets(crossing_plan, scale, effort, workers, unknown, progress)
             except AbortedCrossingsError as error:
                 lost = error.count
         yield ScaleRisk(scale, ends.touch, len(crossing_plan.safe), subsets, confidence, ends.ticks, lost)
@@ -277,25 +250,7 @@ def _subsets(
 NOT_ASKED: Final = f"--behaviour {NO_BEHAVIOUR}: the risk was not asked for"
 
 
-@dataclass(frozen=True)
-class RiskAsked:
-    """What is asked.
-
-    Attributes:
-        behaviour: the behaviour model; None: there is to be no risk.
-        runs: crude crossings at each scale; None: as many as is usual.
-        subset: whether there is subset simulation of a car that is not known, too.
-    """
-
-    behaviour: Behaviour | None = None
-    runs: int | None = None
-    subset: bool = False
-
-
-NOTHING_ASKED: Final = RiskAsked()
-
-
-def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False) -> RiskAsked:
+def risk_request(behaviour: str, runs: int | None = None, *, subset: bool = False) -> RiskRequest:
     """Return what options ask.
 
     Raises:
@@ -303,11 +258,11 @@ def risk_asked(behaviour: str, runs: int | None = None, *, subset: bool = False)
             risk is not asked for, and how to find it is.
     """
     if behaviour != NO_BEHAVIOUR:
-        return RiskAsked(behaviour_asked(behaviour), runs, subset)
+        return RiskRequest(behaviour_asked(behaviour), runs, subset)
     if runs is not None or subset:
         option = "risk_subset" if runs is None else f"risk_runs {runs}"
         raise UsageError(f"{option}: --behaviour {NO_BEHAVIOUR} asks for no risk; leave one of them away")
-    return NOTHING_ASKED
+    return RiskRequest()
 
 
 def behaviour_asked(name: str) -> Behaviour:

@@ -1,22 +1,15 @@
-"""The margins of an assessment: exact where the car is known, else searched for against the car itself.
+"""The margin of an assessment: exact where the car is known, else searched for against the car itself.
 
 The trials are fixed: the first `kamikaze_count` on each φ, whatever became of the kamikazes that were planned in
 them. So the margins are a property of the car, and do not depend on what an adversary knew of it.
-
-At a first run the searches for the margin compile in a process of their own, beside the planners.
-
-They take as long as the planners of an assessment, nearly half a minute, and most machines have a second core. What is
-compiled there comes by the cache on disk, as in any later run, so nothing of a result depends on it.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
@@ -27,15 +20,16 @@ from skd_sim.simulators.simulator import repeats_itself
 from skd_sim.world.episode import Episode, EpisodeLog, Mode
 
 from skd_evaluator.assessment.assessment import Assessment
+from skd_evaluator.assessment.context import Context, Progress, Runner
 from skd_evaluator.assessment.options import MAXIMUM_ABORTED
-from skd_evaluator.assessment.plan import Plan, Progress, Runner
+from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers, available_workers, in_background
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
 from skd_evaluator.margin.exact.exact import exact_margin, search_least_way
 from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
-from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, SearchedMargins, search_margins
+from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.deviation import LeastWay, deviation
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
@@ -44,7 +38,7 @@ from skd_evaluator.metrics.margins import Excess, Margins
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m
-WALKED_TRIALS = 5
+WHOLE_EPISODE_TRIALS = 5
 """Trials on each φ whose margin is searched by whole episodes."""
 NEEDS_THE_CAR = "recordings say what happened; the margin asks what else could have, which takes the car: skd assess"
 NOT_ASKED = "--margin-limit 0: the margin was not asked for"
@@ -58,41 +52,23 @@ def warm_up_margins() -> None:
             search_margins([episode], {}, one_by_one, Effort(8, 8))
 
 
-def why_no_margin(plan: Plan, limit: int, walked: Episode | None = None) -> str:
+def why_no_margin(plan: Plan, limit: int, *, whole_episodes: bool) -> str:
     """Return why the margins of a plan cannot be computed, in one line; empty where they can.
 
     Args:
         plan: the plan of the assessment, which says what the car is.
-        limit: how many candidates may be driven in a trial; 0: no margin was asked for.
-        walked: a trial that would be searched by whole episodes; None: whole episodes cannot be run.
+        limit: how many candidates may be driven in a trial; 0: no margin was requested.
+        whole_episodes: whether whole episodes search it.
     """
     if limit == 0:
         return NOT_ASKED
-    if not repeats_itself(plan.simulator) or (walked is None and not is_own_world(plan.simulator)):
+    if not repeats_itself(plan.simulator) or not (whole_episodes or is_own_world(plan.simulator)):
         return f"the margin needs SKD's own world: what simulator {plan.simulator} would have done is not known"
-    if walked is not None:
-        return ""
-    if plan.car.is_external:
+    if plan.car.is_external and not whole_episodes:
         return (
             "the margin of a node of its own is searched by whole episodes, in lockstep: leave out --pacing real_time"
         )
     return ""
-
-
-def trials_of(plan: Plan, rating: Assessment) -> list[list[Episode]]:
-    """Return for each φ the episodes under whose draws the margins are computed, in the order of their numbers."""
-    return [
-        [plan.episode(Mode.KAMIKAZE, index, trial, phi) for trial in range(plan.kamikaze_count)]
-        for index, phi in enumerate(rating.safe)
-    ]
-
-
-def logs_of(rating: Assessment) -> dict[int, list[EpisodeLog]]:
-    """Return what kamikazes of all objectives did, by the id of their episode."""
-    found: dict[int, list[EpisodeLog]] = {}
-    for log in rating.kamikaze_logs:
-        found.setdefault(log.episode.episode_id, []).append(log)
-    return found
 
 
 def exact_or_found(episode: Episode) -> LeastWay | None:
@@ -210,20 +186,20 @@ def _otherwise(plan: Plan, number: int, trials: int) -> str:
     )
 
 
-def _driven(
+def _by_whole_episodes(
     episodes: Sequence[Episode],
     logs: Mapping[int, Sequence[EpisodeLog]],
     plan: Plan,
     runner: Runner,
-    progress: Progress,
-    limit: int,
-) -> tuple[SearchedMargins, str, tuple[str, ...]]:
+    context: Context,
+) -> tuple[LeastWays, str, list[str]]:
     """Return what whole episodes have found, how, in a few words, and what a reader should know, a line each.
 
     Raises:
         AssessmentError: the car fails, or more episodes were aborted than may be.
     """
-    found = search_margins(episodes, logs, by_episodes(runner, progress), _effort(WHOLE_EPISODES, limit))
+    effort = _effort(WHOLE_EPISODES, context.margin_limit)
+    found = search_margins(episodes, logs, by_episodes(runner, context.progress), effort)
     hits, again = repeated(found, runner)
     warnings = []
     if found.reasons:
@@ -236,81 +212,81 @@ def _driven(
             f"{NOT_CREDIBLE}simulator {plan.simulator}, or controller {plan.controller}, does not repeat itself: of "
             f"{hits} hits {again} came again"
         )
-    how = f"by up to {found.budget} whole episodes a trial; {again} of {hits} hits came again"
-    return found, how if hits else f"by up to {found.budget} whole episodes a trial; none hit", tuple(warnings)
+    how = f"by up to {found.budget} whole episodes a trial; " + (
+        f"{again} of {hits} hits came again" if hits else "none hit"
+    )
+    return LeastWays(found.ways, found.budget, found.converged, found.excess), how, warnings
 
 
-def with_margins(
-    rating: Assessment, runner: Workers, progress: Progress, limit: int, graph: Runner | None = None
-) -> Assessment:
-    """Return the rating with the margin of the car, and the C of the basic car with the same.
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the margin of the car, and the C of the basic car with the same; or why there is none.
 
-    Args:
-        rating: the rating, whose episodes have been run.
-        runner: computes the margins, in several processes.
-        progress: called with how far the work is.
-        limit: candidates that may be driven in a trial; 0: no margin.
-        graph: runs whole episodes of a car that is a node of its own, in lockstep, or of one in another simulator than
-            SKD's own world; None: such a car has no margin.
+    A car that is a node of its own, or in another simulator than SKD's own world, is searched by whole episodes.
     """
-    begin = time.perf_counter()
-    plan = rating.for_deviation.plan
-    per_phi = trials_of(plan, rating)
-    walks = graph is not None and (plan.car.is_external or not is_own_world(plan.simulator))
-    why = why_no_margin(plan, limit, per_phi[0][0] if walks else None)
-    if not why and walks and 2 * len(rating.reasons) > rating.episodes:
-        why = "most episodes were aborted, and so would be those that search it"
-    if why:
-        return replace(rating, margin_note=why)
-    if walks:  # each of its trials takes many whole episodes
-        per_phi = [group[:WALKED_TRIALS] for group in per_phi]
-    episodes = [episode for group in per_phi for episode in group]
-    settings: dict[str, Any] = {}
+    plan = assessment.for_deviation.plan
+    whole = context.repeats and (plan.car.is_external or not is_own_world(plan.simulator))
+    note = why_no_margin(plan, context.margin_limit, whole_episodes=whole)
+    if not note and whole and 2 * len(assessment.reasons) > assessment.episodes:
+        note = "most episodes were aborted, and so would be those that search it"
+    if note:
+        return replace(assessment, margin_note=note)
+    each = min(plan.kamikaze_count, WHOLE_EPISODE_TRIALS) if whole else plan.kamikaze_count
+    episodes = [
+        plan.episode(Mode.KAMIKAZE, index, trial, phi)
+        for index, phi in enumerate(assessment.safe)
+        for trial in range(each)
+    ]
+    logs: dict[int, list[EpisodeLog]] = {}
+    for log in assessment.kamikaze_logs:
+        logs.setdefault(log.episode.episode_id, []).append(log)
+    how, warnings = "", list[str]()
     try:
-        logs = logs_of(rating)
-        if walks:
-            assert graph is not None
+        if whole:
+            runner = context.runner if plan.car.is_external else context.workers
             trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            searched, how, warnings = _driven(trials, logs, plan, graph, progress, limit)
-            ways: list[LeastWay | None] = searched.ways
-            settings = {"budget": searched.budget, "converged": searched.converged, "excess": searched.excess}
-            settings["how"] = how
-            rating = replace(rating, warnings=(*rating.warnings, *warnings))
+            found, how, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
         else:
-            found = least_ways(episodes, logs, runner, progress, limit)
-            ways = found.ways
-            settings = {"budget": found.budget, "converged": found.converged, "excess": found.excess}
-            if found.budget is not None:
-                ways, shorter = with_planned_hits(episodes, ways, logs)
-                if shorter:
-                    rating = replace(rating, warnings=(*rating.warnings, _otherwise(plan, shorter, len(episodes))))
+            found = least_ways(episodes, logs, context.workers, context.progress, context.margin_limit)
+        ways = found.ways
+        if not whole and found.budget is not None:
+            ways, shorter = with_planned_hits(episodes, ways, logs)
+            if shorter:
+                warnings = [_otherwise(plan, shorter, len(episodes))]
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
-        return replace(rating, margin_note=f"its search ended: {error}")
-    sizes = [len(group) for group in per_phi]
-    starts = [sum(sizes[:index]) for index in range(len(sizes))]
-    grouped = tuple(tuple(ways[start : start + size]) for start, size in zip(starts, sizes, strict=True))
-    confidence = rating.results[0].confidence
-    margins = Margins(grouped, plan.scenario.eta_max, confidence=confidence, **settings)
+        return replace(assessment, margin_note=f"its search ended: {error}")
+    grouped = tuple(tuple(ways[start : start + each]) for start in range(0, len(ways), each))
+    margins = Margins(
+        grouped,
+        plan.scenario.eta_max,
+        found.budget,
+        found.converged,
+        found.excess,
+        confidence=assessment.confidence,
+        **({"how": how} if whole else {}),
+    )
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
         own = plan.multiplier
         equivalent, note = EquivalentMultiplier(own, (own, own), (own, own), own, own), ""
     else:
-        equivalent, note = equivalent_of(plan, rating.safe, margins.per_phi, runner, progress)
+        equivalent, note = equivalent_of(plan, assessment.safe, margins.per_phi, context.workers, context.progress)
     return replace(
-        rating,
+        assessment,
         margins=margins,
         equivalent=equivalent,
         equivalent_note=note,
-        seconds=rating.seconds + time.perf_counter() - begin,
+        warnings=(*assessment.warnings, *warnings),
     )
 
 
 @contextmanager
 def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], None]]:
     """Begin to compile the searches for the margin in another process, where that is to be done anew.
+
+    They take as long as the planners of an assessment, nearly half a minute, and most machines have a second core. What
+    is compiled there comes by the cache on disk, as in any later run, so nothing of a result depends on it.
 
     Yields what loads them into this process, for `Workers.start`: it waits for the other process first. Enter it
     before other threads start: a process with threads is not safe to fork.

@@ -1,0 +1,120 @@
+"""Kamikazes, and runs along φ: the episodes from which SKD, the deviation and the contact rate follow.
+
+Points of the vulnerability curve are kamikazes that may not deviate further than given: their bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.state import Trajectory
+
+from skd_evaluator.assessment.assessment import Assessment, in_order, objective_results
+from skd_evaluator.assessment.context import Context, Progress, Runner, run_episodes, silent
+from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, kamikaze_set
+from skd_evaluator.assessment.plan import TRIALS_PER_REQUESTED, Plan, runs_along
+from skd_evaluator.metrics.deviation import deviation
+from skd_evaluator.metrics.measures import load_measures
+from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
+
+BOUNDS = (0.25, 0.5, 1.0, 2.0)
+"""η, m, to which kamikazes are bounded."""
+_PART = 4
+"""One in so many of an assessment's trials is made for each bound."""
+
+
+def run(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with what the kamikazes of each objective reached, unless that is known already."""
+    if assessment.results:
+        return assessment
+    load_measures()  # one that cannot be loaded is said before anything is run
+    plans = [replace(assessment.plan, objective=objective) for objective in in_order(context.objectives)]
+    sets = {one.objective: kamikaze_sets(one, assessment.safe, context.runner, context.progress) for one in plans}
+    results = objective_results(assessment.plan, sets, assessment.confidence)
+    return replace(assessment, plan=results[0].plan, results=results)
+
+
+def run_nominal(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with the runs of the car against an adversary that follows φ, unless they are known."""
+    if assessment.nominal_runs:
+        return assessment
+    episodes = runs_along(assessment.plan, assessment.safe)
+    logs = tuple(run_episodes(context.runner, episodes, "contact rate", context.progress))
+    return replace(assessment, nominal_runs=logs)
+
+
+def run_bounded(context: Context, assessment: Assessment) -> Assessment:
+    """Return the assessment with points of the vulnerability curve, where it is requested.
+
+    Only kamikazes of objective `deviation` can be bounded.
+    """
+    result = assessment.for_deviation
+    if not context.curve or not result.plan.limits_deviation or not result.trials:
+        return assessment
+    points: list[BudgetPoint] = []
+    for number, eta in enumerate(BOUNDS, start=1):
+        points.append(bounded_point(result, assessment.safe, eta, context.runner))
+        context.progress("kamikazes held to η", number, len(BOUNDS))
+    return replace(assessment, budgets=tuple(budget_points(points)))
+
+
+def kamikaze_sets(
+    plan: Plan, safe: Sequence[Trajectory], runner: Runner, progress: Progress = silent, *, first: int = 0
+) -> list[KamikazeSet]:
+    """Return Ψ(φ) for each φ: episodes are drawn until enough have collided, or a cap is reached.
+
+    Args:
+        plan: the campaign.
+        safe: Φ, or the part of it that follows on `first` others.
+        runner: runs the episodes.
+        progress: called with how far the work is.
+        first: number of the first φ.
+    """
+    tried: list[list[EpisodeLog]] = [[] for _ in safe]
+    found = [0] * len(safe)
+    cap = TRIALS_PER_REQUESTED * plan.kamikaze_count
+    total = plan.kamikaze_count * len(safe)
+    label = f"kamikazes ({plan.objective})"
+    while True:
+        batch: list[tuple[int, Episode]] = []
+        for index, trajectory in enumerate(safe):
+            trials = len(tried[index])
+            missing = min(plan.kamikaze_count - found[index], cap - trials)
+            for trial in range(trials, trials + missing):
+                batch.append((index, plan.episode(Mode.KAMIKAZE, first + index, trial, trajectory)))
+        if not batch:
+            break
+        logs = run_episodes(runner, [spec for _, spec in batch], label, progress, sum(found), total)
+        for (index, _), log in zip(batch, logs, strict=True):
+            tried[index].append(log)
+            found[index] += plan.succeeds(log)
+    return [kamikaze_set(trajectory, logs) for trajectory, logs in zip(safe, tried, strict=True)]
+
+
+def bounded_trials(plan: Plan) -> int:
+    """Return how many kamikazes are bounded by each η, for each φ."""
+    return max(1, -(-plan.kamikaze_count // _PART))
+
+
+def bounded_point(result: ObjectiveResult, safe: Sequence[Trajectory], eta: float, runner: Runner) -> BudgetPoint:
+    """Run kamikazes that plan for a deviation of at most η; return how many were hit within it, and of how many.
+
+    Their number is fixed beforehand: to go on until enough have collided would make the share too high.
+    """
+    plan = replace(result.plan, maximum_distance=eta)
+    episodes = [
+        plan.episode(Mode.KAMIKAZE, index, trial, phi)
+        for index, phi in enumerate(safe)
+        for trial in range(bounded_trials(plan))
+    ]
+    successes = aborted = 0
+    for log in runner.run(episodes):
+        aborted += log.outcome == Outcome.ABORTED
+        if log.hit:
+            phi = log.episode.safe_trajectory
+            assert phi is not None
+            ticks = log.impact_time / plan.scenario.time_step
+            successes += deviation(phi.positions, log.trajectory.positions, ticks) <= eta
+    return BudgetPoint(eta, successes, len(episodes) - aborted, aborted)
