@@ -18,19 +18,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from skd_sim.controllers.cal import (
-    MARGIN,
-    MARGIN_TIME,
     SCALE,
     WIDEST_WALKER,
     HazardNetwork,
     Perception,
-    on_collision_course,
-    save_network,
+    stopping_zone,
+    time_to_stand,
 )
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, Scenario, load_scenario
-from skd_sim.world.contact import to_car_frame
+from skd_sim.world.contact import first_contact, to_car_frame
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState
 from skd_sim.world.world import World
@@ -48,7 +46,45 @@ TICKS = 16
 FASTEST_CAR = 10.0  # m/s
 VISIBLE_BEAMS = 3  # that have to reach an adversary for it to count as visible
 CLEARANCE = 0.5  # m between an adversary's centre and a parked car
+MARGIN, MARGIN_TIME = 0.1, 0.08  # m around the zone, and s that the label follows the course for longer
 MATCH = 0.7  # m from its centre, within which an object is the adversary
+
+# --- the label
+
+
+@kernel
+def on_collision_course(
+    ahead: float,
+    left: float,
+    velocity_ahead: float,
+    velocity_left: float,
+    speed: float,
+    half_width: float,
+    radius: float,
+    deceleration: float,
+    margin: float,
+    margin_time: float,
+) -> bool:
+    """Return whether an adversary's course meets the stopping zone before the car would stand.
+
+    Args:
+        ahead: how far the adversary's centre is ahead of the front bumper, m.
+        left: how far the adversary's centre is to the left of the car's axis, m.
+        velocity_ahead: velocity of the adversary over ground, along the car's axis, m/s.
+        velocity_left: velocity of the adversary over ground, to the left, m/s.
+        speed: speed of the car, m/s.
+        half_width: half width of the car, m.
+        radius: radius of the adversary, m.
+        deceleration: deceleration of the car at full brake, m/s² (> 0).
+        margin: by how much the zone is widened, m; 0 for the collision course itself.
+        margin_time: by how much longer the course is followed, s; 0 for the collision course itself.
+    """
+    horizon = time_to_stand(speed, deceleration) + margin_time
+    reach = stopping_zone(speed, deceleration) + margin
+    ahead_after, left_after = ahead + horizon * velocity_ahead, left + horizon * velocity_left
+    contact = first_contact(ahead, left, ahead_after, left_after, reach, 0.0, half_width + margin, radius)
+    return contact <= 1.0
+
 
 # --- scenes
 
@@ -321,7 +357,7 @@ def main() -> None:
     given = parser.parse_args()
     scenario = load_scenario("crossing")
     network = fit(scenario, given.seed, given.episodes, epochs=given.epochs)
-    save_network(network, given.out / "hazard_network.npz")
+    np.savez(given.out / "hazard_network.npz", **network._asdict())
     scenes = generate_scenes(scenario, range(HELD_OUT, HELD_OUT + given.episodes // 3), given.seed)
     alarm, course = probabilities_of(network, scenes) > 0.9, scenes.course & scenes.visible
     recall, precision = (alarm & course).sum() / course.sum(), (alarm & scenes.course).sum() / alarm.sum()

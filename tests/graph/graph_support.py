@@ -252,7 +252,9 @@ def whole_graph(
     """
     options = options or GraphOptions()
     controller = controller or ("external" if options.controller_command else "basic")
-    token, domain = uuid.uuid4().hex, domain or new_domain()
+    from skd_evaluator.ros.graph import free_domain
+
+    token, domain = uuid.uuid4().hex, domain or free_domain()  # that of a graph which has ended here, if any
     with (
         in_domain(domain, token),
         graphs_session(

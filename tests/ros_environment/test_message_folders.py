@@ -21,20 +21,20 @@ def package(folder: Path, name: str, text: str) -> None:
 
 
 @pytest.fixture
-def built(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """What was built, in rounds; nothing is."""
-    rounds: list[list[str]] = []
+def built(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What was built, in this order; nothing is."""
+    order: list[str] = []
 
-    def build(wanted: list[list[MessagePackage]], place: Path) -> None:
-        rounds.extend([[one.name for one in together] for together in wanted])
+    def build(wanted: list[MessagePackage], place: Path) -> None:
+        order.extend(one.name for one in wanted)
         place.mkdir()
 
     monkeypatch.setattr(installation, "_build", build)
-    return rounds
+    return order
 
 
 def test_a_package_is_built_after_those_that_it_uses_and_only_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, built: list[list[str]]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, built: list[str]
 ) -> None:
     package(tmp_path / "deep" / "down" / "top", "top_msgs", "std_msgs/Header header\nleft_msgs/Command left\n")
     package(tmp_path / "left", "left_msgs", "# low_msgs/Other is no field\nlow_msgs/Command[3] low  # this is\n")
@@ -43,7 +43,7 @@ def test_a_package_is_built_after_those_that_it_uses_and_only_once(
     monkeypatch.setattr("sys.prefix", str(tmp_path / "prefix"))
     (tmp_path / "prefix").mkdir()
     first = ensure_messages([str(tmp_path)], "top_msgs")
-    assert built == [["low_msgs"], ["left_msgs"], ["top_msgs"]]
+    assert built == ["low_msgs", "left_msgs", "top_msgs"]
     assert ensure_messages([str(tmp_path)], "top_msgs") == first
     assert len(built) == 3
     (tmp_path / "other" / "msg" / "Command.msg").write_text("float32 value\n")
@@ -53,7 +53,7 @@ def test_a_package_is_built_after_those_that_it_uses_and_only_once(
     assert len(built) == 6
 
 
-def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, built: list[list[str]]) -> None:
+def test_what_is_wrong_with_a_folder_is_one_line(tmp_path: Path, built: list[str]) -> None:
     (tmp_path / "empty").mkdir()
     package(tmp_path / "alone", "alone_msgs", "somebodys_msgs/Other other\n")
     package(tmp_path / "ring" / "one", "one_msgs", "two_msgs/Command command\n")

@@ -50,7 +50,7 @@ def odometry(x: float, y: float, turn: tuple[float, float, float], vx: float, vy
 def test_there_and_back(placement: Placement, x: float, y: float, heading: float) -> None:
     assert placement.point_to_crossing(*placement.point_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
     assert placement.vector_to_crossing(*placement.vector_to_map(x, y)) == pytest.approx((x, y), abs=1e-9)
-    back = placement.car_to_crossing(placement.car_to_map(CarState(x, y, heading, 3.0)))
+    back = placement.car_to_crossing(CarState(*placement.point_to_map(x, y), heading + placement.yaw, 3.0))
     assert back[:2] == pytest.approx((x, y), abs=1e-9)
     assert math.cos(back.heading - heading) == pytest.approx(1.0)
     assert back.speed == 3.0

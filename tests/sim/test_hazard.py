@@ -17,7 +17,6 @@ from skd_sim.controllers.cal import (
     STANDOFF,
     HazardNetwork,
     Perception,
-    on_collision_course,
     segment,
     shipped_network,
 )
@@ -25,7 +24,7 @@ from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import Obstacle, load_scenario
 from skd_sim.world.sensors import PlanarLaser
 from skd_sim.world.state import AdversaryState, CarState
-from train_hazard_network import digest, generate_scenes, probabilities_of
+from train_hazard_network import digest, generate_scenes, on_collision_course, probabilities_of
 
 CROSSING = load_scenario("crossing")
 FRESH_SEED = 20_240_607  # of no training

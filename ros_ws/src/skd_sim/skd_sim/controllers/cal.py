@@ -23,8 +23,7 @@ import math
 from collections import deque
 from enum import Enum
 from importlib import resources
-from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,14 +32,11 @@ from skd_sim.controllers.carla_agent import CONTROL_PERIOD, KILOMETRES_PER_HOUR,
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.contact import first_contact
 from skd_sim.world.sensors import FloatRanges, Scan
 from skd_sim.world.state import AdversaryState, CarState
 
 REACTION_TIME = 0.3  # s: one tick
 STANDOFF = 1.0  # m ahead of the bumper that stay free
-MARGIN = 0.1  # m around the zone, of the label
-MARGIN_TIME = 0.08  # s that the label follows the course for longer
 
 
 @kernel
@@ -58,40 +54,6 @@ def stopping_zone(speed: float, deceleration: float) -> float:
 def time_to_stand(speed: float, deceleration: float) -> float:
     """Return the time (s) from now to standstill, the reaction included; arguments as `stopping_zone`."""
     return REACTION_TIME + speed / deceleration
-
-
-@kernel
-def on_collision_course(
-    ahead: float,
-    left: float,
-    velocity_ahead: float,
-    velocity_left: float,
-    speed: float,
-    half_width: float,
-    radius: float,
-    deceleration: float,
-    margin: float,
-    margin_time: float,
-) -> bool:
-    """Return whether an adversary's course meets the stopping zone before the car would stand.
-
-    Args:
-        ahead: how far the adversary's centre is ahead of the front bumper, m.
-        left: how far the adversary's centre is to the left of the car's axis, m.
-        velocity_ahead: velocity of the adversary over ground, along the car's axis, m/s.
-        velocity_left: velocity of the adversary over ground, to the left, m/s.
-        speed: speed of the car, m/s.
-        half_width: half width of the car, m.
-        radius: radius of the adversary, m.
-        deceleration: deceleration of the car at full brake, m/s² (> 0).
-        margin: by how much the zone is widened, m; 0 for the collision course itself.
-        margin_time: by how much longer the course is followed, s; 0 for the collision course itself.
-    """
-    horizon = time_to_stand(speed, deceleration) + margin_time
-    reach = stopping_zone(speed, deceleration) + margin
-    ahead_after, left_after = ahead + horizon * velocity_ahead, left + horizon * velocity_left
-    contact = first_contact(ahead, left, ahead_after, left_after, reach, 0.0, half_width + margin, radius)
-    return contact <= 1.0
 
 
 WINDOW = 0.3  # s over which a velocity is taken, as far as scans come more often
@@ -294,22 +256,12 @@ class HazardNetwork(NamedTuple):
         return np.asarray(0.5 + 0.5 * np.tanh(0.5 * logit))  # the logistic function, and no overflow
 
 
-def save_network(network: HazardNetwork, target: Path) -> None:
-    """Write the weights; the file's bytes depend on nothing but them."""
-    np.savez(target, **network._asdict())
-
-
-def load_network(source: Path | BinaryIO) -> HazardNetwork:
-    """Read what `save_network` wrote."""
-    with np.load(source) as file:
-        return HazardNetwork(*(file[name] for name in HazardNetwork._fields))
-
-
 @functools.cache
 def shipped_network() -> HazardNetwork:
     """Return the network that comes with the package; `hazard_network.json` beside it says how it was trained."""
     with (resources.files("skd_sim") / "controllers" / "hazard_network.npz").open("rb") as file:
-        return load_network(file)  # type: ignore[arg-type]
+        arrays = np.load(file)
+        return HazardNetwork(*(arrays[name] for name in HazardNetwork._fields))
 
 
 SPEED_LIMIT = 30.0  # km/h, and from here on all of these are published

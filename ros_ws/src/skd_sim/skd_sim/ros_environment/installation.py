@@ -261,9 +261,9 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
             f"{package} is not in the ROS 2 that is sourced: build it in your workspace and source that "
             f"(colcon build --packages-up-to {package}); message_folder is for where none is"
         )
-    rounds = _rounds(package, found)
+    packages = _order(package, found)
     digest = hashlib.sha256(f"{environment_digest()} {sys.version}".encode())
-    for one in (one for together in rounds for one in together):
+    for one in packages:
         for file in one.files:
             digest.update(f"\0{one.name}/{file.name}\0{read_text(file)}".encode())
     place = Path(sys.prefix, "messages", digest.hexdigest()[:16])
@@ -271,7 +271,7 @@ def ensure_messages(folders: Sequence[str], package: str) -> Path | None:
         place.parent.mkdir(exist_ok=True)
         with locked(place.parent / ".lock", "building messages"):
             if not place.is_dir():
-                _build(rounds, place)
+                _build(packages, place)
     return place
 
 
@@ -294,8 +294,8 @@ def _packages_in(folder: Path) -> list[MessagePackage]:
     return found
 
 
-def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[MessagePackage]]:
-    """Return which packages have to be built for a package, in rounds: each round depends only on those before it.
+def _order(package: str, found: Mapping[str, MessagePackage]) -> list[MessagePackage]:
+    """Return what has to be built for a package, each after those that it uses.
 
     Raises:
         UsageError: a package that they use is nowhere, or they use each other in a circle.
@@ -307,38 +307,29 @@ def _rounds(package: str, found: Mapping[str, MessagePackage]) -> list[list[Mess
         if name in uses or is_installed(name):
             continue
         if name not in found:
-            raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a message_folder")
+            raise UsageError(f"{by} uses messages of {name}, which is neither installed nor in a --message-folder")
         uses[name] = set(found[name].dependencies())
         ahead += [(other, name) for other in uses[name]]
-    sorter = graphlib.TopologicalSorter(uses)
     try:
-        sorter.prepare()
+        return [found[name] for name in graphlib.TopologicalSorter(uses).static_order() if name in uses]
     except graphlib.CycleError as error:
-        raise UsageError(
-            f"packages of messages use each other in a circle: {', '.join(sorted(set(error.args[1])))}"
-        ) from error
-    rounds = []
-    while sorter.is_active():
-        ready = sorter.get_ready()
-        sorter.done(*ready)
-        if ours := sorted(set(ready) & set(uses)):  # the others are installed
-            rounds.append([found[name] for name in ours])
-    return rounds
+        circle = ", ".join(sorted(set(error.args[1])))
+        raise UsageError(f"packages of messages use each other in a circle: {circle}") from error
 
 
 # --- building them
 
 
-def _build(rounds: Sequence[Sequence[MessagePackage]], place: Path) -> None:
-    names = ", ".join(package.name for together in rounds for package in together)
+def _build(packages: Sequence[MessagePackage], place: Path) -> None:
+    names = ", ".join(package.name for package in packages)
     print(f"skd: building messages of {names} in {place} (once)", file=sys.stderr)
     compiler, log = find_compiler(), place.parent / "build.log"
     log.unlink(missing_ok=True)
     target = Path(tempfile.mkdtemp(prefix=".building-", dir=place.parent))
     try:
-        for together in rounds:
+        for package in packages:
             with tempfile.TemporaryDirectory(prefix="skd-messages-") as copies:
-                build_messages([_copy(package, Path(copies)) for package in together], compiler, target, log)
+                build_messages([_copy(package, Path(copies))], compiler, target, log)
         target.rename(place)
     finally:
         shutil.rmtree(target, ignore_errors=True)

@@ -46,10 +46,6 @@ class Placement(NamedTuple):
         """Return a point (m) of the map in the crossing's frame."""
         return self.vector_to_crossing(x - self.x, y - self.y)
 
-    def car_to_map(self, car: CarState) -> CarState:
-        """Return a car's state in the map."""
-        return CarState(*self.point_to_map(car.x, car.y), _wrapped(car.heading + self.yaw), car.speed)
-
     def car_to_crossing(self, car: CarState) -> CarState:
         """Return a car's state in the crossing's frame."""
         return CarState(*self.point_to_crossing(car.x, car.y), _wrapped(car.heading - self.yaw), car.speed)

@@ -1,11 +1,7 @@
 """The interface of a simulator, SKD's own world behind it, others by name, and the guard around those.
 
-A class with the two methods of `Simulator` and the count is enough: `run_episode(episode, simulator=…)` runs it in
-process, `skd_sim.ros.simulator_node.SimulatorNode` in the graph.
-
-Whether an episode as a whole can have happened is asked of its log (`skd_evaluator.assessment.validation`). The guard
-looks at what no log shows: that frames are frames, finite and one after the other, and that the adversary goes where
-it is told, for which a log has no commands.
+A class with the two methods of `Simulator` and the count is enough. The guard looks at what no log shows: that frames
+are frames, finite and one after the other, and that the adversary goes where its commands send it.
 """
 
 from __future__ import annotations
