@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
-from skd_adversary.car_models import fit_car, observe
 from skd_adversary.car_models.car_model_file import car_model_text
+from skd_adversary.car_models.fit import fit_car
+from skd_adversary.car_models.observations import observe
 from skd_evaluator.assessment.plan import Plan, probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from skd_adversary.car_models import Observations, observe
+from skd_adversary.car_models.observations import Observations, observe
 from skd_evaluator.assessment.plan import probe_episodes
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.bags.car_logs import recording_of

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from recorded_cars import KAPPA, SCENARIO, CruisingCar, LateCar, LimitedCar, MoodyCar, TimeToCollisionCar, logs_of
 from scipy import stats
-from skd_adversary.car_models import RecordedEpisode, fit_car, observe
 from skd_adversary.car_models.car_model_file import OPTIONAL, PARAMETERS, FittedCar, car_model_text, fitted_car
+from skd_adversary.car_models.fit import fit_car
 from skd_adversary.car_models.identifiability import (
     Identification,
     IntervalEstimate,
@@ -17,6 +17,7 @@ from skd_adversary.car_models.identifiability import (
     step_estimate,
 )
 from skd_adversary.car_models.laws import Family, Law, integral_transform, kolmogorov_smirnov
+from skd_adversary.car_models.observations import RecordedEpisode, observe
 from skd_adversary.car_models.speed_change import SpeedChange, trapezoid_density, trapezoid_distribution
 from skd_sim.controllers import BasicController
 from skd_sim.controllers.cal import CalController

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from recorded_cars import logs_of
 from skd_adversary.adversary import learned_car
-from skd_adversary.car_models import Observations, learn_car
 from skd_adversary.car_models.car_model_file import (
     FittedCar,
     car_model_text,
@@ -18,6 +17,8 @@ from skd_adversary.car_models.car_model_file import (
     write_car_model,
 )
 from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described, forest_transform, grow, leaf_of
+from skd_adversary.car_models.observations import Observations
+from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE, unknown_car
 from skd_adversary.crossing.model import CAR_S, CAR_SPEED, STATE_DIM, compose
 from skd_adversary.crossing.objectives import objective_named
@@ -49,7 +50,7 @@ def logs() -> Observations:
 
 @pytest.fixture(scope="module")
 def learned(logs: Observations) -> FittedCar:
-    return learn_car(logs, folds=2)[0]
+    return learn_car(logs, folds=2)
 
 
 def test_its_leaves_are_those_of_scikit_learn(logs: Observations) -> None:
@@ -88,7 +89,7 @@ def test_no_law_explains_this_car_and_the_forest_predicts_it(learned: FittedCar)
 
 
 def test_the_law_stays_where_the_car_has_one() -> None:
-    car, _ = learn_car(logs_of(BasicController(), 96), folds=2)
+    car = learn_car(logs_of(BasicController(), 96), folds=2)
     assert car.forest is None
     assert [one.model for one in car.predictions] == ["law", "forest"]
 

@@ -52,8 +52,8 @@ def test_fit_writes_the_model(model):
     data = yaml.safe_load((model / "car_model.yaml").read_text())
     trigger = data["parameters"]["trigger"]
     assert trigger["estimate"] == pytest.approx(0.75 * 9.9206349, rel=0.03)
-    assert trigger["interval_95"][0] <= trigger["estimate"] <= trigger["interval_95"][1]
-    assert data["family"]["measure"] == "distance"
+    assert trigger["interval"][0] <= trigger["estimate"] <= trigger["interval"][1]
+    assert data["measure"] == "distance"
     assert data["logs"] == 60
 
 
@@ -74,7 +74,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
     assert run(*arguments, "--car-model", model, "--out", out) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["pairs"] == 3
-    assert result["car_model"]["family"]["name"] == "distance"
+    assert result["car_model"]["chosen"] == "distance"
     assert result["per_safe_trajectory"][0]["name"].startswith("own/")
     # An assessment's own episodes can be fitted too: those of both objectives, and the runs along φ.
     episodes = sum(figures["trials"] for figures in result["objectives"].values()) + 4
@@ -151,7 +151,7 @@ def test_logs_are_not_replaced_by_the_model_that_is_learned_from_them(probe, cap
 def test_a_model_of_another_car_is_refused(model, tmp_path, capsys):
     arguments = ("--car-model", model, "--scenario", "citr_crossing", "--out", tmp_path / "out")
     assert run("assess", *arguments) == 2
-    assert "footprint.front" in capsys.readouterr().err
+    assert "front is 2.25 m" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

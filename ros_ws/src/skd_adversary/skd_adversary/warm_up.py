@@ -30,7 +30,7 @@ def any_car_models() -> list[str]:
         if name not in OPTIONAL
     }
     step = load_scenario(DYNAMICS[BASIC].scenario).time_step
-    law = FittedCar("distance", "none", "sharp", 0.0, parameters, (), "", None, 0, 0, 0, step)
+    law = FittedCar(measure="distance", gate="none", spread="sharp", lapse=0.0, parameters=parameters, time_step=step)
     one_leaf = pack(
         np.array([-1], dtype=np.int8),
         np.zeros(0, dtype=np.int16),

@@ -9,19 +9,17 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import is_there, parse_json, read_bytes
-from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, YesNo, limits, read_model
+from skd_sim.inputs.files import parse_json, read_bytes
+from skd_sim.inputs.model import Count, Finite, Frozen, OneOf, limits, read_model
 from skd_sim.inputs.yaml_file import read_yaml, short, to_yaml
 from skd_sim.scenario.scenario import Scenario
 
 from skd_adversary.car_models.forest import CarForest
-
-DISTRIBUTIONS = ("point", "uniform", "normal")
 
 PARAMETERS = {
     "trigger": "m",  # s where the measure is time
@@ -45,11 +43,7 @@ LARGEST = {
     "deceleration_noise": 1.0,
     "reaction_delay": 10.0,
 }
-"""The most that each can be where logs determine it, in its unit: more than recordings may show, and a fit looks for.
-
-A number in another unit, such as mm, is beyond it. What others come to (a speed to which a car that speeds up is on its
-way, say) has no end.
-"""
+"""The most that each can be where logs determine it, in its unit: one in another unit, such as mm, is beyond it."""
 
 LONGEST_DELAY = 3
 """Ticks between what the car sees and what it does, at most, that are looked for in logs and planned with."""
@@ -57,28 +51,25 @@ LONGEST_DELAY = 3
 OPTIONAL = ("path_half_width", "cruise_acceleration")
 """Of them, those that a car may not have: no path that it looks at, no limit to how it speeds up."""
 
+Positive = Annotated[float, limits(0.0)]
+
 
 @dataclass(frozen=True)
-class ParameterPrior:
-    """What is believed of a parameter: a point, uniform(first, second) or normal(first, second = deviation)."""
+class ParameterPrior(Frozen):
+    """What is believed of a parameter: a point (first), uniform(first, second) or normal(first, second = deviation)."""
 
-    distribution: str
-    first: float
-    second: float = 0.0
+    distribution: Annotated[str, OneOf(("point", "uniform", "normal"))]
+    first: Positive
+    second: Positive = 0.0
 
     def __post_init__(self) -> None:
-        if self.distribution not in DISTRIBUTIONS:
-            raise UsageError(f"distribution must be one of {', '.join(DISTRIBUTIONS)}, got {self.distribution!r}")
-        if not (math.isfinite(self.first) and math.isfinite(self.second)):
-            raise UsageError(f"a {self.distribution} prior needs finite numbers, got {self.first}, {self.second}")
+        """Refuse a uniform prior whose ends stand the wrong way round."""
         if self.distribution == "uniform" and self.second < self.first:
-            raise UsageError(f"a uniform prior needs low ≤ high, got {self.first:g}, {self.second:g}")
-        if self.distribution == "normal" and self.second < 0.0:
-            raise UsageError(f"a normal prior needs a deviation ≥ 0, got {self.second:g}")
+            raise UsageError(f"a uniform prior needs first ≤ second, got {self.first:g}, {self.second:g}")
 
 
 @dataclass(frozen=True)
-class CarParameter:
+class CarParameter(Frozen):
     """One parameter as the logs show it.
 
     Attributes:
@@ -90,10 +81,15 @@ class CarParameter:
     """
 
     prior: ParameterPrior
-    estimate: float | None = None
-    standard_error: float | None = None
-    interval: tuple[float, float] | None = None
+    estimate: Finite | None = None
+    standard_error: Positive | None = None
+    interval: tuple[Finite, Finite] | None = None
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse one without its numbers and without a reason for that."""
+        if not self.reason and None in (self.estimate, self.standard_error, self.interval):
+            raise UsageError("needs estimate, standard_error and interval, or the reason for none")
 
     @property
     def identifiable(self) -> bool:
@@ -147,9 +143,9 @@ class Prediction(Frozen):
     score: Finite
 
 
-@dataclass(frozen=True)
-class FittedCar:
-    """The predictive model of a car, from logs.
+@dataclass(frozen=True, kw_only=True)
+class FittedCar(Frozen):
+    """The predictive model of a car, from logs: the content of its file.
 
     Attributes:
         measure: what the trigger is compared with: `distance` (m) or `time` (s to contact).
@@ -157,10 +153,11 @@ class FittedCar:
         spread: how the trigger varies: `sharp` (not at all), `episode` (from one episode to the next) or `tick`
             (from tick to tick).
         lapse: share of ticks that go against the law.
+        chosen: name of the chosen family.
         parameters: all of `PARAMETERS`, by name, except for `OPTIONAL` ones that the car does not have.
         families: comparison of all families, the best held-out likelihood first.
-        chosen: name of the chosen family.
         calibration: how well the chosen family is calibrated; None where there are too few logs.
+        predictions: how well law and forest predict held-out ticks, if there are enough logs to compare them.
         logs: number of episodes.
         ticks: number of ticks.
         braking_ticks: number of ticks in which the car braked.
@@ -168,30 +165,29 @@ class FittedCar:
         version: version of SKD that fitted it.
         front: front bumper of the car in the logs ahead of its reference point, m; none where it was not written down.
         rear: rear bumper behind the reference point, m; None where it was not written down.
-        forest: forest that predicts the car, where no law does it as well; None: the law does.
-        predictions: how well law and forest predict held-out ticks, if there are enough logs to compare them.
         waiting_reward: m of deviation, at most 0, that each step after φ's end costs who waits for this car, by what
             kamikazes came to with it; none: nobody has tried, and the kind of model says it.
+        forest: forest that predicts the car, where no law does it as well; None: the law does.
     """
 
-    measure: str
-    gate: str
-    spread: str
-    lapse: float
-    parameters: dict[str, CarParameter]
-    families: tuple[FamilyRow, ...]
-    chosen: str
-    calibration: LawCalibration | None
-    logs: int
-    ticks: int
-    braking_ticks: int
-    time_step: float
-    version: str = "unknown"
-    front: float | None = None
-    rear: float | None = None
-    forest: CarForest | None = None
+    measure: Annotated[str, OneOf(("distance", "time"))]
+    gate: Annotated[str, OneOf(("none", "position", "predicted"))]
+    spread: Annotated[str, OneOf(("sharp", "episode", "tick"))]
+    lapse: Annotated[float, limits(0.0, 1.0, "share of ticks")]
+    chosen: str = ""
+    parameters: dict[Annotated[str, OneOf(PARAMETERS)], CarParameter]
+    families: tuple[FamilyRow, ...] = ()
+    calibration: LawCalibration | None = None
     predictions: tuple[Prediction, ...] = ()
-    waiting_reward: float | None = None
+    logs: Count = 0
+    ticks: Count = 0
+    braking_ticks: Count = 0
+    time_step: Annotated[float, limits(0.001, 10.0, "s")]
+    version: str = "unknown"
+    front: Finite | None = None
+    rear: Finite | None = None
+    waiting_reward: Annotated[float, limits(-1000.0, 0.0, "m a step")] | None = None
+    forest: CarForest | None = None
 
     def unit(self, name: str) -> str:
         """Return the unit of a parameter."""
@@ -202,81 +198,26 @@ FILE_NAME = "car_model.yaml"
 FOREST_SUFFIX = ".forest"
 LARGEST_FOREST = 16 * 2**20
 """Bytes; one has about a hundred thousand."""
-_NAMES = {"point": ("value",), "uniform": ("low", "high"), "normal": ("mean", "standard_deviation")}
-_HEAD = "# Predictive model of a car, fitted from logs by skd fit. SI units; half-widths of noise are relative.\n"
+_HEAD = (
+    "# Predictive model of a car, fitted from logs by skd fit. SI units; half-widths of noise are relative.\n"
+    "# Priors: point (first), uniform (first to second), normal (mean first, standard deviation second).\n"
+)
 
 
 def car_model_data(car: FittedCar) -> dict[str, Any]:
     """Return a fitted car as plain data, a forest in base64; `car_model_from` is the inverse."""
-    return {
-        "version": car.version,
-        "logs": car.logs,
-        "ticks": car.ticks,
-        "braking_ticks": car.braking_ticks,
-        "time_step": car.time_step,
-        "footprint": {"front": car.front, "rear": car.rear} if car.front is not None else None,
-        "family": {
-            "name": car.chosen,
-            "measure": car.measure,
-            "gate": car.gate,
-            "spread": car.spread,
-            "lapse": car.lapse,
-        },
-        "parameters": {name: _parameter_data(car, name) for name in PARAMETERS if name in car.parameters},
-        "families": [dataclasses.asdict(row) for row in car.families],
-        "calibration": dataclasses.asdict(car.calibration) if car.calibration else None,
-        "predictions": [dataclasses.asdict(one) for one in car.predictions],
-        "waiting_reward": car.waiting_reward,
-        "forest": None if car.forest is None else base64.b64encode(car.forest.packed).decode("ascii"),
-    }
-
-
-def _parameter_data(car: FittedCar, name: str) -> dict[str, Any]:
-    one = car.parameters[name]
-    numbers = zip(_NAMES[one.prior.distribution], (one.prior.first, one.prior.second), strict=False)
-    data: dict[str, Any] = {
-        "unit": car.unit(name),
-        "identifiable": one.identifiable,
-        "estimate": one.estimate,
-        "standard_error": one.standard_error,
-        "interval_95": list(one.interval) if one.interval is not None else None,
-        "prior": {"distribution": one.prior.distribution, **dict(numbers)},
-    }
-    if one.reason:
-        data["reason"] = one.reason
-    return data
+    forest = None if car.forest is None else base64.b64encode(car.forest.packed).decode("ascii")
+    return {**dataclasses.asdict(replace(car, forest=None)), "forest": forest}
 
 
 def write_car_model(path: Path, car: FittedCar) -> None:
     """Write a fitted car as YAML; its forest, if it has one, goes into a file beside it, which the YAML names."""
-    data = car_model_data(car)
+    data = json.loads(json.dumps(car_model_data(car)))  # lists for tuples
     if car.forest is not None:
         beside = path.with_suffix(FOREST_SUFFIX)
         beside.write_bytes(car.forest.packed)
         data["forest"] = {"file": beside.name, "sha256": hashlib.sha256(car.forest.packed).hexdigest()}
-    text = to_yaml(data)
-    path.write_text(_HEAD + text, encoding="utf-8")
-
-
-def _with_forest(data: Any, path: Path) -> Any:
-    """Return the content of a file with the forest that it names, in base64.
-
-    Raises:
-        UsageError: that file is not there, or is another one.
-    """
-    named = data.get("forest") if isinstance(data, Mapping) else None
-    if not isinstance(named, Mapping):
-        return data
-    file = named.get("file")
-    if not isinstance(file, str) or Path(file).name != file or not file:
-        raise UsageError(f"{path}: forest.file must be the name of a file beside it, got {short(file)}")
-    try:
-        packed = read_bytes(path.parent / file, LARGEST_FOREST + 1)
-    except UsageError as error:
-        raise UsageError(f"{path}: forest {error}") from error
-    if hashlib.sha256(packed).hexdigest() != named.get("sha256"):
-        raise UsageError(f"{path}: {file} is not the forest that was written with it: its SHA-256 differs")
-    return {**data, "forest": base64.b64encode(packed).decode("ascii")}
+    path.write_text(_HEAD + to_yaml(data), encoding="utf-8")
 
 
 def file_of(source: Path) -> Path:
@@ -288,123 +229,20 @@ def read_car_model(source: Path) -> FittedCar:
     """Return the fitted car in a file, or in a folder that `skd fit` wrote.
 
     Raises:
-        UsageError: it cannot be read, or is no car model.
+        UsageError: it cannot be read, is no car model, or its forest is not the one that was written with it.
     """
     path = file_of(source)
-    if not is_there(path):
-        raise UsageError(f"car model {path}: cannot be read (No such file or directory); skd fit writes one")
-    return car_model_from(_with_forest(read_yaml(path), path), str(path))
-
-
-@dataclass(frozen=True)
-class _Prior(Frozen):
-    distribution: Annotated[str, OneOf(_NAMES)]
-    value: Finite | None = None
-    low: Finite | None = None
-    high: Finite | None = None
-    mean: Finite | None = None
-    standard_deviation: Finite | None = None
-
-    def __post_init__(self) -> None:
-        needed = _NAMES[self.distribution]
-        if any(getattr(self, name) is None for name in needed):
-            raise UsageError(f"a {self.distribution} prior needs {' and '.join(needed)}")
-        ParameterPrior(self.distribution, *self.numbers.values())
-
-    @property
-    def numbers(self) -> dict[str, float]:
-        return {name: getattr(self, name) for name in _NAMES[self.distribution]}
-
-
-@dataclass(frozen=True)
-class _Parameter(Frozen):
-    prior: _Prior
-    unit: str | None = None
-    identifiable: YesNo = True
-    estimate: Finite | None = None
-    standard_error: Annotated[float, limits(0.0)] | None = None
-    interval_95: tuple[Finite, Finite] | None = None
-    reason: str = ""
-
-    def __post_init__(self) -> None:
-        if self.reason:
-            return
-        if self.estimate is None or self.standard_error is None or self.interval_95 is None:
-            raise UsageError("needs estimate, standard_error and interval_95, or the reason for none")
-
-    @property
-    def parameter(self) -> CarParameter:
-        prior = ParameterPrior(self.prior.distribution, *self.prior.numbers.values())
-        if self.reason or self.interval_95 is None:
-            return CarParameter(prior, reason=self.reason)
-        return CarParameter(prior, self.estimate, self.standard_error, self.interval_95)
-
-
-@dataclass(frozen=True)
-class _Family(Frozen):
-    measure: Annotated[str, OneOf(("distance", "time"))]
-    gate: Annotated[str, OneOf(("none", "position", "predicted"))]
-    spread: Annotated[str, OneOf(("sharp", "episode", "tick"))]
-    lapse: Annotated[float, limits(0.0, 1.0, "share of ticks")]
-    name: str = ""
-
-
-@dataclass(frozen=True)
-class _Footprint(Frozen):
-    front: Finite
-    rear: Finite
-
-
-@dataclass(frozen=True)
-class _CarModelFile(Frozen):
-    """The content of a car model's file; its forest is in base64."""
-
-    time_step: Annotated[float, limits(0.001, 10.0, "s")]
-    family: _Family
-    parameters: dict[Annotated[str, OneOf(PARAMETERS)], _Parameter]
-    footprint: _Footprint | None = None
-    families: tuple[FamilyRow, ...] = ()
-    calibration: LawCalibration | None = None
-    predictions: tuple[Prediction, ...] = ()
-    logs: Count = 0
-    ticks: Count = 0
-    braking_ticks: Count = 0
-    version: str = "unknown"
-    waiting_reward: Annotated[float, limits(-1000.0, 0.0, "m a step")] | None = None
-    forest: str | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse a law that lacks a parameter, or one that is beyond what it can be or contradicts its prior."""
-        units = dict(PARAMETERS)
-        if self.family.measure == "time":
-            units |= dict.fromkeys(("trigger", "trigger_spread"), "s")
-        for name, unit in units.items():
-            needed = name not in OPTIONAL or (name == "path_half_width" and self.family.gate != "none")
-            if name in self.parameters:
-                self._check(name, unit, self.parameters[name])
-            elif needed:
-                raise UsageError(f"missing key parameters.{name}")
-        delay = self.parameters["reaction_delay"].estimate or 0.0
-        if delay > (LONGEST_DELAY + 1e-9) * self.time_step:
-            raise UsageError(
-                f"parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {self.time_step:g} s, "
-                f"with which the adversary can plan, got {delay:g} s"
-            )
-
-    def _check(self, name: str, unit: str, one: _Parameter) -> None:
-        key, numbers = f"parameters.{name}", one.prior.numbers
-        if one.unit not in (None, unit):
-            raise UsageError(
-                f"{key}.unit must be {unit} where family.measure is {self.family.measure}, got {short(one.unit)}"
-            )
-        most = math.inf if one.reason else LARGEST.get(name, math.inf)
-        within = {f"prior.{which}": number for which, number in numbers.items()}
-        if not one.reason and one.estimate is not None:
-            within["estimate"] = one.estimate
-        for which, number in within.items():
-            if not 0.0 <= number <= most:
-                right = "≥ 0" if math.isinf(most) else f"from 0 to {most:g}"
-                raise UsageError(f"{key}.{which} must be {right} ({unit}), got {number:g}")
+    data = read_yaml(path)
+    named = data.get("forest") if isinstance(data, Mapping) else None
+    if isinstance(named, Mapping):
+        file = named.get("file")
+        if not isinstance(file, str) or Path(file).name != file or not file:
+            raise UsageError(f"{path}: forest.file must be the name of a file beside it, got {short(file)}")
+        packed = read_bytes(path.parent / file, LARGEST_FOREST)
+        if hashlib.sha256(packed).hexdigest() != named.get("sha256"):
+            raise UsageError(f"{path}: {file} is not the forest that was written with it: its SHA-256 differs")
+        data = {**data, "forest": base64.b64encode(packed).decode("ascii")}
+    return car_model_from(data, str(path))
 
 
 def car_model_from(data: Any, where: str = "car model") -> FittedCar:
@@ -417,27 +255,75 @@ def car_model_from(data: Any, where: str = "car model") -> FittedCar:
     Raises:
         UsageError: a key is missing or has no valid value.
     """
-    file = read_model(_CarModelFile, data, where)
-    family, size = file.family, file.footprint
-    shared = ("families", "calibration", "logs", "ticks", "braking_ticks", "time_step", "version", "predictions")
-    return FittedCar(
-        measure=family.measure,
-        gate=family.gate,
-        spread=family.spread,
-        lapse=family.lapse,
-        parameters={name: one.parameter for name, one in file.parameters.items()},
-        chosen=family.name,
-        front=None if size is None else size.front,
-        rear=None if size is None else size.rear,
-        forest=None if file.forest is None else _forest(file.forest, where),
-        waiting_reward=file.waiting_reward,
-        **{name: getattr(file, name) for name in shared},
-    )
+    if isinstance(data, Mapping) and isinstance(data.get("forest"), str):
+        data = {**data, "forest": _forest(data["forest"], where)}
+    car = read_model(FittedCar, data, where)
+    try:
+        _check(car)
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from error
+    return car
+
+
+def _check(car: FittedCar) -> None:
+    """Refuse a law that lacks a parameter, or has one that is beyond what it can be."""
+    for name in PARAMETERS:
+        needed = name not in OPTIONAL or (name == "path_half_width" and car.gate != "none")
+        if name not in car.parameters:
+            if needed:
+                raise UsageError(f"missing key parameters.{name}")
+            continue
+        one = car.parameters[name]
+        most = math.inf if one.reason else LARGEST.get(name, math.inf)
+        numbers = {"prior.first": one.prior.first, "prior.second": one.prior.second, "estimate": one.estimate or 0.0}
+        for key, number in numbers.items():
+            if not 0.0 <= number <= most:
+                raise UsageError(
+                    f"parameters.{name}.{key} must be from 0 to {most:g} ({car.unit(name)}), got {number:g}"
+                )
+    delay = car.parameters["reaction_delay"].estimate or 0.0
+    if delay > (LONGEST_DELAY + 1e-9) * car.time_step:
+        raise UsageError(
+            f"parameters.reaction_delay.estimate must be at most {LONGEST_DELAY} ticks of {car.time_step:g} s, "
+            f"with which the adversary can plan, got {delay:g} s"
+        )
+
+
+def _forest(text: str, where: str) -> CarForest:
+    """Return the forest in base64, looked through."""
+    try:
+        forest = CarForest(base64.b64decode(text, validate=True))
+        assert forest.trees
+    except ValueError as error:  # UsageError is one
+        raise UsageError(f"{where}: {error}") from error
+    return forest
 
 
 def car_model_text(car: FittedCar) -> str:
     """Return what a specification of an episode carries: JSON, without the comparison of families."""
     return json.dumps({**car_model_data(car), "families": []}, ensure_ascii=False, allow_nan=False)
+
+
+@functools.cache
+def fitted_car(text: str) -> FittedCar:
+    """Return the fitted car that `car_model_text` wrote; the same text is read once.
+
+    Raises:
+        UsageError: it is none.
+    """
+    where = "car model of the episode"
+    return car_model_from(parse_json(text, where), where)
+
+
+def car_model_for_scenario(source: Path, scenario: Scenario) -> str:
+    """Return the car model in a file or folder, as an episode of the scenario carries it.
+
+    Raises:
+        UsageError: it cannot be read, is no car model, or does not go with the scenario.
+    """
+    car = read_car_model(source)
+    check_scenario(car, scenario, str(source))
+    return car_model_text(car)
 
 
 def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
@@ -455,8 +341,8 @@ def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
     """
     pairs = (
         ("time_step", "s", car.time_step, scenario.time_step),
-        ("footprint.front", "m", car.front, scenario.car.front),
-        ("footprint.rear", "m", car.rear, scenario.car.rear),
+        ("front", "m", car.front, scenario.car.front),
+        ("rear", "m", car.rear, scenario.car.rear),
     )
     for key, unit, one, other in pairs:
         if one is not None and not math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-12):
@@ -464,38 +350,3 @@ def check_scenario(car: FittedCar, scenario: Scenario, where: str) -> None:
                 f"{where}: {key} is {one:g} {unit}, that of scenario {scenario.name} {other:g} {unit}; fit the car "
                 "anew: skd probe --scenario, then skd fit"
             )
-
-
-def car_model_for_scenario(source: Path, scenario: Scenario) -> str:
-    """Return the car model in a file or folder, as an episode of the scenario carries it.
-
-    Raises:
-        UsageError: it cannot be read, is no car model, or does not go with the scenario.
-    """
-    car = read_car_model(source)
-    check_scenario(car, scenario, str(source))
-    return car_model_text(car)
-
-
-@functools.cache
-def fitted_car(text: str) -> FittedCar:
-    """Return the fitted car that `car_model_text` wrote; the same text is read once.
-
-    Raises:
-        UsageError: it is none.
-    """
-    where = "car model of the episode"
-    return car_model_from(parse_json(text, where), where)
-
-
-def _forest(text: str, where: str) -> CarForest:
-    """Return the forest in base64, looked through."""
-    try:
-        forest = CarForest(base64.b64decode(text, validate=True))
-    except ValueError as error:
-        raise UsageError(f"{where}: forest is not base64") from error
-    try:
-        assert forest.trees
-    except UsageError as error:
-        raise UsageError(f"{where}: {error}") from error
-    return forest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from skd_sim.arrays import BoolArray, FloatArray
@@ -14,7 +14,6 @@ from skd_adversary.car_models.car_model_file import (
     OPTIONAL,
     PARAMETERS,
     CarParameter,
-    FamilyRow,
     FittedCar,
     LawCalibration,
     ParameterPrior,
@@ -25,7 +24,6 @@ from skd_adversary.car_models.identifiability import (
     Identification,
     IntervalEstimate,
     half_width_estimate,
-    wide_prior,
 )
 from skd_adversary.car_models.laws import (
     Law,
@@ -55,21 +53,15 @@ from skd_adversary.car_models.speed_change import (
 
 _HELD_OUT_FOLDS = 4  # one of them is predicted from the others, for the calibration
 _KS_TICKS = 20  # fewer say nothing about calibration
+_OF_BRAKING = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
 
 
-@dataclass(frozen=True, eq=False)
-class _Modes:
-    """Which ticks, of those that count, were braking and which free, given the law."""
-
-    braking: BoolArray
-    free: BoolArray
-
-
-def _modes(change: SpeedChange, law: Law, data: Observations, rows: BoolArray) -> _Modes:
+def _modes(change: SpeedChange, law: Law, data: Observations, rows: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Return which ticks, of those that count, were braking and which free, given the law."""
     free, braking, _ = (part[rows] for part in densities(change, data))
     brakes = braking_probability(law, data)[rows]
     for_it, against = brakes * braking, (1.0 - brakes) * free
-    return _Modes(for_it > against, (against >= for_it) & (brakes < 0.5))
+    return for_it > against, (against >= for_it) & (brakes < 0.5)
 
 
 def _learn(
@@ -79,8 +71,8 @@ def _learn(
     candidates = compare(change, data, rows)
     chosen = choose(candidates)
     # A fast car's free and braking ticks can look alike; the law tells which they were.
-    modes = _modes(change, chosen.law, data, rows)
-    change = refit(change, data.of(rows), modes.free, modes.braking)
+    braking, free = _modes(change, chosen.law, data, rows)
+    change = refit(change, data.of(rows), free, braking)
     e = evidence(change, data, chosen.law.family, rows)
     return change, replace(chosen, law=fit_family(chosen.law.family, e), evidence=e), candidates
 
@@ -101,110 +93,67 @@ def fit_with_law(
         version: version of SKD, which the model records.
     """
     rows = moving(data)
-    starts = data.speed[data.tick == 0]
+    seen, starts = data.of(rows), data.speed[data.tick == 0]
     start_speed = float(np.median(starts)) if starts.size else 0.0
-    if data.of(rows).episodes < 2 or int(rows.sum()) < LEAST_LOGS:
-        return _nothing(data, start_speed, version), None
-    seen = data.of(rows)
-    change, _, _ = fit_speed_change(seen)
-    if change.weights[1] <= 0.0:
-        return _never_brakes(change, data, seen, starts, start_speed, version), None
-    change, chosen, candidates = _learn(change, data, rows)
-    law = chosen.law
-    modes = _modes(change, law, data, rows)
-    free = seen.of(modes.free & (densities(change, seen)[0] > 0.0))
-    braking = int(modes.braking.sum())
-    identification = Identification(
-        logs=data.episodes,
-        braking_logs=int(np.unique(seen.episode[modes.braking]).size),
-        free=len(free),
-        braking=braking,
-        lapse=law.lapse,
-        start_speed=start_speed,
-    )
-    parameters = {
-        **_law_parameters(identification, chosen, candidates, data.time_step),
-        **_braking_parameters(identification, change, seen.of(modes.braking)),
-        **_free_parameters(identification, change, free, starts),
-    }
-    rows_of_table = tuple(
-        FamilyRow(
-            name=one.law.family.name,
-            parameters=one.law.family.parameters,
-            log_likelihood=one.law.log_likelihood,
-            aic=one.aic,
-            bic=one.bic,
-            held_out=one.score if one.held_out is not None else None,
-            trigger=one.law.trigger,
-        )
-        for one in candidates
-    )
-    car = replace(
-        _without_law(parameters, data, version),
-        measure=law.family.measure,
-        gate=law.family.gate,
-        spread=law.family.spread,
-        lapse=law.lapse,
-        families=rows_of_table,
-        chosen=law.family.name,
-        calibration=_calibration(data, change, law, seed),
-        braking_ticks=braking,
-    )
-    return car, (change, law)
-
-
-def _nothing(data: Observations, start_speed: float, version: str) -> FittedCar:
-    """Return a car for logs that show too little to fit anything."""
-    why = f"not identifiable: only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
-    parameters = {
-        name: CarParameter(wide_prior(name, "distance", start_speed), reason=why)
-        for name in PARAMETERS
-        if name not in OPTIONAL
-    }
-    return _without_law(parameters, data, version)
-
-
-def _without_law(parameters: dict[str, CarParameter], data: Observations, version: str) -> FittedCar:
-    """Return a car of which no law is known: it was seen braking too seldom to say by which it does."""
-    return FittedCar(
+    car = FittedCar(
         measure="distance",
         gate="none",
         spread="sharp",
         lapse=0.0,
-        parameters=parameters,
-        families=(),
-        chosen="",
-        calibration=None,
+        parameters={},
         logs=data.episodes,
         ticks=len(data),
-        braking_ticks=0,
         time_step=data.time_step,
         version=version,
         front=data.front,
         rear=data.rear,
     )
-
-
-def _never_brakes(
-    change: SpeedChange, data: Observations, seen: Observations, starts: FloatArray, start_speed: float, version: str
-) -> FittedCar:
-    """Return the car that was only seen driving freely."""
-    identification = Identification(
-        logs=data.episodes, braking_logs=0, free=len(seen), braking=0, lapse=0.0, start_speed=start_speed
+    counts = Identification(logs=data.episodes, start_speed=start_speed)
+    if seen.episodes < 2 or len(seen) < LEAST_LOGS:
+        why = f"only {data.episodes} logs with {len(data)} ticks, at least {LEAST_LOGS} logs are needed"
+        return replace(car, parameters=counts.unknown(why, *(one for one in PARAMETERS if one not in OPTIONAL))), None
+    change, _, _ = fit_speed_change(seen)
+    if change.weights[1] <= 0.0:
+        counts = replace(counts, free=len(seen))
+        unknown = counts.unknown(counts.why_not_braking(), *_OF_BRAKING)
+        return replace(car, parameters=unknown | _free_parameters(counts, change, seen, starts)), None
+    change, chosen, candidates = _learn(change, data, rows)
+    law = chosen.law
+    braking, is_free = _modes(change, law, data, rows)
+    free = seen.of(is_free & (densities(change, seen)[0] > 0.0))
+    counts = replace(
+        counts,
+        braking_logs=int(np.unique(seen.episode[braking]).size),
+        free=len(free),
+        braking=int(braking.sum()),
+        lapse=law.lapse,
     )
-    why = f"not identifiable: {identification.why_not_braking()}"
-    names = ("trigger", "trigger_spread", "reaction_delay", "deceleration", "deceleration_noise")
-    parameters = {name: CarParameter(wide_prior(name, "distance", start_speed), reason=why) for name in names}
-    parameters |= _free_parameters(identification, change, seen, starts)
-    return _without_law(parameters, data, version)
+    parameters = {
+        **_law_parameters(counts, chosen, candidates, data.time_step),
+        **_braking_parameters(counts, change, seen.of(braking)),
+        **_free_parameters(counts, change, free, starts),
+    }
+    car = replace(
+        car,
+        parameters=parameters,
+        measure=law.family.measure,
+        gate=law.family.gate,
+        spread=law.family.spread,
+        lapse=law.lapse,
+        families=tuple(one.row for one in candidates),
+        chosen=law.family.name,
+        calibration=_calibration(data, change, law, seed),
+        braking_ticks=counts.braking,
+    )
+    return car, (change, law)
 
 
 def _law_parameters(
-    identification: Identification, chosen: LawCandidate, candidates: Sequence[LawCandidate], time_step: float
+    counts: Identification, chosen: LawCandidate, candidates: Sequence[LawCandidate], time_step: float
 ) -> dict[str, CarParameter]:
     """Return trigger, its spread, path and delay."""
     law, e = chosen.law, chosen.evidence
-    why, make = identification.why_no_law(), functools.partial(identification.parameter, measure=law.family.measure)
+    why, make = counts.why_no_law(), functools.partial(counts.parameter, measure=law.family.measure)
     if law.family.spread == "sharp":
         trigger = make("trigger", lambda: sharp_estimate(e, law), why, "uniform")
         spread = make("trigger_spread", lambda: sharp_spread(e, law), why, "uniform", limit=None)
@@ -243,23 +192,21 @@ def _delay_estimate(law: Law, candidates: Sequence[LawCandidate], time_step: flo
     return IntervalEstimate(family.delay * time_step, deviation * time_step, low * time_step, high * time_step)
 
 
-def _braking_parameters(
-    identification: Identification, change: SpeedChange, braking: Observations
-) -> dict[str, CarParameter]:
+def _braking_parameters(counts: Identification, change: SpeedChange, braking: Observations) -> dict[str, CarParameter]:
     """Return the deceleration and its noise."""
-    why = identification.why_not_braking()
+    why = counts.why_not_braking()
     both = [] if why else [*braking_estimates(change, braking)]
     return {
-        "deceleration": identification.parameter("deceleration", lambda: both[0], why),
-        "deceleration_noise": identification.parameter("deceleration_noise", lambda: both[1], why),
+        "deceleration": counts.parameter("deceleration", lambda: both[0], why),
+        "deceleration_noise": counts.parameter("deceleration_noise", lambda: both[1], why),
     }
 
 
 def _free_parameters(
-    identification: Identification, change: SpeedChange, free: Observations, starts: FloatArray
+    counts: Identification, change: SpeedChange, free: Observations, starts: FloatArray
 ) -> dict[str, CarParameter]:
     """Return noise of the speed, cruise speed and the gain that holds it."""
-    why, make = identification.why_not_free(), identification.parameter
+    why, make = counts.why_not_free(), counts.parameter
     noise = make("speed_noise", lambda: half_width_estimate(change.speed_noise, len(free)), why, "uniform")
     if change.gain > 0.0 and not why:
         pulled = _pull_estimates(change, free)
@@ -321,8 +268,8 @@ def _calibration(data: Observations, change: SpeedChange, law: Law, seed: int) -
         return None
     known = law
     for _ in range(2):  # changes of speed and law anew, from those of all logs
-        modes = _modes(change, known, train, rows)
-        change = refit(change, train.of(rows), modes.free, modes.braking)
+        braking, free = _modes(change, known, train, rows)
+        change = refit(change, train.of(rows), free, braking)
         known = fit_family(law.family, evidence(change, train, law.family, rows), near=law)
     values = integral_transform(change, known, data.of(test), np.random.default_rng(seed))
     statistic, p_value = kolmogorov_smirnov(values)

@@ -134,48 +134,61 @@ def wide_prior(name: str, measure: str, start_speed: float) -> ParameterPrior:
     return ParameterPrior("uniform", *limits[name])
 
 
+@dataclass(frozen=True, kw_only=True)
 class Identification:
-    """Turns estimates into parameters, or into the reason why there is none."""
+    """Turns estimates into parameters, or into the reason why there is none, by the counts of the logs.
 
-    def __init__(
-        self, *, logs: int, braking_logs: int, free: int, braking: int, lapse: float, start_speed: float
-    ) -> None:
-        """Take the counts of the logs: episodes, those with braking, free and braking ticks; the law's lapse; m/s."""
-        self._logs = logs
-        self._braking_logs = braking_logs
-        self._free = free
-        self._braking = braking
-        self._lapse = lapse
-        self._start_speed = start_speed
+    Attributes:
+        logs: number of episodes.
+        start_speed: speed of the car at the start of the episodes, m/s.
+        braking_logs: number of those with braking.
+        free: ticks of free driving.
+        braking: ticks of braking.
+        lapse: share of ticks that go against the law.
+    """
+
+    logs: int
+    start_speed: float
+    braking_logs: int = 0
+    free: int = 0
+    braking: int = 0
+    lapse: float = 0.0
 
     def why_not_free(self) -> str:
         """Return why the logs say nothing of driving freely; empty if they do."""
-        if self._logs < LEAST_LOGS:
-            return f"only {self._logs} logs, at least {LEAST_LOGS} are needed"
-        if self._free < LEAST_FREE_TICKS:
-            return f"only {self._free} ticks of free driving, at least {LEAST_FREE_TICKS} are needed"
+        if self.logs < LEAST_LOGS:
+            return f"only {self.logs} logs, at least {LEAST_LOGS} are needed"
+        if self.free < LEAST_FREE_TICKS:
+            return f"only {self.free} ticks of free driving, at least {LEAST_FREE_TICKS} are needed"
         return ""
 
     def why_not_braking(self) -> str:
         """Return why the logs say nothing of braking; empty if they do."""
-        if self._braking == 0:
-            return f"the car never brakes in {self._logs} logs"
-        if self._logs < LEAST_LOGS:
-            return f"only {self._logs} logs, at least {LEAST_LOGS} are needed"
-        if self._braking < LEAST_BRAKING_TICKS:
-            return f"only {self._braking} ticks with braking, at least {LEAST_BRAKING_TICKS} are needed"
-        if self._braking_logs < LEAST_BRAKING_LOGS:
-            return f"the car brakes in only {self._braking_logs} logs, at least {LEAST_BRAKING_LOGS} are needed"
+        if self.braking == 0:
+            return f"the car never brakes in {self.logs} logs"
+        if self.logs < LEAST_LOGS:
+            return f"only {self.logs} logs, at least {LEAST_LOGS} are needed"
+        if self.braking < LEAST_BRAKING_TICKS:
+            return f"only {self.braking} ticks with braking, at least {LEAST_BRAKING_TICKS} are needed"
+        if self.braking_logs < LEAST_BRAKING_LOGS:
+            return f"the car brakes in only {self.braking_logs} logs, at least {LEAST_BRAKING_LOGS} are needed"
         return ""
 
     def why_no_law(self) -> str:
         """Return why the logs do not say when the car brakes; empty if they do."""
         why = self.why_not_braking()
-        if not why and self._free < LEAST_FREE_TICKS:
-            return f"only {self._free} ticks without braking, at least {LEAST_FREE_TICKS} are needed"
-        if not why and self._lapse > LARGEST_LAPSE:
-            return f"{100 * self._lapse:.0f} % of the ticks go against the best law: no family explains this car"
+        if not why and self.free < LEAST_FREE_TICKS:
+            return f"only {self.free} ticks without braking, at least {LEAST_FREE_TICKS} are needed"
+        if not why and self.lapse > LARGEST_LAPSE:
+            return f"{100 * self.lapse:.0f} % of the ticks go against the best law: no family explains this car"
         return why
+
+    def unknown(self, why: str, *names: str) -> dict[str, CarParameter]:
+        """Return parameters of which nothing is known, by name."""
+        return {
+            name: CarParameter(wide_prior(name, "distance", self.start_speed), reason=f"not identifiable: {why}")
+            for name in names
+        }
 
     def parameter(
         self,
@@ -197,7 +210,7 @@ class Identification:
             measure: what the trigger is compared with, `distance` or `time`.
             limit: largest half interval, as a share of the estimate; None: any.
         """
-        wide = wide_prior(name, measure, self._start_speed)
+        wide = wide_prior(name, measure, self.start_speed)
         if why:
             return CarParameter(wide, reason=f"not identifiable: {why}")
         found = estimate()

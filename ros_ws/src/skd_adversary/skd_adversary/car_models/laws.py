@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 
-from skd_adversary.car_models.car_model_file import LONGEST_DELAY
+from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FamilyRow
 from skd_adversary.car_models.identifiability import LEVEL, IntervalEstimate, marginal_estimate, step_estimate
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.speed_change import SpeedChange, densities, distributions, moving
@@ -378,6 +378,13 @@ class LawCandidate:
     def bic(self) -> float:
         """Bayesian information criterion, over ticks."""
         return self.law.family.parameters * math.log(len(self.evidence.free)) - 2.0 * self.law.log_likelihood
+
+    @property
+    def row(self) -> FamilyRow:
+        """Its line in the comparison of families."""
+        family, likelihood = self.law.family, self.law.log_likelihood
+        held_out = None if self.held_out is None else self.score
+        return FamilyRow(family.name, family.parameters, likelihood, self.aic, self.bic, held_out, self.law.trigger)
 
 
 def part(e: Evidence, rows: BoolArray) -> Evidence:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from skd_adversary.car_models import RecordedEpisode
+from skd_adversary.car_models.observations import RecordedEpisode
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json
 from skd_sim.options.adversary import Knowledge, Objective

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
-from skd_adversary.car_models import SeenAndPredicted, learn_car, observe
 from skd_adversary.car_models.car_model_file import FILE_NAME, FittedCar, car_model_data, write_car_model
-from skd_adversary.car_models.prediction import NEAR
+from skd_adversary.car_models.observations import observe
+from skd_adversary.car_models.prediction import NEAR, learn_car
 from skd_adversary.car_models.speed_change import LARGEST_NOISE
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import ROAD_USERS
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from skd_evaluator.risk.behaviour.tracks import Tracked, Validation
 
 _SHOWN_FAMILIES = 8
-PREDICTION, BEHAVIOUR = "prediction.png", "behaviour.png"
+BEHAVIOUR = "behaviour.png"
 CONTRADICTED = 0.001
 """p-value of the held-out check below which a warning is given, and no digits."""
 FAIR, FAIR_NEAR = 0.03, 0.05
@@ -50,8 +50,8 @@ def _fit_car(arguments: argparse.Namespace) -> int:
     damage = Damage(skip=arguments.skip_damaged)
     recordings = read_recordings(arguments.paths, damage)
     say_damage("fit", damage)
-    car, ticks = learn_car(observe(recordings), version=version())
-    problem = out.save(partial(_write_car, car, ticks))
+    car = learn_car(observe(recordings), version=version())
+    problem = out.save(lambda folder: write_car_model(folder / FILE_NAME, car))
     data = {**car_model_data(car), "forest": car.forest is not None}
     for line in [*([problem] if problem else []), *(f"warning: {one}" for one in warnings_of(data))]:
         print(f"skd fit: {line}", file=sys.stderr)
@@ -59,7 +59,7 @@ def _fit_car(arguments: argparse.Namespace) -> int:
         print_json(data)
         return 1 if problem else 0
     print(f"{data['logs']} logs, {data['ticks']} ticks, {data['braking_ticks']} of them braking")
-    print_table(_car_table(data))
+    print_table(_car_table(car, data))
     for line in _reasons(data):
         print(line)
     if data["families"]:
@@ -67,7 +67,7 @@ def _fit_car(arguments: argparse.Namespace) -> int:
     if data["predictions"]:
         print_table(_prediction_table(data))
         by = "a forest of recorded ticks" if data["forest"] else "the law above"
-        print(f"The adversary predicts the car by {by}; predicted against seen: {PREDICTION}")
+        print(f"The adversary predicts the car by {by}")
     if calibration := data["calibration"]:
         p_value = calibration["p_value"]
         chance = f"p = {p_value:.3f}" if p_value >= CONTRADICTED else f"p < {CONTRADICTED:g}"
@@ -78,14 +78,6 @@ def _fit_car(arguments: argparse.Namespace) -> int:
     seconds = f"{time.perf_counter() - begin:.1f} s"
     print(seconds if problem else f"{seconds}; model in {out.path / FILE_NAME}")
     return 1 if problem else 0
-
-
-def _write_car(car: FittedCar, ticks: SeenAndPredicted | None, folder: Path) -> None:
-    write_car_model(folder / FILE_NAME, car)
-    if ticks is not None and ticks.seen.size:
-        from skd_evaluator.report.fit_picture import save_prediction  # slow to import, and needed only now
-
-        save_prediction(folder / PREDICTION, ticks)
 
 
 def warnings_of(data: Mapping[str, Any]) -> list[str]:
@@ -104,7 +96,7 @@ def warnings_of(data: Mapping[str, Any]) -> list[str]:
         ]
     if calibration and calibration["p_value"] < CONTRADICTED:
         found.append("held-out ticks contradict the model: its intervals take it to be right and are too narrow")
-    if noise.get("identifiable") and noise["estimate"] > 0.99 * LARGEST_NOISE:
+    if noise.get("estimate") is not None and noise["estimate"] > 0.99 * LARGEST_NOISE:
         found.append(
             f"deceleration_noise is at the end of its range, {LARGEST_NOISE:g}: this car does not brake with one "
             "deceleration"
@@ -112,19 +104,19 @@ def warnings_of(data: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _car_table(data: Mapping[str, Any]) -> Table:
-    law = data["family"]["name"] or "none found"
+def _car_table(car: FittedCar, data: Mapping[str, Any]) -> Table:
+    law = data["chosen"] or "none found"
     rows = []
     for name, one in data["parameters"].items():
         cells = ["—", "—"]
-        if one["identifiable"]:
-            low, high = one["interval_95"]
+        if not one["reason"]:
+            low, high = one["interval"]
             error = one["standard_error"]
             error = 0.0 if error < 1e-12 * abs(one["estimate"]) else error  # rounding of the mean of equal numbers
             cells = [f"{one['estimate']:.4g}", f"{error:.2g}", f"[{low:.4g}, {high:.4g}]"]
         else:
-            cells.append(f"prior [{one['prior']['low']:.3g}, {one['prior']['high']:.3g}]")
-        rows.append([f"{name} ({one['unit']})", *cells])
+            cells.append(f"prior [{one['prior']['first']:.3g}, {one['prior']['second']:.3g}]")
+        rows.append([f"{name} ({car.unit(name)})", *cells])
     heads = ("", "estimate", "standard\nerror", "95 %\ninterval")
     return narrow_table(f"Car model; brakes by: {law}", heads, rows)
 
@@ -133,7 +125,7 @@ def _reasons(data: Mapping[str, Any]) -> list[str]:
     """Return why parameters of a car model are not identifiable, one line per reason."""
     names: dict[str, list[str]] = {}
     for name, one in data["parameters"].items():
-        if not one["identifiable"]:
+        if one["reason"]:
             names.setdefault(one["reason"], []).append(name)
     return [f"{', '.join(some)}: {why}" for why, some in names.items()]
 
@@ -142,7 +134,7 @@ def _family_table(data: Mapping[str, Any]) -> Table:
     """Return the best few families; the trigger is in m where the law compares a distance, in s where a time."""
     rows = []
     for row in data["families"][:_SHOWN_FAMILIES]:
-        name = f"[bold]{row['name']}[/]" if row["name"] == data["family"]["name"] else row["name"]
+        name = f"[bold]{row['name']}[/]" if row["name"] == data["chosen"] else row["name"]
         figures = ("—" if row[key] is None else f"{row[key]:.1f}" for key in ("held_out", "aic", "bic"))
         rows.append([name, f"{row['trigger']:.3f}", str(row["parameters"]), *figures])
     heads = ("", "trigger\n(m or s)", "para-\nmeters", "held\nout", "AIC", "BIC")

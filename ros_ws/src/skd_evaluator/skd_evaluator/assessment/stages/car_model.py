@@ -30,8 +30,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from skd_adversary.car_models import RecordedEpisode, learn_car, observe
 from skd_adversary.car_models.car_model_file import FittedCar, car_model_for_scenario, car_model_text, write_car_model
+from skd_adversary.car_models.observations import RecordedEpisode, observe
+from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import FOREST_WAITING_REWARD, WAITING_REWARD
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import DEFAULT_OBJECTIVES, Knowledge, Objective
@@ -194,11 +195,11 @@ def lesson_of(
         )
     ]
     recordings = _recordings(runner, probes, "probes", progress)
-    first, _ = learn_car(observe(recordings), version=version(), folds=1)
+    first = learn_car(observe(recordings), version=version(), folds=1)
     safe = _starts(plan.scenario, of_reference or runner)
     trials = own_trials(plan, car_model_text(first), safe, TRIALS)
     recordings += _recordings(runner, trials, "trials to learn from", progress)
-    car, _ = learn_car(observe(recordings), version=version(), folds=2)
+    car = learn_car(observe(recordings), version=version(), folds=2)
     return with_waiting_reward(plan, car, safe, runner, progress)
 
 
