@@ -50,9 +50,11 @@ def undrawn() -> None:
 @pytest.fixture
 def pictures_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw pictures."""
-    from undrawn import DRAW, Figure
+    import vl_convert
+    from undrawn import CHART, DRAW, Figure
 
     monkeypatch.setattr(Figure, "savefig", DRAW)
+    monkeypatch.setattr(vl_convert, "vegalite_to_png", CHART)
 
 
 def _turn(item: pytest.Item) -> int:

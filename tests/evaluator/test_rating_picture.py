@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from cli_support import SMALL, one_line
 from matplotlib.image import imread
-from skd_evaluator.report.curves import RatedCar, basic_cars, floor_of, labelled, rated_car
-from skd_evaluator.report.html.charts import rating_charts
+from skd_evaluator.report.charts import RatedCar, basic_cars, floor_of, labelled, rated_car, rating_charts
 from skd_evaluator.report.html.subjects import read_subjects
 
 

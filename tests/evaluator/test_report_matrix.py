@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from skd_evaluator.report.html.charts import comparison_charts
+from skd_evaluator.report.charts import comparison_charts
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.page import render
 from skd_evaluator.report.html.subjects import Subject, read_subjects

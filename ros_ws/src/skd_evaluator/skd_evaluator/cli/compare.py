@@ -29,7 +29,7 @@ from skd_evaluator.margin.common_trajectories import on_common_trajectories
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.behaviour import WALKERS
 from skd_evaluator.report import repeat
-from skd_evaluator.report.curves import RatedCar, alike, basic_cars, rated_car
+from skd_evaluator.report.charts import RatedCar, alike, basic_cars, rated_car
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.progress import progress_bar
 from skd_evaluator.report.side_by_side import comparison_table, equal_remarks, verdict_table
@@ -96,7 +96,7 @@ def _run(arguments: argparse.Namespace, results: Sequence[StoredResult]) -> int:
         write_json(folder / "comparison.json", content)
         if not arguments.pictures:
             return
-        from skd_evaluator.report.curves import save_rating, save_vulnerability, shown_curve
+        from skd_evaluator.report.charts import save_rating, save_vulnerability, shown_curve
 
         shown = [
             shown_curve(result.figures, _curves(result, margins=ranked_by == MARGIN), name)

@@ -136,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
 
     def write(folder: Path) -> None:
-        from skd_evaluator.report.pictures import save_sweep
+        from skd_evaluator.report.charts import save_sweep
 
         for kind, rating in ratings:
             part = folder / kind / _folder_name(rating.plan.multiplier)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,75 +36,6 @@ _HEADING = 100  # characters of a line of the heading
 _OUTLINES = "outline of the adversary at the hit"
 PANELS = 6
 """Most φ that one picture shows."""
-
-
-def _pairs_of(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return how many pairs the figures of a kind of φ are of, in a few words; nothing where it is not known."""
-    pairs = sorted({row["pairs"] for row in rows if row.get("pairs") is not None})
-    if not pairs:
-        return ""
-    return f", {pairs[0]} pairs a C" if len(pairs) == 1 else f", {pairs[0]} to {pairs[-1]} pairs a C"
-
-
-_INDEPENDENT = {"deviation": "trials", "contact_rate": "runs", "skd": "pairs"}
-
-
-def _interval_of(rows: Sequence[Mapping[str, Any]], value: str) -> str | None:
-    """Return the key of the intervals that are drawn: by φ where all rows have it, else as independent where known."""
-    by_phi = f"{value}_ci95"
-    if all(row.get(by_phi) for row in rows if row[value] is not None):
-        return by_phi
-    return f"{value}_ci95_{_INDEPENDENT[value]}" if value in _INDEPENDENT else None
-
-
-def _error_bars(axes: Axes, rows: Sequence[Mapping[str, Any]], value: str, title: str, independent: str) -> None:
-    """Draw a figure against C with its intervals, and say of what these are."""
-    scale = 100.0 if value == "contact_rate" else 1.0
-    interval = _interval_of(rows, value)
-    for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
-        mine = [row for row in rows if row["kind"] == kind and row[value] is not None]
-        if not mine:
-            continue
-        x = np.array([row["multiplier"] for row in mine])
-        y = scale * np.array([row[value] for row in mine])
-        ends = scale * np.array([(interval and row[interval]) or (row[value], row[value]) for row in mine])
-        colour, marker = palette.SERIES[number % len(palette.SERIES)], palette.MARKERS[number % len(palette.MARKERS)]
-        errors = np.maximum(0.0, np.abs(ends.T - y))
-        label = f"{kind} φ{_pairs_of(mine)}"
-        axes.errorbar(x, y, errors, label=label, color=colour, marker=marker, ms=4.5, capsize=2.5, lw=1.4)
-    by_phi = interval == f"{value}_ci95"
-    of = "" if interval is None else f", 95 % interval {'by φ' if by_phi else independent}"
-    axes.set_title(f"{title}{of}", loc="left", fontsize=TYPE)
-    axes.set_xlabel("multiplier C of the basic controller", fontsize=9)
-    axes.grid(alpha=0.3)
-
-
-def save_sweep(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Save margin, planned deviation, SKD and contact rate against C; the paper's figure has the last two."""
-    figure = Figure(figsize=(PAGE, 6.4), layout="constrained")
-    panels = figure.subplots(2, 2).ravel()
-    shown = (
-        ("margin", "(a) Margin", "", "margin (m)"),
-        ("deviation", "(b) Planned deviation", "over trials", "planned deviation (m)"),
-        ("skd", "(c) SKD", "over pairs", "SKD (m)"),
-        ("contact_rate", "(d) Contact rate", "over runs (Wilson)", "contact rate along φ, any touch (%)"),
-    )
-    for axes, (value, title, independent, label) in zip(panels, shown, strict=True):
-        _error_bars(axes, rows, value, title, independent)
-        axes.set_ylabel(label, fontsize=9)
-        if all(row[value] is None for row in rows):
-            why = "not known" if value == "margin" else "none was found"
-            axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=palette.CAR)
-    panels[3].set_ylim(-2.0, 102.0)
-    top = max(axes.get_ylim()[1] for axes in panels[:2])
-    for axes in panels[:2]:  # one scale, so that what lies between the two is seen
-        axes.set_ylim(0.0, top)
-    for axes in panels:
-        handles, labels = axes.get_legend_handles_labels()
-        if handles:  # in one of them there may be no figure
-            figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
-            break
-    save_picture(figure, path)
 
 
 def _kamikaze_label(groups: Sequence[KamikazeSet], shown: int) -> str:

@@ -186,23 +186,20 @@ def fill(folder: Path, rating: Assessment, *, may_fork: bool = False) -> None:
     """
     from skd_evaluator.report.pictures import save_trajectories  # slow to import, and needed only now
 
-    (name, first), *others = picture_names(rating).items()
-
-    def draw_the_others() -> None:
-        for other, assessment in others:
-            save_trajectories(folder / other, rating, assessment)
-        if rating.vulnerability is not None:
-            from skd_evaluator.report.curves import save_vulnerability, shown_curve
-
-            save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
+    def draw() -> None:
+        for name, part in picture_names(rating).items():
+            save_trajectories(folder / name, rating, part)
 
     with ExitStack() as stack:
         forks = may_fork and available_workers() > 1
-        drawn = stack.enter_context(in_background(draw_the_others)) if forks else lambda: False
+        drawn = stack.enter_context(in_background(draw)) if forks else lambda: False
         write_assessment(folder, rating)
-        save_trajectories(folder / name, rating, first)
+        if rating.vulnerability is not None:  # in this process: one that is forked from a user of Vega's waits for ever
+            from skd_evaluator.report.charts import save_vulnerability, shown_curve
+
+            save_vulnerability(folder / "vulnerability.png", [shown_curve(rating.as_dict())])
         if not drawn():
-            draw_the_others()
+            draw()
 
 
 def picture_names(rating: Assessment) -> dict[str, ObjectiveResult]:

@@ -23,7 +23,7 @@ from skd_evaluator.report.formats import (
     number,
     percent,
 )
-from skd_evaluator.report.html.subjects import Subject
+from skd_evaluator.report.html.subjects import Subject, scenarios_of
 from skd_evaluator.report.repeat import CONTROLLER_COMMAND, scenario_name
 from skd_evaluator.report.terminal import car_name, credibility, headline
 
@@ -289,11 +289,6 @@ class Matrix:
 
     scenarios: tuple[str, ...]
     rows: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
-
-
-def scenarios_of(subjects: Sequence[Subject]) -> list[str]:
-    """Return the names of the scenarios, in the order in which they come."""
-    return list(dict.fromkeys(one.scenario.name for one in subjects))
 
 
 def matrix_of(subjects: Sequence[Subject]) -> Matrix | None:

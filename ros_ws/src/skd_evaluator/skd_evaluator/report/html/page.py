@@ -18,6 +18,14 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.risks import SCALES
 from skd_evaluator.metrics.statistics import mean
+from skd_evaluator.report.charts import (
+    against_multiplier,
+    chart_library,
+    comparison_charts,
+    per_safe_chart,
+    rating_charts,
+    vulnerability_charts,
+)
 from skd_evaluator.report.formats import (
     NO_RATING,
     failures_in,
@@ -27,14 +35,6 @@ from skd_evaluator.report.formats import (
     surrogate_rows,
 )
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.charts import (
-    against_multiplier,
-    chart_library,
-    comparison_charts,
-    per_safe_chart,
-    rating_charts,
-    vulnerability_charts,
-)
 from skd_evaluator.report.html.episodes import episode_columns, margin_ways, objective_names, pack, scene, worst_first
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows

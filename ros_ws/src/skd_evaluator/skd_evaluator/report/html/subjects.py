@@ -96,6 +96,11 @@ class Subject:
         return b"|".join(one.tobytes() for one in self.episodes.safe)
 
 
+def scenarios_of(subjects: Sequence[Subject]) -> list[str]:
+    """Return the names of the scenarios, in the order in which they come."""
+    return list(dict.fromkeys(one.scenario.name for one in subjects))
+
+
 def read_subjects(folders: Sequence[Path]) -> list[Subject]:
     """Return the assessments in folders of assessments, sweeps and campaigns, in the order given.
 
