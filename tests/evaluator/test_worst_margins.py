@@ -19,8 +19,8 @@ from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.cli.compare import run as compare
 from skd_evaluator.metrics.deviation import LeastWay
 from skd_evaluator.metrics.margins import Margins
-from skd_evaluator.report.html.rows import figure_rows
 from skd_evaluator.report.html.subjects import read_subjects
+from skd_evaluator.report.rows import figure_rows
 from skd_evaluator.report.summary import csv_table
 from skd_evaluator.report.terminal import details_table
 from skd_sim.world.state import Trajectory
@@ -77,7 +77,7 @@ def test_every_output_has_it(folders, tmp_path, capsys):
     console.print(details_table(figures))
     (line,) = [line for line in console.export_text().splitlines() if LABEL in line]
     assert f"{figures[FIGURE]:.3f}" in line
-    (row,) = [row for row in figure_rows(read_subjects([folders[1]])[0]) if row.name == LABEL]
+    (row,) = [row for row in figure_rows(read_subjects([folders[1]])[0].figures) if row.name == LABEL]
     assert row.value == f"{figures[FIGURE]:.3f}"
     words = ["compare", *map(str, folders), "--json", "--out", str(tmp_path / "compared")]
     assert compare(make_parser().parse_args(words)) == 0

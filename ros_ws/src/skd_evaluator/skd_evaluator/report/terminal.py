@@ -14,25 +14,25 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from skd_sim.inputs.files import one_line
-from skd_sim.options.adversary import RANKING_OBJECTIVES, SKD_OBJECTIVES, Objective, first_of
+from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
 from skd_sim.options.car_under_test import CarUnderTest
 
-from skd_evaluator.assessment.figure_table import AT_THE_TOP, Of, shown_in
+from skd_evaluator.assessment.figure_table import AT_THE_TOP, shown_in
 from skd_evaluator.bags.checks import Damage
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.metrics.margins import GAP_WARNING
-from skd_evaluator.metrics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NO_RATING,
+    NOTHING,
     TERMINAL,
     bounded,
     failures_in,
     how_many,
     ninety,
-    spoken_interval,
     surrogate_groups,
     surrogate_rows,
 )
+from skd_evaluator.report.rows import figure_rows
 
 
 def counted(number: int, thing: str) -> str:
@@ -149,54 +149,37 @@ def _how_sure(result: Mapping[str, Any]) -> str:
 
 
 def details_table(result: Mapping[str, Any]) -> Table:
-    """Return everything else that is known of an assessment, from the content of assessment.json."""
-    table = Table(title="Details", title_justify="left")
-    table.add_column("")
-    table.add_column("value", justify="right")
-    table.add_column("95 % interval", justify="right")
-    _add_margin(table, result)
-    _add_further(table, result, Of.MARGIN)
-    table.add_section()
-    _add_deviation(table, result)
-    _add_further(table, result, Of.RANKING)
-    table.add_row(
-        f"contact rate along φ, any touch ({counted(result['collision_runs'], 'run')})",
-        _percent(result["contact_rate"]),
-        _percent_interval(result["contact_rate_ci95"]),
-    )
-    table.add_row("  runs taken as independent (Wilson)", "", _percent_interval(result["contact_rate_ci95_runs"]))
-    if result["collision_standing_contacts"]:
-        table.add_row("  of these, walked into a standing car", str(result["collision_standing_contacts"]), "")
-    _add_further(table, result, Of.CAR)
+    """Return every figure that is known of an assessment, from the content of assessment.json."""
+    heads = ("", "value", "95 %,\nby φ", "95 %, as\nindependent", "of")
+    rows = [
+        [escape(text.replace(NOTHING, TERMINAL.nothing)) for text in one.texts()]
+        for one in figure_rows(result, TERMINAL)
+    ]
     for kind, reasons in result["aborted_reasons"].items():
-        table.add_row(f"[red]aborted episodes: {kind}[/]", str(reasons["count"]), "")
-    clipped = result["commands_clipped"]
+        rows.append([f"[red]aborted episodes: {kind}[/]", str(reasons["count"])])
+    clipped, age = result["commands_clipped"], result.get("command_age")
     if clipped["commands"]:
-        episodes = f"in {counted(clipped['episodes'], 'episode')}"
-        table.add_row("[red]commands beyond what the car can do[/]", str(clipped["commands"]), episodes)
-    age = result.get("command_age")
+        episodes = f" in {counted(clipped['episodes'], 'episode')}"
+        rows.append(["[red]commands beyond what the car can do[/]", str(clipped["commands"]), "", "", episodes])
     if age and age["greatest_delay"]:  # of real time; in lockstep nobody waits for the clock
-        worst = f"99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
-        table.add_row("age of the commands, ms: median", f"{1e3 * age['median']:.1f}", worst)
-        table.add_row("  control periods without a new one", str(age["held"]), f"of {age['control_periods']}")
+        worst = f" 99 %: {1e3 * age['p99']:.1f}, worst: {1e3 * age['worst']:.1f}"
+        rows.append(["age of the commands, ms: median", f"{1e3 * age['median']:.1f}", "", "", worst])
+        periods = f" of {age['control_periods']}"
+        rows.append(["control periods without a new command", str(age["held"]), "", "", periods])
     if result["left_out"]:
-        table.add_row("[red]left out as damaged[/]", str(len(result["left_out"])), "")
-    _add_failures(table, result)
-    table.add_section()
-    _add_skd(table, result)
-    _add_further(table, result, Of.SKD)
-    return table
-
-
-def _add_failures(table: Table, result: Mapping[str, Any]) -> None:
-    """Add the kinds of failures of the risk with their shares."""
-    found = failures_in(result)
-    if found is not None:
-        name = f"most likely failures at s = {found['scale']:g}"
-        table.add_row(name, str(found["hits"]), f"of {counted(found['runs'], 'crossing')}")
+        rows.append(["[red]left out as damaged[/]", str(len(result["left_out"]))])
+    for one in result["measures"].values():
+        if one["error"]:
+            rows.append([f"[red]{escape(one['label'])}[/]", "failed", "", "", f" {escape(one['error'])}"])
+    if (found := failures_in(result)) is not None:
+        name, of = f"most likely failures at s = {found['scale']:g}", f" of {counted(found['runs'], 'crossing')}"
+        rows.append([name, str(found["hits"]), "", "", of])
         for one in found["kinds"]:
-            nearest = f"the nearest: {how_many(one['nearest'][0]['people'])} deviate as much or more"
-            table.add_row(f"  {escape(one['kind'])}", _percent(one["share"]), nearest)
+            nearest = f" the nearest: {how_many(one['nearest'][0]['people'])} deviate as much or more"
+            rows.append([f"  {escape(one['kind'])}", _percent(one["share"]), "", "", nearest])
+    if result["discarded_by_distance"]:
+        rows.append(["discarded by distance", str(result["discarded_by_distance"])])
+    return narrow_table("Details", heads, rows)
 
 
 def surrogate_table(result: Mapping[str, Any]) -> Table | None:
@@ -214,98 +197,6 @@ def surrogate_table(result: Mapping[str, Any]) -> Table | None:
             label, *(f"{median}, {worst}" if median != TERMINAL.nothing else median for median, worst in pairs)
         )
     return table
-
-
-def _add_further(table: Table, result: Mapping[str, Any], of: Of) -> None:
-    """Add figures that need no words of their own."""
-    for figure in shown_in("details"):
-        if figure.of is of and figure.key in result:
-            around = ninety(figure, result) or (TERMINAL.by_phi(figure, result) if figure.by_phi else "")
-            inset = "  " if of in (Of.RANKING, Of.SKD) else ""
-            table.add_row(f"{inset}{figure.title}", TERMINAL.value(figure, result), escape(around))
-
-
-def _add_margin(table: Table, result: Mapping[str, Any]) -> None:
-    """Add how the margin was come by."""
-    if result["margin"] is None:
-        table.add_row("margin", "not known", escape(result["margin_note"]))
-        return
-    gap, budget = result["margin_gap"], result["margin_budget"]
-    if budget is not None:
-        stopped = "converged" if result["margin_converged"] else "[red]not converged[/]"
-        table.add_row("margin: candidates driven in a trial", str(budget), stopped)
-    elif gap:
-        table.add_row("margin: the least is at most this much less (m)", f"{gap:.4f}", "")
-    table.add_row(
-        f"margin: trials in which nobody is hit within {result['eta_max']:g} m",
-        f"{result['margin_beyond']} of {result['margin_trials']}",
-        "",
-    )
-    if result["equivalent_multiplier_text"] is not None:
-        interval = escape(spoken_interval(result, "equivalent_multiplier_ci95_these_phi_text") or "—")
-        value = bounded(result, result["equivalent_multiplier_text"])
-        table.add_row("equivalent multiplier C, on these φ alone", value, interval)
-
-
-def _source(result: Mapping[str, Any], preferred: Sequence[Objective]) -> tuple[str, Mapping[str, Any]]:
-    """Return the name and the figures of the first of some objectives that ran, else of the only other one."""
-    objectives = result["objectives"]
-    name = first_of(preferred, objectives)
-    return name, objectives[name]
-
-
-def _kamikazes(table: Table, objective: str, figures: Mapping[str, Any]) -> None:
-    """Add what became of the kamikazes of an objective."""
-    rate, interval = _percent(figures["success_rate"]), _percent_interval(figures["success_rate_ci95"])
-    table.add_row(f"  success rate, {objective} ({_reached(figures)} of {figures['trials']})", rate, interval)
-    if figures["standing_contacts"]:
-        table.add_row("  trials that walked into a standing car", str(figures["standing_contacts"]), "")
-
-
-def _reached(figures: Mapping[str, Any]) -> int:
-    """Return how many trials of an objective reached what they planned for."""
-    return int(figures["trials"]) - int(figures["failed"])
-
-
-def _add_deviation(table: Table, result: Mapping[str, Any]) -> None:
-    objective, figures = _source(result, RANKING_OBJECTIVES)
-    if figures["deviation"] is None:
-        table.add_row("planned deviation (m)", "no kamikaze ran", "")
-        return
-    table.add_row("planned deviation (m)", _number(figures["deviation"]), _interval(figures["deviation_ci95"]))
-    table.add_row("  trials taken as independent", "", _interval(figures["deviation_ci95_trials"]))
-    if figures["failed"]:
-        # Without failures, and with none beyond η_max, it is the same.
-        table.add_row("  of those that were hit alone (m)", _number(figures["deviation_of_successes"]), "")
-        table.add_row(f"  not hit, counted as {result['eta_max']:g} m", str(figures["failed"]), "")
-    for one in figures["measures"].values():
-        _add_measure(table, one)
-    _kamikazes(table, objective, figures)
-
-
-def _add_measure(table: Table, one: Mapping[str, Any]) -> None:
-    name = escape(f"{one['label']} ({one['unit']})" if one["unit"] else one["label"])
-    if one["error"]:
-        table.add_row(f"  [red]{name}[/]", "failed", escape(one["error"]))
-    elif one["shown"]:
-        pairs = f", {one['undefined']} without" if one["undefined"] else ""
-        table.add_row(f"  {name}{pairs}", _number(one["mean"]), _interval(one["ci95"]))
-
-
-def _add_skd(table: Table, result: Mapping[str, Any]) -> None:
-    objective, figures = _source(result, SKD_OBJECTIVES)
-    if result["skd"] is not None:
-        table.add_row("SKD (m)", f"{result['skd']:.3f}", _interval(result["skd_ci95"]))
-        table.add_row("  the paper's interval, over pairs", "", _interval(result["skd_ci95_pairs"]))
-        table.add_row("  prefix distance (m)", _number(result["skd_prefix"]), _interval(result["skd_prefix_ci95"]))
-        for eta, bound in result["probability_bound"].items():
-            interval = _interval(result["probability_bound_ci95"][eta])
-            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Theorem 1", f"{bound:.3f}", interval)
-            sharper = cantelli_bound(float(eta), result["skd"], result["variance"])
-            table.add_row(f"  of these kamikazes, P(d ≤ {eta} m) at most, Cantelli", f"{sharper:.3f}", "")
-    if result["discarded_by_distance"]:
-        table.add_row("  discarded by distance", str(result["discarded_by_distance"]), "")
-    _kamikazes(table, objective, figures)
 
 
 _FEW = 5
@@ -337,7 +228,8 @@ def safe_trajectory_table(result: Mapping[str, Any]) -> Table:
     table.add_column("φ", overflow="fold")
     for name in ("collision\nrate", "deviation\n(m)", "failed", "SKD\n(m)", "prefix\n(m)"):
         table.add_column(name, justify="right")
-    _, of_deviation = _source(result, RANKING_OBJECTIVES)
+    objectives = result["objectives"]
+    of_deviation = objectives[first_of(RANKING_OBJECTIVES, objectives)]
     rows = zip(result["per_safe_trajectory"], of_deviation["per_safe_trajectory"], strict=True)
     for row, deviations in rows:
         rate = _percent(row["contact_rate"])
@@ -356,7 +248,7 @@ def narrow_table(title: str, heads: Sequence[str] = (), rows: Iterable[Sequence[
     """Return a table that spends no columns on edges and padding: for many figures a row; only figures stand right."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0)
     for place, name in enumerate(heads):
-        right = place and name not in ("folder", "source", "what happens")
+        right = place and name not in ("folder", "source", "what happens", "of")
         table.add_column(name, justify="right" if right else "left", overflow="ellipsis" if right else "fold")
     for row in rows:
         table.add_row(*row)

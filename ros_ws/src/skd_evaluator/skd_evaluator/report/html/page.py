@@ -37,7 +37,6 @@ from skd_evaluator.report.formats import (
 from skd_evaluator.report.html import figures
 from skd_evaluator.report.html.episodes import episode_columns, margin_ways, objective_names, pack, scene, worst_first
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
-from skd_evaluator.report.html.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import SECTIONS, filled
 from skd_evaluator.report.repeat import (
@@ -49,6 +48,7 @@ from skd_evaluator.report.repeat import (
     repeat_prefix,
     scenario_name,
 )
+from skd_evaluator.report.rows import bounds_of, failure_rows, figure_rows
 from skd_evaluator.version import version
 
 LARGEST = 5_000_000
@@ -131,10 +131,10 @@ def _view(subject: Subject) -> dict[str, Any]:
         "label": subject.label,
         "state": figures.state_of(subject),
         "sentences": figures.sentences_of(subject),
-        "rows": figure_rows(subject),
-        "bounds": bounds_of(subject),
+        "rows": figure_rows(subject.figures),
+        "bounds": bounds_of(subject.curve),
         "has_margin": subject.figures["margin"] is not None,
-        "failures": failure_rows(subject),
+        "failures": failure_rows(subject.figures),
         "failures_sentence": failures_sentence(subject.figures),
         "behaviour": subject.figures["risk"]["behaviour"]["name"] if failures_in(subject.figures) else "",
         "behaviour_link": ""

@@ -1,4 +1,4 @@
-"""The rows of the page's tables of figures, named as on the terminal; nothing is computed anew but Cantelli's bound."""
+"""The rows of the tables of figures, on the terminal and on the page; nothing is computed anew but Cantelli's bound."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from skd_sim.options.adversary import RANKING_OBJECTIVES, first_of
+
 from skd_evaluator.assessment.figure_table import AT_THE_TOP, CI95, THESE_PHI, Figure, Of, shown_in
 from skd_evaluator.metrics.margins import GAP_WARNING
 from skd_evaluator.metrics.statistics import cantelli_bound
 from skd_evaluator.report.formats import (
     NOTHING,
     PAGE,
+    Style,
     counted,
     failures_in,
-    interval,
     kept_failures,
     ninety,
     number,
     percent,
-    percent_interval,
     spoken_interval,
 )
-from skd_evaluator.report.html.subjects import Subject
 
 _SAME_MULTIPLIER = 1e-9
 
 
 @dataclass(frozen=True)
-class Row:
+class FigureRow:
     """A figure with its intervals.
 
     Attributes:
@@ -49,17 +49,28 @@ class Row:
     main: bool = False
     alert: bool = False
 
+    def texts(self) -> tuple[str, ...]:
+        """Return the cells of a line: name, value, both intervals, and what it is of."""
+        return self.name, self.value, self.clustered, self.plain, f" {self.basis}"
 
-def figure_rows(subject: Subject) -> list[Row]:
+
+def figure_rows(figures: Mapping[str, Any], style: Style = PAGE) -> list[FigureRow]:
     """Return the figures of a car: those that are read first, in the order of the terminal, then others."""
-    return [*_first_rows(subject), *_margin_details(subject), *_planned_details(subject), *_skd_details(subject)]
+    parts = (_first_rows, _margin_details, _planned_details, _skd_details)
+    return [row for part in parts for row in part(figures, style)]
 
 
-def failure_rows(subject: Subject) -> list[dict[str, Any]]:
+def _ranking(figures: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the figures of the kamikazes that rank the car."""
+    found: Mapping[str, Any] = figures["objectives"][first_of(RANKING_OBJECTIVES, figures["objectives"])]
+    return found
+
+
+def failure_rows(figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each kind of failure, the most frequent first, with those that are kept and their places."""
-    found = failures_in(subject.figures)
-    kept = list(enumerate(kept_failures(subject.figures)))
-    names = [row["name"] for row in subject.figures["per_safe_trajectory"]]
+    found = failures_in(figures)
+    kept = list(enumerate(kept_failures(figures)))
+    names = [row["name"] for row in figures["per_safe_trajectory"]]
     return [
         {
             "kind": group["kind"],
@@ -82,15 +93,15 @@ def failure_rows(subject: Subject) -> list[dict[str, Any]]:
     ]
 
 
-def _first_rows(subject: Subject) -> list[Row]:
-    figures, ranking = subject.figures, subject.ranking
+def _first_rows(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+    ranking = _ranking(figures)
     phis = counted(len(figures["per_safe_trajectory"]), "φ")
     speed, knowledge, close = figures["impact_speed"], figures.get("knowledge"), figures["optimality_gap"]
     told: dict[str, dict[str, Any]] = {
         "margin": {"basis": _margin_basis(figures)},
         "equivalent_multiplier": {
-            "clustered": _equivalent_interval(figures, CI95),
-            "plain": _equivalent_interval(figures, THESE_PHI),
+            "clustered": _equivalent_interval(style, figures, CI95),
+            "plain": _equivalent_interval(style, figures, THESE_PHI),
             "basis": figures["equivalent_multiplier_note"] or "the basic car with the same margin on the same φ",
         },
         "nominal_collision_rate": {
@@ -106,7 +117,7 @@ def _first_rows(subject: Subject) -> list[Row]:
             "alert": close is not None and close > GAP_WARNING,
         },
         "skd": {
-            "basis": f"{percent(figures['kamikaze_success_rate'])} of trials collide; "
+            "basis": f"{style.share(figures['kamikaze_success_rate'])} of trials collide; "
             f"{counted(figures['pairs'], 'pair')} over {phis}"
         },
     }
@@ -117,18 +128,20 @@ def _first_rows(subject: Subject) -> list[Row]:
     if figures["skd"] is None:
         told["skd"]["value"] = "none kept" if figures["discarded_by_distance"] else "no kamikaze found"
     shown = [one for one in shown_in("summary") if one.first]
-    return [replace(_row(one, figures, main=True), **told.get(one.key, {})) for one in shown]
+    return [replace(_row(style, one, figures, main=True), **told.get(one.key, {})) for one in shown]
 
 
-def _row(one: Figure, figures: Mapping[str, Any], **rest: Any) -> Row:
+def _row(style: Style, one: Figure, figures: Mapping[str, Any], **rest: Any) -> FigureRow:
     """Return the row of a figure, as the table of figures has it."""
-    return Row(one.title, PAGE.value(one, figures), PAGE.by_phi(one, figures), PAGE.independent(one, figures), **rest)
+    return FigureRow(
+        one.title, style.value(one, figures), style.by_phi(one, figures), style.independent(one, figures), **rest
+    )
 
 
-def _further(figures: Mapping[str, Any], of: Of, basis: str = "") -> list[Row]:
+def _further(style: Style, figures: Mapping[str, Any], of: Of, basis: str = "") -> list[FigureRow]:
     """Return figures that need no words of their own."""
     found = [one for one in shown_in("details") if one.of is of and one.key in figures]
-    return [_row(one, figures, basis=ninety(one, figures) or basis) for one in found]
+    return [_row(style, one, figures, basis=ninety(one, figures) or basis) for one in found]
 
 
 def _margin_basis(figures: Mapping[str, Any]) -> str:
@@ -141,42 +154,45 @@ def _margin_basis(figures: Mapping[str, Any]) -> str:
     return f"{how}; {counted(figures['margin_trials'], 'trial')} over {phis}"
 
 
-def _margin_details(subject: Subject) -> list[Row]:
-    figures = subject.figures
+def _margin_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
     rows = []
     if figures["margin"] is not None:
         if figures["margin_budget"] is not None:
             stopped = "converged" if figures["margin_converged"] else "not converged"
             name = "margin: candidates driven in a trial"
-            rows.append(Row(name, f"{figures['margin_budget']:,}", basis=stopped))
+            rows.append(FigureRow(name, f"{figures['margin_budget']:,}", basis=stopped))
         elif figures["margin_gap"]:
-            rows.append(Row("margin: the least is at most this much less (m)", number(figures["margin_gap"], 4)))
+            rows.append(
+                FigureRow("margin: the least is at most this much less (m)", style.number(figures["margin_gap"], 4))
+            )
         if figures["margin_how"]:
-            rows.append(Row("margin: what was searched", "", basis=str(figures["margin_how"])))
+            rows.append(FigureRow("margin: what was searched", "", basis=str(figures["margin_how"])))
         name = f"margin: trials in which nobody is hit within {figures['eta_max']:g} m"
-        rows.append(Row(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
-        rows += _further(figures, Of.MARGIN)
+        rows.append(FigureRow(name, f"{figures['margin_beyond']} of {figures['margin_trials']}"))
+        rows += _further(style, figures, Of.MARGIN)
     walked = figures["collision_standing_contacts"]
     runs = counted(figures["collision_runs"], "run") + (f"; {walked} walked into a standing car" if walked else "")
-    return [*rows, _row(AT_THE_TOP["contact_rate"], figures, basis=runs), *_further(figures, Of.CAR)]
+    return [*rows, _row(style, AT_THE_TOP["contact_rate"], figures, basis=runs), *_further(style, figures, Of.CAR)]
 
 
-def _planned_details(subject: Subject) -> list[Row]:
-    figures, ranking = subject.figures, subject.ranking
+def _planned_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+    ranking = _ranking(figures)
     rows = []
     if ranking["failed"] and figures["deviation"] is not None:
         rows.append(
-            Row("planned deviation of those that were hit alone (m)", number(figures["deviation_of_successes"]))
+            FigureRow(
+                "planned deviation of those that were hit alone (m)", style.number(figures["deviation_of_successes"])
+            )
         )
     for name, found in figures["objectives"].items():
         tried = f"{found['trials'] - found['failed']} of {counted(found['trials'], 'trial')}"
         walked = f"; {found['standing_contacts']} walked into a standing car" if found["standing_contacts"] else ""
         rows.append(
-            Row(
+            FigureRow(
                 f"success rate, {name}",
-                percent(found["success_rate"]),
-                percent_interval(found.get("success_rate_ci95")),
-                percent_interval(found.get("success_rate_ci95_trials")),
+                style.share(found["success_rate"]),
+                style.share_interval(found.get("success_rate_ci95")),
+                style.share_interval(found.get("success_rate_ci95_trials")),
                 f"{tried} {'were hit' if found['plans_deviation'] else 'collided'}{walked}",
             )
         )
@@ -184,27 +200,34 @@ def _planned_details(subject: Subject) -> list[Row]:
         if one["shown"] and not one["error"]:
             name = f"{one['label']} ({one['unit']})" if one["unit"] else one["label"]
             undefined = f"{one['undefined']} pairs without" if one["undefined"] else ""
-            rows.append(Row(name, number(one["mean"]), interval(one["ci95"]), interval(one["ci95_pairs"]), undefined))
-    return [*rows, *_further(figures, Of.RANKING)]
+            rows.append(
+                FigureRow(
+                    name,
+                    style.number(one["mean"]),
+                    style.interval(one["ci95"]),
+                    style.interval(one["ci95_pairs"]),
+                    undefined,
+                )
+            )
+    return [*rows, *_further(style, figures, Of.RANKING)]
 
 
-def _skd_details(subject: Subject) -> list[Row]:
-    figures = subject.figures
-    rows = [_row(AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
-    rows += _further(figures, Of.SKD, "of the pairs of SKD")
+def _skd_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]:
+    rows = [_row(style, AT_THE_TOP["skd_prefix"], figures, basis="as SKD, φ cut at the duration of ψ")]
+    rows += _further(style, figures, Of.SKD, "of the pairs of SKD")
     for eta, bound in figures["probability_bound"].items() if figures["skd"] is not None else ():
         known = figures["probability_bound_ci95"][eta]
         sharper = cantelli_bound(float(eta), figures["skd"], figures["variance"])
         of = "of these kamikazes, from mean and variance of their distances"
         rows += [
-            Row(f"P(d ≤ {eta} m) at most, Theorem 1", number(bound), interval(known), basis=of),
-            Row(f"P(d ≤ {eta} m) at most, Cantelli", number(sharper), basis="likewise; never above Theorem 1"),
+            FigureRow(f"P(d ≤ {eta} m) at most, Theorem 1", style.number(bound), style.interval(known), basis=of),
+            FigureRow(f"P(d ≤ {eta} m) at most, Cantelli", style.number(sharper), basis="never above Theorem 1"),
         ]
     return rows
 
 
 @dataclass(frozen=True)
-class Bound:
+class CurveBound:
     """What mean and variance alone say of a point of the vulnerability curve, beside what was found.
 
     Attributes:
@@ -224,22 +247,23 @@ _EVERY = 5
 """One in so many points of the curve is in the table of bounds."""
 
 
-def bounds_of(subject: Subject) -> list[Bound]:
+def bounds_of(curves: Mapping[str, Any] | None) -> list[CurveBound]:
     """Return the bounds of the curve that is drawn, up to where they say nothing; none where they are not known."""
-    curve = (subject.curve or {}).get("margins") or (subject.curve or {}).get("kamikazes")
+    curve = (curves or {}).get("margins") or (curves or {}).get("kamikazes")
     points = curve["points"][::_EVERY] if curve else []
     return [
-        Bound(f"{one['eta']:.2f}", number(one["probability"]), number(one["bound"]), number(one["cantelli"]))
+        CurveBound(f"{one['eta']:.2f}", number(one["probability"]), number(one["bound"]), number(one["cantelli"]))
         for one in points
         if "cantelli" in one and one["cantelli"] < 1.0
     ]
 
 
-def _equivalent_interval(figures: Mapping[str, Any], name: str) -> str:
+def _equivalent_interval(style: Style, figures: Mapping[str, Any], name: str) -> str:
     """Return an interval of the equivalent multiplier, whose ends may lie beyond the sweep."""
     ends = figures.get(f"equivalent_multiplier_{name}") or (None, None)
     own = figures["multiplier"]
     # A basic car is compared with itself, in the same trials: there is no chance in it.
     if own is not None and all(end is not None and abs(end - own) < _SAME_MULTIPLIER for end in ends):
         return "exact by construction"
-    return (spoken_interval(figures, f"equivalent_multiplier_{name}_text") or NOTHING).strip("[]").replace(", ", " to ")
+    text = spoken_interval(figures, f"equivalent_multiplier_{name}_text")
+    return style.around.format(*text.strip("[]").split(", ")) if ", " in text else text or style.nothing
