@@ -24,8 +24,7 @@ from problems.sub_hunt import sub_hunt, sub_hunt_with_leaves
 from problems.tiger import tiger
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Planner, play
-from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions, play
 from skd_sim.arrays import FloatArray
 
 

@@ -20,8 +20,9 @@ from skd_adversary.car_models.forest import GRID, LEAST_DONORS, TREES, described
 from skd_adversary.car_models.observations import Observations
 from skd_adversary.car_models.prediction import learn_car
 from skd_adversary.crossing.cars import CHANGE, CHANGE_BEFORE, FOREST_STATE_DIM, RECEDING, SIDEWAYS, TREE, unknown_car
-from skd_adversary.crossing.model import CAR_S, CAR_SPEED, STATE_DIM, compose
+from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
+from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
 from skd_adversary.crossing.road_users import road_user_named
 from skd_sim.controllers import BasicController
 from skd_sim.errors import UsageError

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from road_user_limits import beyond
-from skd_adversary.crossing.on_foot import nearest_walked
-from skd_adversary.crossing.road_users import check_kind
+from skd_adversary.crossing.road_users import check_kind, nearest_walked
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError

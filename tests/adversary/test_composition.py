@@ -1,73 +1,35 @@
-"""A model is put together of parts: what a template uses is declared, bound, and nothing else."""
+"""A model is put together of parts; an objective of one's own is one file."""
 
 from __future__ import annotations
 
-import dis
-import importlib
-import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-import skd_adversary.crossing as package
-from skd_adversary.crossing import parts
 from skd_adversary.crossing.cars import unknown_car
-from skd_adversary.crossing.model import ADVERSARY_X, STATE_DIM, compose
+from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import objective_named
-from skd_adversary.crossing.on_foot import ACTION_COUNT, EAST, STAY
-from skd_adversary.crossing.parts import ROW, ObjectiveModel, Template, move, template, velocity
+from skd_adversary.crossing.parts import ADVERSARY_X, ROW, STATE_DIM, ObjectiveModel, move, template, velocity
+from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, STAY
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.search import PlannerOptions
+from skd_adversary.pomdp.planner import Planner, PlannerOptions
 from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
 from skd_sim.scenario.scenario import Scenario, load_scenario
 
 CROSSING = load_scenario("crossing")
-SLOTS = {  # what stands for a part until it is bound
-    name
-    for name, value in vars(parts).items()
-    if not name.startswith("_")
-    and (value is None or "NotImplementedError" in getattr(getattr(value, "__code__", None), "co_names", ()))
-}
+# --- an objective of one's own: to stand on x = −2 and wait
 
 
-def templates() -> Iterator[tuple[str, Template[..., Any]]]:
-    for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-        module = importlib.import_module(found.name)
-        for name, value in vars(module).items():
-            if isinstance(value, Template) and value.function.__module__ == module.__name__:
-                yield f"{found.name}.{name}", value
-
-
-@pytest.mark.parametrize(("name", "found"), list(templates()))
-def test_a_template_declares_what_it_uses_and_no_more(name: str, found: Template[..., Any]) -> None:
-    read = {line.argval for line in dis.get_instructions(found.function) if line.opname == "LOAD_GLOBAL"}
-    namespace = found.function.__globals__
-    to_bind = {
-        one
-        for one in read
-        if isinstance(namespace.get(one), Template) or (one in SLOTS and namespace[one] is getattr(parts, one))
-    }
-    assert set(found.uses) == to_bind
-
-
-def test_every_slot_is_used() -> None:
-    assert {use for _, found in templates() for use in found.uses} >= SLOTS
-
-
-# --- an objective of one's own is one file: here, to stand on x = −2 and wait
-
-
-@template("ROW")
+@template
 def _begin(parameters: Any, state: FloatArray) -> None:
     state[ROW] = 0.0
 
 
-@template("velocity", "move", "ROW")
+@template
 def _step(
     parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:

@@ -10,20 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from skd_adversary.crossing.cars import BASIC_KERNELS, CarModel, known_basic_car, unknown_car
-from skd_adversary.crossing.model import (
-    ADVERSARY_X,
-    ADVERSARY_Y,
-    CAR_S,
-    CAR_SPEED,
-    STATE_DIM,
-    TRIGGER,
-    compose,
-    transition_parts,
-)
+from skd_adversary.crossing.model import compose, transition_parts
 from skd_adversary.crossing.objectives import PAPER
-from skd_adversary.crossing.on_foot import ACTION_COUNT, EAST, PEDESTRIAN, action_velocity
+from skd_adversary.crossing.parts import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
 from skd_adversary.crossing.path import polyline_distance, polyline_segments
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, PEDESTRIAN, action_velocity, road_user_named
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
 from skd_sim.controllers import BasicController

@@ -11,21 +11,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from road_user_limits import beyond
-from skd_adversary.crossing import on_foot, on_wheels
+from skd_adversary.crossing import road_users
 from skd_adversary.crossing.cars import known_basic_car
 from skd_adversary.crossing.deviation import DEVIATION
-from skd_adversary.crossing.model import STATE_DIM, compose, road_user_interfaces
-from skd_adversary.crossing.on_wheels import (
+from skd_adversary.crossing.model import compose, road_user_parts
+from skd_adversary.crossing.parts import STATE_DIM
+from skd_adversary.crossing.road_users import (
     ACCELERATE,
-    ACTION_COUNT,
     BRAKE,
     BRAKE_LEFT,
     BRAKE_RIGHT,
+    CYCLIST,
     KEEP,
     LEFT,
     RIGHT,
+    road_user_named,
 )
-from skd_adversary.crossing.road_users import CYCLIST, road_user_named
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.errors import UsageError
@@ -37,7 +38,7 @@ from skd_sim.world.state import Trajectory
 SCENARIO = load_scenario("cyclist")
 ACCELERATION, DECELERATION, LATERAL_ACCELERATION = 1.0, 3.0, 3.0  # m/s², as docs/decisions.md has them
 LIMITS = CYCLIST.parameters(SCENARIO)["own_limits"]
-ridden, nearest_ridden = (partial(kernel, LIMITS) for kernel in (on_wheels.ridden, on_wheels.nearest_ridden))
+ridden, nearest_ridden = (partial(kernel, LIMITS) for kernel in (road_users.ridden, road_users.nearest_ridden))
 STEP, MOST = SCENARIO.time_step, SCENARIO.adversary.speed
 ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), STEP)  # at 5 m/s
 
@@ -45,7 +46,7 @@ ACROSS = Trajectory(np.column_stack([np.arange(-8.0, 4.0, 1.5), np.zeros(8)]), S
 @given(
     heading=st.floats(-math.pi, math.pi),
     speed=st.floats(0.0, MOST),
-    action=st.integers(0, ACTION_COUNT - 1),
+    action=st.integers(0, CYCLIST.kernels.action_count - 1),
 )
 def test_it_rides_where_it_points_and_leans_no_further_than_it_can(heading: float, speed: float, action: int) -> None:
     vx, vy = ridden(heading, speed, action, MOST, STEP)
@@ -71,11 +72,11 @@ def test_speeds_by_hand() -> None:
 @pytest.mark.parametrize(
     ("way", "expected"),
     [
-        (on_foot.EAST, ACCELERATE),
-        (on_foot.NORTH_EAST, LEFT),
-        (on_foot.SOUTH_EAST, RIGHT),
-        (on_foot.SOUTH, RIGHT),
-        (on_foot.STAY, BRAKE),
+        (road_users.EAST, ACCELERATE),
+        (road_users.NORTH_EAST, LEFT),
+        (road_users.SOUTH_EAST, RIGHT),
+        (road_users.SOUTH, RIGHT),
+        (road_users.STAY, BRAKE),
     ],
 )
 def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int) -> None:
@@ -85,10 +86,10 @@ def test_default_policies_are_followed_as_far_as_it_can(way: int, expected: int)
     model = compose(SCENARIO, DEVIATION, car, start=start, gap=13.0, path=path, road_user=CYCLIST)
     state = np.empty(model.state_dim)
     model.initial(model.parameters, state, np.random.default_rng(0))
-    steer = road_user_interfaces(CYCLIST.kernels, car.kernels)["steer"]
+    steer = road_user_parts(CYCLIST.kernels, car.kernels)["steer"]
     assert steer(model.parameters, state, way) == expected
     state[STATE_DIM] = math.radians(60.0)  # 60° to the left
-    if way == on_foot.SOUTH:
+    if way == road_users.SOUTH:
         assert steer(model.parameters, state, way) == BRAKE_RIGHT
 
 

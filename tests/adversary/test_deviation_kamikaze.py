@@ -11,8 +11,9 @@ from skd_adversary.adversary import make_adversary
 from skd_adversary.car_models.car_model_file import PARAMETERS, CarParameter, FittedCar, ParameterPrior, car_model_text
 from skd_adversary.crossing.cars import FITTED_STATE_DIM, WAITING_REWARD, LearnedCar, known_basic_car, unknown_car
 from skd_adversary.crossing.deviation import DEVIATION
-from skd_adversary.crossing.model import CAR_S, CAR_SPEED, STATE_DIM, compose
-from skd_adversary.crossing.on_foot import ACTION_COUNT, AS_PHI, EAST, STAY, action_velocity
+from skd_adversary.crossing.model import compose
+from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, STATE_DIM
+from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, EAST, STAY, action_velocity
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
 from skd_adversary.pomdp.planner import Planner

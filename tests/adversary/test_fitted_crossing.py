@@ -20,12 +20,12 @@ from skd_adversary.car_models.car_model_file import (
     read_car_model,
     write_car_model,
 )
-from skd_adversary.crossing import cars, model
+from skd_adversary.crossing import cars, parts
 from skd_adversary.crossing.cars import DECELERATION, DELAY, LearnedCar, known_basic_car
 from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, PAPER
-from skd_adversary.crossing.on_foot import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.crossing.parts import bound
+from skd_adversary.crossing.road_users import ACTION_COUNT, EAST, NORTH_EAST, STAY
 from skd_adversary.crossing.roads import STRAIGHT
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_sim.errors import UsageError
@@ -60,7 +60,7 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
     rng = np.random.default_rng(3)
     for seed in range(300):
         state = np.zeros(fitted.state_dim)
-        state[: model.STATE_DIM] = (
+        state[: parts.STATE_DIM] = (
             rng.uniform(-2, 2),
             rng.uniform(-1, 1),
             rng.uniform(-15, 0),
@@ -69,7 +69,7 @@ def test_with_the_basic_cars_numbers_it_is_the_basic_car():
         )
         known = np.zeros(fitted.state_dim)
         fitted.initial(fitted.parameters, known, np.random.default_rng(0))
-        state[model.STATE_DIM :] = known[model.STATE_DIM :]
+        state[parts.STATE_DIM :] = known[parts.STATE_DIM :]
         action = int(rng.integers(ACTION_COUNT))
         one, other = np.zeros(basic.state_dim), np.zeros(fitted.state_dim)
         expected = basic.step(
@@ -90,8 +90,8 @@ def test_so_it_is_for_the_frechet_objective_whose_state_has_a_row_behind():
     fitted.initial(fitted.parameters, other, np.random.default_rng(1))
     rng = np.random.default_rng(4)
     for seed in range(40):
-        np.testing.assert_array_equal(other[: model.STATE_DIM], one[: model.STATE_DIM])
-        np.testing.assert_array_equal(other[model.STATE_DIM + extra :], one[model.STATE_DIM :])
+        np.testing.assert_array_equal(other[: parts.STATE_DIM], one[: parts.STATE_DIM])
+        np.testing.assert_array_equal(other[parts.STATE_DIM + extra :], one[parts.STATE_DIM :])
         action = int(rng.choice([EAST, NORTH_EAST, STAY]))
         after, other_after = np.zeros_like(one), np.zeros_like(other)
         expected = basic.step(basic.parameters, one, action, after, np.random.default_rng(seed))
@@ -107,12 +107,12 @@ def test_delayed_car_brakes_later():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, rng)
     assert state[DELAY] == 2.0
-    state[model.CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
+    state[parts.CAR_S] = -SCENARIO.car.front - 8.5  # within the trigger from now on
     speeds = []
     for _ in range(4):
         fitted.step(fitted.parameters, state, STAY, after, rng)
         state, after = after, state
-        speeds.append(float(state[model.CAR_SPEED]))
+        speeds.append(float(state[parts.CAR_SPEED]))
     assert np.diff([25 / 3, *speeds]) == pytest.approx([0.0, 0.0, -1.05, -1.05])
 
 
@@ -122,9 +122,9 @@ def test_a_car_speeds_up_towards_its_speed_but_no_faster_than_its_limit():
     state, after = np.zeros(fitted.state_dim), np.zeros(fitted.state_dim)
     for speed, expected in ((2.0, 1.5), (4.0, 1.5), (6.0, 1.0), (8.0, 0.0), (9.0, -0.5)):
         fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-        state[model.CAR_SPEED] = speed
+        state[parts.CAR_SPEED] = speed
         fitted.step(fitted.parameters, state, STAY, after, np.random.default_rng(0))
-        assert (after[model.CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
+        assert (after[parts.CAR_SPEED] - speed) / 0.3 == pytest.approx(expected)
 
 
 def test_what_is_uncertain_is_drawn_from_its_prior():
@@ -132,7 +132,7 @@ def test_what_is_uncertain_is_drawn_from_its_prior():
         a_car(trigger=ParameterPrior("uniform", 8.0, 10.0), deceleration=ParameterPrior("normal", 4.0, 0.5))
     )
     belief = ParticleBelief(fitted, 4000, np.random.default_rng(5))
-    triggers, decelerations = belief.particles[:, model.TRIGGER], belief.particles[:, DECELERATION]
+    triggers, decelerations = belief.particles[:, parts.TRIGGER], belief.particles[:, DECELERATION]
     assert 8.0 <= triggers.min() < 8.05
     assert 9.95 < triggers.max() <= 10.0
     assert triggers.mean() == pytest.approx(9.0, abs=4 * (2 / math.sqrt(12)) / math.sqrt(4000))
@@ -148,9 +148,9 @@ def test_a_step_outside_of_the_path_does_not_brake_a_car_that_guards_it():
     brakes = bound(cars._brakes, "straight", on_road)
     state = np.zeros(fitted.state_dim)
     fitted.initial(fitted.parameters, state, np.random.default_rng(0))
-    state[model.CAR_S] = -8.0
+    state[parts.CAR_S] = -8.0
     for x, expected in ((-2.0, False), (-1.39, True), (0.5, True), (1.41, False)):
-        state[model.ADVERSARY_X] = x
+        state[parts.ADVERSARY_X] = x
         assert brakes(fitted.parameters, state, np.random.default_rng(0)) == expected
 
 

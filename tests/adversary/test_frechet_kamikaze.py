@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from similaritymeasures import frechet_dist
 from skd_adversary.crossing.cars import known_basic_car, unknown_car
-from skd_adversary.crossing.model import CAR_S, compose
+from skd_adversary.crossing.model import compose
 from skd_adversary.crossing.objectives import FRECHET, FRECHET_REWARDS
-from skd_adversary.crossing.on_foot import ACTION_COUNT, action_velocity
+from skd_adversary.crossing.parts import CAR_S
+from skd_adversary.crossing.road_users import ACTION_COUNT, action_velocity
 from skd_adversary.pomdp.model import Pomdp
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_sim.options.adversary import Objective

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from road_user_limits import BODIES, beyond, straight, tally, with_kind
-from skd_adversary.crossing.on_wheels import BRAKE, BRAKE_LEFT, ridden, settled
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.road_users import BRAKE, BRAKE_LEFT, ridden, road_user_named, settled
 from skd_sim.scenario.protocol import regulatory_trajectories
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import load_scenario

@@ -18,8 +18,7 @@ import pytest
 from models import LISTEN, OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Planner, play
-from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions, play
 
 GAMMA, ACCURACY = 0.95, 0.85
 BELIEFS = np.linspace(0.0, 1.0, 4001)  # P(behind the right door)

@@ -14,8 +14,7 @@ import pytest
 from models import ring, tiger
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Backup, Cells, Planner, PlannerOptions
 from skd_sim.kernels.compilation import kernel
 
 F32 = np.float32

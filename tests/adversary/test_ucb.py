@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import OPEN_LEFT, OPEN_RIGHT, tiger
 from skd_adversary.pomdp.belief import ParticleBelief
-from skd_adversary.pomdp.planner import Planner
-from skd_adversary.pomdp.search import PlannerOptions
+from skd_adversary.pomdp.planner import Planner, PlannerOptions
 from skd_adversary.pomdp.tree import FOUND, exploration_from, forget_returns, no_returns, note_return
 
 RETURNS = st.lists(

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp, check_model
-from skd_adversary.pomdp.planner import Planner, play
-from skd_adversary.pomdp.search import PlannerOptions
+from skd_adversary.pomdp.planner import Planner, PlannerOptions, play
 from skd_sim.kernels.compilation import kernel
 
 RUN, INSPECT, REPAIR = range(3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shapely import Polygon
 from skd_adversary.adversary import make_adversary
-from skd_adversary.crossing.model import CAR_S, CAR_SPEED
+from skd_adversary.crossing.parts import CAR_S, CAR_SPEED
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from search_support import search_margin
-from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_evaluator.assessment.plan import MANOEUVRES, Plan, probe_trajectory
 from skd_evaluator.assessment.plausibility import ROUNDING, recompute
 from skd_evaluator.assessment.run.episodes import run_episode

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from search_support import CROSSING, TIME_STEP, any_touch, bent, kamikaze_episode, place, touching
-from skd_adversary.crossing.on_foot import action_velocity
+from skd_adversary.crossing.road_users import action_velocity
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.exact import exact
 from skd_evaluator.margin.exact import exact as exact_search

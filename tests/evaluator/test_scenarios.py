@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
+from skd_adversary.safe_trajectories.sources import read_csv_trajectory
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import KamikazeSet, objective_result
 from skd_evaluator.assessment.plan import MANOEUVRES, Plan, Stage, episode_id, probe_scenario, probe_trajectory

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from skd_adversary.crossing import on_wheels
-from skd_adversary.crossing.on_foot import ACTION_COUNT, AS_PHI, STAY, action_velocity
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing import road_users
+from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, STAY, action_velocity, road_user_named
 from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
 from skd_sim.scenario.scenario import load_scenario
 
@@ -41,9 +40,7 @@ def test_a_cyclist_has_its_own_actions_from_its_own_state():
     walked = straight[:2] + np.array([[0.0, 0.0], [0.0, 0.2]])
     found = velocities(CYCLIST, straight, 1, walked)
     heading, speed = math.atan2(0.2, 0.9), math.hypot(0.2, 0.9) / step
-    expected = [
-        on_wheels.ridden(LIMITS, heading, speed, action, most, step) for action in range(on_wheels.ACTION_COUNT)
-    ]
+    expected = [road_users.ridden(LIMITS, heading, speed, action, most, step) for action in range(7)]
     assert found[:-1] == pytest.approx(np.array(expected))
 
 

@@ -12,7 +12,7 @@ import pytest
 import sub_hunt as example
 from problems.sub_hunt import sub_hunt
 from skd_adversary.pomdp.model import check_model
-from skd_adversary.pomdp.search import PlannerOptions
+from skd_adversary.pomdp.planner import PlannerOptions
 
 THEIRS = sub_hunt()
 OURS = example.model

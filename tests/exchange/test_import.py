@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from exchange_support import recorded, safe, walk
 from mcap.writer import Writer
-from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_evaluator.assessment.files.episodes_npz import read_episodes
 from skd_evaluator.bags.mcap_file import complete, typestore
 from skd_evaluator.extensions.exchange.exports import FORMATS

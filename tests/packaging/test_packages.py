@@ -121,8 +121,9 @@ def test_every_shared_file_is_installed(package):
 @pytest.mark.parametrize("node", ALL_NODES)
 def test_every_node_is_an_executable(node):
     package, module = ALL_NODES[node]
-    assert executables(package)[node] == f"{package}.start:{node}"
-    program = getattr(importlib.import_module(f"{package}.start"), node)
+    start = "skd_evaluator.start" if package == "skd_evaluator" else "skd_sim.start"
+    assert executables(package)[node] == f"{start}:{node}"
+    program = getattr(importlib.import_module(start), node)
     assert program.args[0] == module
     assert callable(importlib.import_module(module).main)
 

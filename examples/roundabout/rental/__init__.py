@@ -12,7 +12,7 @@ def __getattr__(name: str) -> object:
     """Make the scooter when it is asked for: who wants the scenario alone waits for no kernels."""
     if name != "SCOOTER":
         raise AttributeError(name)
-    from skd_adversary.crossing.on_wheels import RidingLimits, wheeled
+    from skd_adversary.crossing.road_users import RidingLimits, wheeled
 
     limits = RidingLimits(
         acceleration=0.8,  # m/s²: its motor is throttled

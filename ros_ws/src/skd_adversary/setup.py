@@ -23,7 +23,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "adversary = skd_adversary.start:adversary",
+            "adversary = skd_sim.start:adversary",
         ]
     },
 )

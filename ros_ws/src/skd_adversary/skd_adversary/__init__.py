@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from skd_adversary.pomdp.model import Pomdp as Pomdp
     from skd_adversary.pomdp.model import check_model as check_model
     from skd_adversary.pomdp.planner import Planner as Planner
+    from skd_adversary.pomdp.planner import PlannerOptions as PlannerOptions
     from skd_adversary.pomdp.planner import play as play
-    from skd_adversary.pomdp.search import PlannerOptions as PlannerOptions
 
 __all__ = [
     "ParticleBelief",
@@ -29,7 +29,7 @@ __all__ = [
 _WHERE = {
     "ParticleBelief": "skd_adversary.pomdp.belief",
     "Planner": "skd_adversary.pomdp.planner",
-    "PlannerOptions": "skd_adversary.pomdp.search",
+    "PlannerOptions": "skd_adversary.pomdp.planner",
     "Pomdp": "skd_adversary.pomdp.model",
     "check_model": "skd_adversary.pomdp.model",
     "play": "skd_adversary.pomdp.planner",

@@ -20,9 +20,9 @@ from skd_adversary.crossing.cars import (
     known_basic_car,
     unknown_car,
 )
-from skd_adversary.crossing.model import CAR_S, CAR_SPEED, compose, road_user_interfaces
+from skd_adversary.crossing.model import compose, road_user_parts
 from skd_adversary.crossing.objectives import SAFE, objective_named
-from skd_adversary.crossing.parts import CarPrediction
+from skd_adversary.crossing.parts import CAR_S, CAR_SPEED, CarPrediction
 from skd_adversary.crossing.path import velocities_of, velocity_at
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.pomdp.belief import ParticleBelief
@@ -89,7 +89,7 @@ class PlanningAdversary:
             road_user=road_user,
         )
         self._sensor, self._road_user = car.sensor, road_user.kernels
-        interfaces = road_user_interfaces(road_user.kernels, car.kernels)
+        interfaces = road_user_parts(road_user.kernels, car.kernels)
         self._velocity, self._possible = interfaces["velocity"], interfaces["possible"]
         self._sensor_rng = generator(episode.seed, episode.episode_id, Role.SENSOR)
         self._position, self._tick = episode.start, 0

@@ -134,11 +134,13 @@ def start_named(programs: Mapping[str, Callable[[], int]]) -> int:
 vehicle_simulator = partial(start, "skd_sim.ros.simulator_node")
 car_controller = partial(start, "skd_sim.ros.controller_node")
 carla_bridge = partial(start, "skd_sim.ros.carla_bridge")
+adversary = partial(start, "skd_adversary.ros.adversary_node")
 
 if __name__ == "__main__":
     programs: dict[str, Callable[[], int]] = {
         "vehicle_simulator": vehicle_simulator,
         "car_controller": car_controller,
         "carla_bridge": carla_bridge,
+        "adversary": adversary,
     }
     sys.exit(start_named(programs))

@@ -39,6 +39,7 @@ _MAGIC: Final = b"SKDF1\0"
 _BYTES: Final = struct.Struct("<6sddIIII")
 
 Array = npt.NDArray[Any]
+Pair = tuple[float, float]
 Floats = npt.NDArray[np.float64]
 
 
@@ -78,56 +79,26 @@ class CarForest:
 
 
 @kernel
-def features_of(
-    gap: float,
-    lateral: float,
-    sideways_before: float,
-    receding_before: float,
-    sideways: float,
-    receding: float,
-    speed: float,
-    change: float,
-    change_before: float,
-) -> tuple[
-    float, float, float, float, float, float, float, float, float, float, float, float, float, float
-]:  # fmt: skip
+def features_of(gap: float, lateral: float, before: Pair, now: Pair, speed: float, changes: Pair) -> tuple[float, ...]:
     """Return the features of a tick, in the order of `FEATURES`.
 
     Args:
         gap: front bumper to the road user's centre along the lane, m.
         lateral: offset of the road user to the right of the centre line, m.
-        sideways_before: the road user's velocity across the lane in the last tick, m/s.
-        receding_before: the road user's velocity along the lane in the last tick, away from the car, m/s.
-        sideways: the road user's velocity across the lane in this tick, which a car that decides within a tick sees,
-            m/s.
-        receding: the road user's velocity along the lane in this tick, away from the car, m/s.
+        before: the road user's velocity in the last tick, (across the lane, along it away from the car), m/s.
+        now: the same in this tick, which a car that decides within a tick sees.
         speed: speed of the car, m/s.
-        change: change of the car's speed in the last tick, m/s.
-        change_before: change of the car's speed in the tick before that, m/s.
+        changes: by how much the car's speed changed in the last tick, and in the tick before that, m/s.
     """
-    closing = speed - receding
     ahead = max(gap, 0.0)
+    closing = speed - now[1]
     arrival = _LONGEST if ahead >= _LONGEST * closing else ahead / closing
-    there = min(_WIDEST, max(-_WIDEST, lateral + sideways * arrival))
-    closing_before = speed - receding_before
+    there = min(_WIDEST, max(-_WIDEST, lateral + now[0] * arrival))
+    closing_before = speed - before[1]
     arrival_before = _LONGEST if ahead >= _LONGEST * closing_before else ahead / closing_before
-    there_before = min(_WIDEST, max(-_WIDEST, lateral + sideways_before * arrival_before))
-    return (
-        gap,
-        lateral,
-        sideways_before,
-        receding_before,
-        sideways,
-        receding,
-        speed,
-        change,
-        change_before,
-        arrival,
-        there,
-        closing,
-        arrival_before,
-        there_before,
-    )  # fmt: skip
+    there_before = min(_WIDEST, max(-_WIDEST, lateral + before[0] * arrival_before))
+    moved = (gap, lateral, before[0], before[1], now[0], now[1], speed, changes[0], changes[1])
+    return moved + (arrival, there, closing, arrival_before, there_before)  # noqa: RUF005 - numba has no stars
 
 
 @kernel
@@ -147,24 +118,13 @@ def tick_features(ticks: Floats, lengths: npt.NDArray[np.int64], found: Floats) 
     """Write the features of recorded ticks, of episodes one after the other: n × 14 of n × 7, see `TICK`."""
     row = 0
     for episode in range(lengths.shape[0]):
-        sideways_before, receding_before, change, change_before = 0.0, 0.0, 0.0, 0.0
+        before, changes = (0.0, 0.0), (0.0, 0.0)
         for _ in range(lengths[episode]):
-            values = features_of(
-                ticks[row, 0],
-                ticks[row, 1],
-                sideways_before,
-                receding_before,
-                ticks[row, 2],
-                ticks[row, 3],
-                ticks[row, 4],
-                change,
-                change_before,
-            )
+            now = (ticks[row, 2], ticks[row, 3])
+            values = features_of(ticks[row, 0], ticks[row, 1], before, now, ticks[row, 4], changes)
             for index in range(len(values)):
                 found[row, index] = values[index]
-            sideways_before, receding_before = ticks[row, 2], ticks[row, 3]
-            change_before = change
-            change = ticks[row, 5]
+            before, changes = now, (ticks[row, 5], changes[0])
             row += 1
 
 

@@ -29,8 +29,20 @@ from skd_sim.world.state import draw_relative, next_speed, travelled
 
 from skd_adversary.car_models.car_model_file import LONGEST_DELAY, FittedCar
 from skd_adversary.car_models.forest import CarForest, features_of, leaf_of
-from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, STATE_DIM, TRIGGER
-from skd_adversary.crossing.parts import CarKernels, SensorModel, on_road, template, velocity_on_road
+from skd_adversary.crossing.parts import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    CAR_SPEED,
+    STATE_DIM,
+    TRIGGER,
+    CarKernels,
+    Pair,
+    SensorModel,
+    on_road,
+    template,
+    velocity_on_road,
+)
 from skd_adversary.crossing.sensors import DISTANCE, RELATIVE_POSITION
 
 
@@ -43,7 +55,7 @@ def _basic_start_car(parameters: Any, state: FloatArray, rng: np.random.Generato
     state[TRIGGER] = p.trigger_low + (p.trigger_high - p.trigger_low) * rng.random()
 
 
-@template("on_road")
+@template
 def _basic_advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -58,24 +70,13 @@ def _basic_advance_car(
     next_state[TRIGGER] = state[TRIGGER]
 
 
-@template("on_road")
+@template
 def _basic_expected_acceleration(
-    parameters: Any,
-    state: FloatArray,
-    x: float,
-    y: float,
-    vx_before: float,
-    vy_before: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-    change: float,
-    change_before: float,
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
 ) -> float:
     """Interface `expected_acceleration`."""
-    _, along = on_road(parameters, x, y)
-    return basic_acceleration(along - car_s - parameters.front, state[TRIGGER], parameters.deceleration)
+    _, along = on_road(parameters, place[0], place[1])
+    return basic_acceleration(along - car[0] - parameters.front, state[TRIGGER], parameters.deceleration)
 
 
 @kernel
@@ -92,7 +93,7 @@ def _basic_redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Ge
 
 
 @kernel(inline=True)
-def _basic_last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+def _basic_last_changes(parameters: Any, state: FloatArray) -> Pair:
     """Interface `last_changes`: of no matter to a car that has a law."""
     return 0.0, 0.0
 
@@ -218,22 +219,14 @@ def _fitted_start_car(parameters: Any, state: FloatArray, rng: np.random.Generat
     _fitted_redraw_policy(parameters, state, rng)
 
 
-@template("on_road", "velocity_on_road", inline=False)
-def _in_reach(
-    parameters: Any,
-    trigger: float,
-    path: float,
-    x: float,
-    y: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-) -> bool:
-    """Return whether an adversary at (x, y) with velocity (vx, vy) makes the car brake; arguments in m and m/s."""
+@template(inline=False)
+def _in_reach(parameters: Any, trigger: float, path: float, place: Pair, velocity: Pair, car: Pair) -> bool:
+    """Return whether an adversary makes the car brake; `car` is its place and speed, all in m and m/s."""
     p = parameters
+    x, y = place
+    car_s, speed = car
     across, along = on_road(p, x, y)
-    v_across, v_along = velocity_on_road(p, x, y, vx, vy)
+    v_across, v_along = velocity_on_road(p, x, y, velocity[0], velocity[1])
     gap = along - car_s - p.front
     closing = speed - v_along
     length = p.front + p.rear
@@ -253,7 +246,7 @@ def _in_reach(
     return bool(begin * end <= 0.0 or min(abs(begin), abs(end)) <= path)
 
 
-@template("_in_reach", inline=False)
+@template(inline=False)
 def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> bool:
     """Return whether the car decides to brake; the measures and paths of `car_fit.families`."""
     p = parameters
@@ -261,43 +254,22 @@ def _brakes(parameters: Any, state: FloatArray, rng: np.random.Generator) -> boo
     if p.spread_kind == 2.0:
         u = rng.random()
         trigger += p.spread * math.log((u + 1e-12) / (1.0 - u + 1e-12))
-    return bool(
-        _in_reach(
-            p,
-            trigger,
-            state[PATH],
-            state[ADVERSARY_X],
-            state[ADVERSARY_Y],
-            state[ADVERSARY_VX],
-            state[ADVERSARY_VY],
-            state[CAR_S],
-            state[CAR_SPEED],
-        )
-    )
+    place = state[ADVERSARY_X], state[ADVERSARY_Y]
+    velocity = state[ADVERSARY_VX], state[ADVERSARY_VY]
+    return bool(_in_reach(p, trigger, state[PATH], place, velocity, (state[CAR_S], state[CAR_SPEED])))
 
 
-@template("_in_reach", inline=False)
+@template(inline=False)
 def _fitted_expected_acceleration(
-    parameters: Any,
-    state: FloatArray,
-    x: float,
-    y: float,
-    vx_before: float,
-    vy_before: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-    change: float,
-    change_before: float,
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
 ) -> float:
     """Interface `expected_acceleration`; it reacts at once."""
-    if _in_reach(parameters, state[TRIGGER], state[PATH], x, y, vx_before, vy_before, car_s, speed):
+    if _in_reach(parameters, state[TRIGGER], state[PATH], place, before, car):
         return float(-state[DECELERATION])
-    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - speed)))
+    return float(min(state[LIMIT], state[GAIN] * (state[CRUISE] - car[1])))
 
 
-@template("_brakes", inline=False)
+@template(inline=False)
 def _fitted_advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -412,60 +384,30 @@ def _forest_start_car(parameters: Any, state: FloatArray, rng: np.random.Generat
     _forest_redraw_policy(parameters, state, rng)
 
 
-@template("on_road", "velocity_on_road", inline=False)
-def _leaf(
-    parameters: Any,
-    tree: int,
-    x: float,
-    y: float,
-    sideways_before: float,
-    receding_before: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-    change: float,
-    change_before: float,
-) -> int:
-    """Return the leaf of a tree to which a tick belongs; its arguments are those of `features_of`."""
+@template(inline=False)
+def _leaf(parameters: Any, tree: int, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair) -> int:
+    """Return the leaf of a tree to which a tick belongs.
+
+    Arguments as of `expected_acceleration`, but the velocity before by its parts to the right of the road and along it.
+    """
     p = parameters
+    x, y = place
     across, along = on_road(p, x, y)
-    sideways, receding = velocity_on_road(p, x, y, vx, vy)
     features = features_of(
-        along - car_s - p.front,
-        across,
-        sideways_before,
-        receding_before,
-        sideways,
-        receding,
-        speed,
-        change,
-        change_before,
+        along - car[0] - p.front, across, before, velocity_on_road(p, x, y, now[0], now[1]), car[1], changes
     )
     return leaf_of(p.forest_nodes, p.forest_roots[tree], features)
 
 
-@template("_leaf", "velocity_on_road")
+@template
 def _forest_advance_car(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> None:
     """Interface `advance_car`: as in a recorded tick that was like this one."""
     p = parameters
     x, y, car_s, speed = state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S], state[CAR_SPEED]
-    leaf = _leaf(
-        p,
-        _draw_tree(p, rng),
-        x,
-        y,
-        state[SIDEWAYS],
-        state[RECEDING],
-        vx,
-        vy,
-        car_s,
-        speed,
-        state[CHANGE],
-        state[CHANGE_BEFORE],
-    )
+    before, changes = (state[SIDEWAYS], state[RECEDING]), (state[CHANGE], state[CHANGE_BEFORE])
+    leaf = _leaf(p, _draw_tree(p, rng), (x, y), before, (vx, vy), (car_s, speed), changes)
     count = int(p.forest_nodes[leaf, 2])
     donor = int(p.forest_nodes[leaf, 1]) + min(count - 1, int(count * rng.random()))
     speed_after = max(0.0, speed + float(p.forest_donors[donor, 0]))
@@ -483,32 +425,19 @@ def _forest_advance_car(
     next_state[RECEDING] = receding
 
 
-@template("_leaf", "velocity_on_road", inline=False)
+@template(inline=False)
 def _forest_expected_acceleration(
-    parameters: Any,
-    state: FloatArray,
-    x: float,
-    y: float,
-    vx_before: float,
-    vy_before: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-    change: float,
-    change_before: float,
+    parameters: Any, state: FloatArray, place: Pair, before: Pair, now: Pair, car: Pair, changes: Pair
 ) -> float:
     """Interface `expected_acceleration`."""
     p = parameters
-    sideways_before, receding_before = velocity_on_road(p, x, y, vx_before, vy_before)
-    leaf = _leaf(
-        p, int(state[TREE]), x, y, sideways_before, receding_before, vx, vy, car_s, speed, change, change_before
-    )
+    on_road_before = velocity_on_road(p, place[0], place[1], before[0], before[1])
+    leaf = _leaf(p, int(state[TREE]), place, on_road_before, now, car, changes)
     return float(p.forest_nodes[leaf, 3]) / float(p.time_step)
 
 
 @kernel
-def _forest_last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
+def _forest_last_changes(parameters: Any, state: FloatArray) -> Pair:
     """Interface `last_changes`."""
     return state[CHANGE], state[CHANGE_BEFORE]
 

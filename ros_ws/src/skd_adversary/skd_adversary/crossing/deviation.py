@@ -27,10 +27,12 @@ from skd_sim.arrays import FloatArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.scenario import Scenario
 
-from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, leads_nowhere
-from skd_adversary.crossing.on_foot import EAST, SOUTH
 from skd_adversary.crossing.parts import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
     AS_PHI,
+    CAR_S,
+    CAR_SPEED,
     EARLY_ACTIONS,
     LATE_ACTIONS,
     REST,
@@ -38,10 +40,12 @@ from skd_adversary.crossing.parts import (
     SEARCH,
     USER_DIM,
     ObjectiveModel,
+    Pair,
     chosen,
     contact,
     expected_acceleration,
     last_changes,
+    leads_nowhere,
     left_behind,
     move,
     moving,
@@ -56,6 +60,7 @@ from skd_adversary.crossing.parts import (
     velocity,
 )
 from skd_adversary.crossing.path import pace_at, path_velocities
+from skd_adversary.crossing.road_users import EAST, SOUTH
 
 _OWN = 3
 """Length of the state's own part: the greatest squared distance from φ so far (m²), the tick, and the plan that the
@@ -71,7 +76,7 @@ _LOOKAHEAD_COLUMNS = 11  # numbers of a tick that is looked ahead: see `_begin_l
 _MET, _LATE, _EARLY, _ONGOING = range(4)
 
 
-@template("ROW")
+@template
 def begin(parameters: Any, state: FloatArray) -> None:
     """Write the objective's own part of a first state, in which the adversary is where φ begins, or near there."""
     dx, dy = state[ADVERSARY_X] - parameters.path[0, 0], state[ADVERSARY_Y] - parameters.path[0, 1]
@@ -80,8 +85,8 @@ def begin(parameters: Any, state: FloatArray) -> None:
     state[ROW + 2] = 0.0
 
 
-@template("next_velocity", "next_possible", "AS_PHI")
-def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> tuple[float, float]:
+@template
+def _velocity(parameters: Any, vx: float, vy: float, action: int, tick: int) -> Pair:
     """Return the velocity (East, North), m/s, of somebody who takes an action, or goes as φ, at a tick.
 
     Args:
@@ -107,8 +112,8 @@ def _squared_deviation(path: FloatArray, x: float, y: float, tick: int, share: f
     return float(dx * dx + dy * dy)
 
 
-@template("velocity", "possible", "AS_PHI", "ROW")
-def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
+@template
+def _chosen(parameters: Any, state: FloatArray, action: int) -> Pair:
     """Interface `chosen`."""
     if action == AS_PHI:
         phi_x, phi_y = pace_at(parameters.pace, int(state[ROW + 1]))
@@ -116,13 +121,9 @@ def _chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, flo
     return velocity(parameters, state, action)
 
 
-@template("chosen", "move", "on_road", "left_behind", "ROW")
+@template
 def step(
-    parameters: Any,
-    state: FloatArray,
-    action: int,
-    next_state: FloatArray,
-    rng: np.random.Generator,
+    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
@@ -150,8 +151,7 @@ def step(
         # Who walks into a car that stands, or nearly so, has not been hit by it, and goes nowhere from there.
         impact = state[CAR_SPEED] + fraction * (next_state[CAR_SPEED] - state[CAR_SPEED])
         return cost + (p.collision_reward - math.sqrt(squared) if impact >= p.hit_speed else 0.0), True
-    across, along = on_road(p, x, y)
-    if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
+    if leads_nowhere(p, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return cost, True
     passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
     return cost, passed
@@ -169,7 +169,7 @@ def _follows(parameters: Any, along: float, worst: float, tick: float) -> bool:
     return bool(worst > p.maximum_distance * p.maximum_distance or along - nearest > _ATTENTION * stride)
 
 
-@template("velocity", "sensible", "AS_PHI")
+@template
 def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     """Return whether an action makes sense; as φ always does."""
     if action == AS_PHI:
@@ -178,7 +178,7 @@ def legal(parameters: Any, state: FloatArray, action: int) -> bool:
     return sensible(parameters, state, own_x, own_y)
 
 
-@template("possible", "on_road", "ROW")
+@template
 def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) -> bool:
     """Interface `sensible`.
 
@@ -192,15 +192,14 @@ def _sensible(parameters: Any, state: FloatArray, own_x: float, own_y: float) ->
     if _follows(p, along, state[ROW], state[ROW + 1]):
         return False
     x_after, y_after = x + p.time_step * own_x, y + p.time_step * own_y
-    across, along = on_road(p, x_after, y_after)
-    if leads_nowhere(p, across, along, x, y, x_after, y_after):
+    if leads_nowhere(p, x, y, x_after, y_after):
         return False
     phi_x, phi_y = pace_at(p.pace, int(state[ROW + 1]))
     phi_x, phi_y = possible(p, state, phi_x, phi_y)
     return bool(abs(own_x - phi_x) > _SAME or abs(own_y - phi_y) > _SAME)
 
 
-@template("last_changes", "moving")
+@template
 def _begin_lookahead(parameters: Any, state: FloatArray, car_s: float, worst: float) -> None:
     """Write the first row of `lookahead`: how a plan begins.
 
@@ -214,22 +213,27 @@ def _begin_lookahead(parameters: Any, state: FloatArray, car_s: float, worst: fl
         car_s: path coordinate at which the car's reference point is believed to be, m.
         worst: greatest squared distance from φ so far, m².
     """
-    kept = parameters.lookahead
-    kept[0, 0], kept[0, 1] = state[ADVERSARY_X], state[ADVERSARY_Y]
-    kept[0, 2], kept[0, 3], kept[0, 4] = car_s, state[CAR_SPEED], worst
-    kept[0, 5], kept[0, 6] = last_changes(parameters, state)
-    kept[0, 7], kept[0, 8] = moving(parameters, state)
-    kept[0, 9], kept[0, 10] = 0.0, 0.0
+    place = state[ADVERSARY_X], state[ADVERSARY_Y]
+    changes, own = last_changes(parameters, state), moving(parameters, state)
+    _keep(parameters.lookahead, 0, place, (car_s, state[CAR_SPEED]), worst, changes, own, (0.0, 0.0))
 
 
-@template("_velocity", "expected_acceleration", "contact", "pointing", "on_road", "left_behind", "AS_PHI")
+@kernel(inline=True)
+def _keep(
+    kept: FloatArray, row: int, place: Pair, car: Pair, worst: float, changes: Pair, own: Pair, before: Pair
+) -> None:
+    """Write a row of `lookahead`; see `_begin_lookahead`."""
+    kept[row, 0], kept[row, 1] = place
+    kept[row, 2], kept[row, 3] = car
+    kept[row, 4] = worst
+    kept[row, 5], kept[row, 6] = changes
+    kept[row, 7], kept[row, 8] = own
+    kept[row, 9], kept[row, 10] = before
+
+
+@template
 def _look_ahead(
-    parameters: Any,
-    state: FloatArray,
-    now: int,
-    switch: int,
-    action: int,
-    bound: float,
+    parameters: Any, state: FloatArray, now: int, switch: int, action: int, bound: float
 ) -> tuple[float, int, int]:
     """Play a plan against a car without noise: as φ until a tick, and one action from then on.
 
@@ -251,26 +255,22 @@ def _look_ahead(
     x, y, car_s, speed, worst = kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4]
     if worst >= bound:
         return math.inf, _LATE, switch
-    change, change_before = kept[row, 5], kept[row, 6]
-    own_x, own_y = kept[row, 7], kept[row, 8]
-    vx_before, vy_before = kept[row, 9], kept[row, 10]
+    changes, own, before = (kept[row, 5], kept[row, 6]), (kept[row, 7], kept[row, 8]), (kept[row, 9], kept[row, 10])
     edge = p.half_width + p.radius
     for tick in range(switch, now + _LOOKAHEAD):
-        own_x, own_y = _velocity(p, own_x, own_y, action, tick)
-        vx, vy = own_x, own_y
+        own = _velocity(p, own[0], own[1], action, tick)
+        vx, vy = own
         x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
         if tick == now:  # what it did before, is not known to every model
-            vx_before, vy_before = vx, vy
-        acceleration = expected_acceleration(
-            p, state, x, y, vx_before, vy_before, vx, vy, car_s, speed, change, change_before
-        )
-        vx_before, vy_before = vx, vy
+            before = own
+        acceleration = expected_acceleration(p, state, (x, y), before, own, (car_s, speed), changes)
+        before = own
         speed_after = max(0.0, speed + p.time_step * acceleration)
-        change_before = change
-        change = speed_after - speed
+        changes = (speed_after - speed, changes[0])
         car_s_after = car_s + 0.5 * p.time_step * (speed + speed_after)
         squared = _squared_deviation(p.path, x_after, y_after, tick, 1.0)
-        share = contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), car_s, car_s_after)
+        heading = pointing(p, state, vx, vy)
+        share = contact(p, (x, y), (x_after, y_after), heading, car_s, car_s_after)
         if share <= 1.0:
             if speed + share * (speed_after - speed) < p.hit_speed:
                 return math.inf, _LATE, tick
@@ -278,56 +278,37 @@ def _look_ahead(
             y += share * (y_after - y)
             return max(worst, _squared_deviation(p.path, x, y, tick, share)), _MET, tick
         worst = max(worst, squared)
-        across, along = on_road(p, x_after, y_after)
-        if leads_nowhere(p, across, along, x, y, x_after, y_after):
+        if leads_nowhere(p, x, y, x_after, y_after):
             return math.inf, _LATE, tick
         if left_behind(p, x_after, y_after, car_s_after):
             return math.inf, _EARLY, tick
         if worst >= bound:
             return math.inf, _LATE, tick
-        if speed_after == 0.0 and vy >= 0.0 and p.crossing * across >= -edge and tick + 1 >= p.path.shape[0]:
-            return math.inf, _LATE, tick
+        if speed_after == 0.0 and vy >= 0.0 and tick + 1 >= p.path.shape[0]:
+            across, _ = on_road(p, x_after, y_after)
+            if p.crossing * across >= -edge:
+                return math.inf, _LATE, tick
         x, y, car_s, speed = x_after, y_after, car_s_after, speed_after
         if action == AS_PHI:
-            row = tick + 1 - now
-            kept[row, 0], kept[row, 1], kept[row, 2], kept[row, 3], kept[row, 4] = x, y, car_s, speed, worst
-            kept[row, 5], kept[row, 6] = change, change_before
-            kept[row, 7], kept[row, 8] = own_x, own_y
-            kept[row, 9], kept[row, 10] = vx_before, vy_before
+            _keep(kept, tick + 1 - now, (x, y), (car_s, speed), worst, changes, own, before)
     return math.inf, _ONGOING, now
 
 
-@template("AS_PHI")
+@template
 def _coded(switch: int, action: int) -> float:
     """Return a plan, as φ until a tick and one action from then on, as a number; 0 is none."""
     return float((AS_PHI + 1) * switch + action + 1)
 
 
-@template("AS_PHI")
+@template
 def _planned(plan: float, tick: int) -> int:
     """Return a plan's action at a tick."""
     code = int(plan) - 1
     return AS_PHI if code < 0 or tick < code // (AS_PHI + 1) else code % (AS_PHI + 1)
 
 
-@template(
-    "_begin_lookahead",
-    "_look_ahead",
-    "_coded",
-    "on_road",
-    "steer",
-    "AS_PHI",
-    "LATE_ACTIONS",
-    "EARLY_ACTIONS",
-    "USER_DIM",
-)
-def _plan(
-    parameters: Any,
-    state: FloatArray,
-    worst: float,
-    now: int,
-    rng: np.random.Generator,
-) -> float:
+@template
+def _plan(parameters: Any, state: FloatArray, worst: float, now: int, rng: np.random.Generator) -> float:
     """Choose when to leave φ's pace, and for what, so that the deviation is least; coded in a number.
 
     As φ if that meets the car. If not, the later φ is left, the less is the deviation: so the ticks before the one in
@@ -366,7 +347,7 @@ def _plan(
     return plan
 
 
-@template("_velocity", "_plan", "_planned", "moving", "on_road", "AS_PHI", "REST", "ROW")
+@template
 def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: plan once, for the car about as it is; anew where that leads beyond the path or nowhere."""
     p = parameters
@@ -379,8 +360,7 @@ def rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator)
     own_x, own_y = moving(p, state)
     vx, vy = _velocity(p, own_x, own_y, action, tick)
     x_after, y_after = x + p.time_step * vx, y + p.time_step * vy
-    across, along = on_road(p, x_after, y_after)
-    leaves = leads_nowhere(p, across, along, x, y, x_after, y_after)
+    leaves = leads_nowhere(p, x, y, x_after, y_after)
     waits_in_vain = action == REST and state[CAR_SPEED] == 0.0
     if leaves or waits_in_vain or state[ROW + 2] == 0.0:
         state[ROW + 2] = _plan(p, state, state[ROW], tick, rng)
@@ -399,11 +379,6 @@ def parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
     }
 
 
-def own_dim(points: int) -> int:
-    """Return the length of the own part of a state, for φ of whatever number of points."""
-    return _OWN
-
-
 DEVIATION: Final = ObjectiveModel(
     "deviation",
     1.0,
@@ -413,7 +388,7 @@ DEVIATION: Final = ObjectiveModel(
     rollout_action=rollout_action,
     legal=legal,
     begin=begin,
-    own_dim=own_dim,
+    own_dim=lambda points: _OWN,
     chosen=_chosen,
     sensible=_sensible,
     follows_phi=True,

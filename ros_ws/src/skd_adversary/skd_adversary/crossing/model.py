@@ -1,8 +1,7 @@
-"""The adversary's POMDP, put together: objective × prediction of the car × sensor × road user, on a road.
+"""The adversary's POMDP, composed: objective × prediction of the car × sensor × road user, on a road.
 
-State (paper, "Generating Kamikaze Trajectories"): road user × predicted car × parameters of the car's policy, behind
-them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
-s along the road's centre line (`skd_sim.scenario.road`): y on the straight lane.
+`parts` says what a state is and what each part brings; `compose` compiles their templates with one another, and puts
+their parameters together.
 """
 
 from __future__ import annotations
@@ -15,16 +14,17 @@ from typing import Any
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel
-from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
-from skd_sim.world.contact import runs_into
 
-from skd_adversary.crossing.on_foot import PEDESTRIAN
 from skd_adversary.crossing.parts import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    STATE_DIM,
     CarKernels,
     CarPrediction,
     ObjectiveModel,
+    Pair,
     RoadKernels,
     RoadUserKernels,
     RoadUserModel,
@@ -33,6 +33,7 @@ from skd_adversary.crossing.parts import (
     begin,
     bound,
     contact,
+    kernels_of,
     place_car,
     pointing,
     redraw_policy,
@@ -42,41 +43,12 @@ from skd_adversary.crossing.parts import (
     start_road_user,
     template,
 )
+from skd_adversary.crossing.road_users import PEDESTRIAN
 from skd_adversary.crossing.roads import CURVED, STRAIGHT
 from skd_adversary.pomdp.model import Pomdp
 
-# State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
-ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
-STATE_DIM = 5
 
-
-within = kernel(inline=True)(inside)
-"""As `skd_sim.scenario.scenario.inside`, for kernels."""
-
-
-@kernel(inline=True)
-def leads_nowhere(
-    parameters: Any, across: float, along: float, x: float, y: float, x_after: float, y_after: float
-) -> bool:
-    """Return whether a step ends where the car cannot be met any more, or leads into something that stands.
-
-    Args:
-        parameters: parameters of the model.
-        across: offset to the right of the road's centre line at the end of the step, m.
-        along: path coordinate at the end of the step, m.
-        x: place to the East at the beginning of the step, m.
-        y: place to the North at the beginning of the step, m.
-        x_after: place to the East at the end of the step, m.
-        y_after: place to the North at the end of the step, m.
-    """
-    p = parameters
-    if within(p.loss, across, along):
-        return True
-    # On an open road the call alone would take as long as the rest of a step.
-    return p.obstacles.shape[0] > 0 and runs_into(p.obstacles, x, y, x_after, y_after, p.core)
-
-
-@template("start_road_user", "start_car", "begin", inline=False)
+@template(inline=False)
 def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
     """Draw a state from the initial belief: the adversary's own state is known, start and policy of the car are not."""
     state[ADVERSARY_X] = parameters.start_x
@@ -86,7 +58,7 @@ def initial_state(parameters: Any, state: FloatArray, rng: np.random.Generator) 
     begin(parameters, state)
 
 
-@template("advance_car", "settle", "pointing", "contact")
+@template
 def move(
     parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
 ) -> float:
@@ -98,10 +70,11 @@ def move(
     next_state[ADVERSARY_X] = x_after
     next_state[ADVERSARY_Y] = y_after
     settle(p, state, vx, vy, next_state)
-    return contact(p, x, y, x_after, y_after, pointing(p, state, vx, vy), state[CAR_S], next_state[CAR_S])
+    heading = pointing(p, state, vx, vy)
+    return contact(p, (x, y), (x_after, y_after), heading, state[CAR_S], next_state[CAR_S])
 
 
-@template("resume_car", "place_car", "redraw_policy", inline=False)
+@template(inline=False)
 def reinvigorate(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -115,22 +88,9 @@ def reinvigorate(
 
 
 def crossing_parameters(
-    scenario: Scenario,
-    *,
-    start: tuple[float, float],
-    gap: float,
-    path: FloatArray,
-    maximum_distance: float | None = None,
+    scenario: Scenario, *, start: Pair, gap: float, path: FloatArray, maximum_distance: float | None = None
 ) -> Mapping[str, Any]:
-    """Return the parameters that every model has, by name; lengths in m, speeds in m/s, times in s.
-
-    Args:
-        scenario: fixed description of the test.
-        start: place (x, y) where the adversary starts, m.
-        gap: distance from the front bumper to the crossing line before the episode's draw, m.
-        path: φ, n × 2, m; a single row where there is no φ.
-        maximum_distance: greatest distance from φ, m; by default there is no limit.
-    """
+    """Return the parameters that every model has, by name; arguments as of `compose`, φ n × 2 with n ≥ 1."""
     car, adversary = scenario.car, scenario.adversary
     nearest = -gap - car.front
     return {
@@ -156,43 +116,9 @@ def crossing_parameters(
     }
 
 
-_CLASS, _SEPARATOR = "Parameters", "__"
-_CAR_INTERFACES = ("start_car", "advance_car", "expected_acceleration", "resume_car", "redraw_policy", "last_changes")
-_ROAD_INTERFACES = ("on_road", "velocity_on_road", "from_car", "left_behind", "at_distance")
-_USER_INTERFACES = (
-    "start_road_user",
-    "velocity",
-    "settle",
-    "possible",
-    "moving",
-    "next_velocity",
-    "next_possible",
-    "pointing",
-    "steer",
-    "touch",
-)
-_SENSOR_INTERFACES = ("observe", "likelihood", "place_car")
-
-
-def _road_of(scenario: Scenario) -> RoadKernels:
-    return STRAIGHT if scenario.road.straight else CURVED
-
-
 @functools.cache
-def _interfaces(part: CarKernels | SensorModel, names: tuple[str, ...], road: RoadKernels) -> dict[str, Any]:
-    """Return what a kind of car or a sensor brings into models on a road, by interface."""
-    name, parts = f"{part.name}_{road.name}", _road_interfaces(road)
-    return {interface: bound(getattr(part, interface), name, parts) for interface in names}
-
-
-def _road_interfaces(road: RoadKernels) -> dict[str, Any]:
-    return {interface: getattr(road, interface) for interface in _ROAD_INTERFACES}
-
-
-@functools.cache
-def road_user_interfaces(road_user: RoadUserKernels, car: CarKernels) -> dict[str, Any]:
+def road_user_parts(road_user: RoadUserKernels, car: CarKernels) -> dict[str, Any]:
     """Return what a road user brings into models with a kind of car, by interface."""
-    name = f"{road_user.name}_{car.name}"
     parts = {
         "USER_ROW": STATE_DIM + car.own_dim,
         "USER_DIM": road_user.own_dim,
@@ -200,22 +126,22 @@ def road_user_interfaces(road_user: RoadUserKernels, car: CarKernels) -> dict[st
         "LATE_ACTIONS": road_user.late,
         "EARLY_ACTIONS": road_user.early,
     }
-    return {**parts, **{interface: bound(getattr(road_user, interface), name, parts) for interface in _USER_INTERFACES}}
+    return parts | kernels_of(road_user, f"{road_user.name}_{car.name}", parts)
+
+
+@functools.cache
+def _part_on_road(part: CarKernels | SensorModel, road: RoadKernels) -> dict[str, Any]:
+    """Return what a kind of car or a sensor brings into models on a road, by interface."""
+    return kernels_of(part, f"{part.name}_{road.name}", kernels_of(road, road.name, {}))
 
 
 @functools.cache
 def transition_parts(car: CarKernels, road_user: RoadUserKernels, road: RoadKernels) -> dict[str, Any]:
     """Return what objectives can use of a kind of car, a road user and a road, `move` included, by interface."""
     name = f"{road_user.name}_{car.name}_{road.name}"
-    parts = {
-        **_road_interfaces(road),
-        **_interfaces(car, _CAR_INTERFACES, road),
-        **road_user_interfaces(road_user, car),
-        "AS_PHI": road_user.action_count,
-    }
-    parts["contact"] = bound(road.contact, name, parts)
-    parts["move"] = bound(move, name, parts)
-    return parts
+    parts = _part_on_road(car, road) | road_user_parts(road_user, car) | {"AS_PHI": road_user.action_count}
+    parts |= kernels_of(road, name, parts)
+    return parts | {"move": bound(move, name, parts)}
 
 
 @functools.cache
@@ -229,19 +155,21 @@ def _kernels(
     parts["begin"] = bound(objective.begin, name, parts)
     parts["chosen"] = bound(objective.chosen, name, parts) or parts["velocity"]
     parts["sensible"] = bound(objective.sensible, name, parts)
-    functions = {
-        "initial": initial_state,
-        "step": objective.step,
-        "rollout_action": objective.rollout_action,
-        "legal": objective.legal,
+    return {
+        "initial": bound(initial_state, name, parts),
+        "step": bound(objective.step, name, parts),
+        "rollout_action": bound(objective.rollout_action, name, parts),
+        "legal": bound(objective.legal, name, parts),
     }
-    return {function: bound(one, name, parts) for function, one in functions.items()}
 
 
 @functools.cache
 def _reinvigorate(car: CarKernels, sensor: SensorModel, road: RoadKernels) -> Any:
-    parts = {**_interfaces(car, _CAR_INTERFACES, road), **_interfaces(sensor, _SENSOR_INTERFACES, road)}
+    parts = _part_on_road(car, road) | _part_on_road(sensor, road)
     return bound(reinvigorate, f"{car.name}_{sensor.name}_{road.name}", parts)
+
+
+_CLASS, _SEPARATOR = "Parameters", "__"
 
 
 @functools.cache
@@ -256,10 +184,10 @@ def _parameters_class(*names: str) -> Any:
 
 def __getattr__(name: str) -> Any:
     """Return the class of parameters of this name."""
-    kind, *fields = name.split(_SEPARATOR)
-    if kind != _CLASS or not fields:
+    kind, *names = name.split(_SEPARATOR)
+    if kind != _CLASS or not names:
         raise AttributeError(f"module {__name__} has no attribute {name}")
-    return _parameters_class(*fields)
+    return _parameters_class(*names)
 
 
 def compose(
@@ -267,7 +195,7 @@ def compose(
     objective: ObjectiveModel,
     car: CarPrediction,
     *,
-    start: tuple[float, float],
+    start: Pair,
     gap: float,
     path: FloatArray | None = None,
     maximum_distance: float | None = None,
@@ -289,7 +217,7 @@ def compose(
         ValueError: two parts have a parameter of the same name.
     """
     phi = np.array([start]) if path is None else path
-    sensor, road, user = car.sensor, _road_of(scenario), road_user.kernels
+    sensor, road, user = car.sensor, STRAIGHT if scenario.road.straight else CURVED, road_user.kernels
     shares = (
         crossing_parameters(scenario, start=start, gap=gap, path=phi, maximum_distance=maximum_distance),
         road.parameters(scenario),
@@ -303,7 +231,7 @@ def compose(
         if twice := values.keys() & share.keys():
             raise ValueError(f"{objective.name}: two parts of the model have a parameter {min(twice)}")
         values |= share
-    seen = _interfaces(sensor, _SENSOR_INTERFACES, road)
+    seen = _part_on_road(sensor, road)
     return Pomdp(
         name=f"{objective.name}_{user.name}_{car.kernels.name}_{sensor.name}_{road.name}",
         state_dim=STATE_DIM + car.kernels.own_dim + user.own_dim + objective.own_dim(len(phi)),

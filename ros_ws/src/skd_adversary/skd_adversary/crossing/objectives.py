@@ -29,11 +29,28 @@ from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.kernels.compilation import kernel
 from skd_sim.options.adversary import OBJECTIVES
-from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import runs_into
 
-from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER, leads_nowhere, within
-from skd_adversary.crossing.on_foot import (
+from skd_adversary.crossing.parts import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    CAR_SPEED,
+    ROW,
+    SEARCH,
+    TRIGGER,
+    ObjectiveModel,
+    leads_nowhere,
+    left_behind,
+    move,
+    on_road,
+    steer,
+    template,
+    velocity,
+    within,
+)
+from skd_adversary.crossing.path import first_row, next_row, polyline_distance, polyline_segments
+from skd_adversary.crossing.road_users import (
     DIRECTION_EAST,
     EAST,
     NORTH,
@@ -42,18 +59,6 @@ from skd_adversary.crossing.on_foot import (
     SOUTH_EAST,
     STAY,
 )
-from skd_adversary.crossing.parts import (
-    ROW,
-    SEARCH,
-    ObjectiveModel,
-    left_behind,
-    move,
-    on_road,
-    steer,
-    template,
-    velocity,
-)
-from skd_adversary.crossing.path import first_row, next_row, polyline_distance, polyline_segments
 
 
 def objective_named(name: str) -> ObjectiveModel:
@@ -73,13 +78,9 @@ PAPER_REWARDS: Final[Mapping[str, float]] = {"collision_reward": 100.0, "distanc
 "as fast as possible" and "close to φ" both count at the scale of a lane. The same for every car and every C."""
 
 
-@template("velocity", "move", "on_road")
+@template
 def _paper_step(
-    parameters: Any,
-    state: FloatArray,
-    action: int,
-    next_state: FloatArray,
-    rng: np.random.Generator,
+    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal).
 
@@ -93,11 +94,10 @@ def _paper_step(
     if hit:
         return reward + p.collision_reward, True
     x, y = next_state[ADVERSARY_X], next_state[ADVERSARY_Y]
-    across, along = on_road(p, x, y)
-    return reward, leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y)
+    return reward, leads_nowhere(p, state[ADVERSARY_X], state[ADVERSARY_Y], x, y)
 
 
-@template("on_road", "steer")
+@template
 def _paper_rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: into the car's path, then wait for the car or walk towards it; into its side if it is there."""
     p = parameters
@@ -108,16 +108,11 @@ def _paper_rollout_action(parameters: Any, state: FloatArray, rng: np.random.Gen
     return steer(p, state, SOUTH if rng.random() < 0.5 else STAY)
 
 
-def _paper_parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, Any]:
-    """Return the rewards, and φ as segments."""
-    return {**PAPER_REWARDS, "segments": polyline_segments(np.asarray(path, dtype=np.float64))}
-
-
 PAPER: Final = ObjectiveModel(
     "paper",
     0.95,
     replace(SEARCH, exploration=30.0),
-    _paper_parameters_of,
+    lambda scenario, path: {**PAPER_REWARDS, "segments": polyline_segments(np.asarray(path, dtype=np.float64))},
     step=_paper_step,
     rollout_action=_paper_rollout_action,
 )
@@ -135,13 +130,9 @@ SAFE_REWARDS: Final[Mapping[str, float]] = {
 the adversary gives way by a few decimetres rather than by metres."""
 
 
-@template("velocity", "move", "on_road")
+@template
 def _safe_step(
-    parameters: Any,
-    state: FloatArray,
-    action: int,
-    next_state: FloatArray,
-    rng: np.random.Generator,
+    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, in an obstacle or at the destination."""
     p = parameters
@@ -157,22 +148,17 @@ def _safe_step(
     return p.step_reward, False
 
 
-@template("steer")
+@template
 def _safe_rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: straight across."""
     return steer(parameters, state, EAST)
-
-
-def _safe_parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
-    """Return the rewards."""
-    return SAFE_REWARDS
 
 
 SAFE: Final = ObjectiveModel(
     "safe",
     0.95,
     replace(SEARCH, exploration=100.0),
-    _safe_parameters_of,
+    lambda scenario, path: SAFE_REWARDS,
     step=_safe_step,
     rollout_action=_safe_rollout_action,
 )
@@ -186,19 +172,15 @@ less than that after a few looks, and without it an adversary looks on until the
 _MOST_DIAGONALS = 4  # more would come no nearer to the edge of the path for the steps that they take
 
 
-@template("ROW")
+@template
 def _frechet_begin(parameters: Any, state: FloatArray) -> None:
     """Write the row of a ψ that has only its first point."""
     first_row(state[ADVERSARY_X], state[ADVERSARY_Y], parameters.path, state, ROW)
 
 
-@template("velocity", "move", "on_road", "left_behind", "ROW")
+@template
 def _frechet_step(
-    parameters: Any,
-    state: FloatArray,
-    action: int,
-    next_state: FloatArray,
-    rng: np.random.Generator,
+    parameters: Any, state: FloatArray, action: int, next_state: FloatArray, rng: np.random.Generator
 ) -> tuple[float, bool]:
     """Generative step: (reward, terminal); ends at a collision, or when there is none to come within the maximum."""
     p = parameters
@@ -216,8 +198,7 @@ def _frechet_step(
     if hit:
         squared = next_state[next_state.shape[0] - 1]
         return p.step_reward + (p.collision_reward - math.sqrt(squared) if squared <= limit else 0.0), True
-    across, along = on_road(p, x, y)
-    if leads_nowhere(p, across, along, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
+    if leads_nowhere(p, state[ADVERSARY_X], state[ADVERSARY_Y], x, y):
         return p.step_reward, True
     passed = left_behind(p, x, y, next_state[CAR_S]) and next_state[CAR_SPEED] > p.adversary_speed
     return p.step_reward, passed
@@ -245,7 +226,7 @@ def _gains_by_diagonals(room: float, stride: float, ticks: float) -> bool:
     return False
 
 
-@template("on_road")
+@template
 def _way(parameters: Any, state: FloatArray) -> int:
     """Return where to go: as far across the car's path as the steps allow, abreast of φ's end; there meet the car.
 
@@ -280,29 +261,19 @@ def _way(parameters: Any, state: FloatArray) -> int:
     return STAY
 
 
-@template("_way", "steer")
+@template
 def _frechet_rollout_action(parameters: Any, state: FloatArray, rng: np.random.Generator) -> int:
     """Default policy: see `_way`."""
     return steer(parameters, state, _way(parameters, state))
-
-
-def _frechet_parameters_of(scenario: Scenario, path: FloatArray) -> Mapping[str, float]:
-    """Return the rewards."""
-    return FRECHET_REWARDS
-
-
-def _frechet_own_dim(points: int) -> int:
-    """Return the length of the coupling's row for φ of a number of points."""
-    return points
 
 
 FRECHET: Final = ObjectiveModel(
     "frechet",
     1.0,
     replace(SEARCH, exploration=0.5, particles=1000),
-    _frechet_parameters_of,
+    lambda scenario, path: FRECHET_REWARDS,
     step=_frechet_step,
     rollout_action=_frechet_rollout_action,
     begin=_frechet_begin,
-    own_dim=_frechet_own_dim,
+    own_dim=lambda points: points,
 )

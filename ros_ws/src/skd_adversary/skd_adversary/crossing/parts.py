@@ -1,28 +1,68 @@
-"""What a model is put together of: the kinds of part, templates, and the interfaces by which parts call each other.
+"""What the adversary's model is put together of: kinds of part, and templates, by which parts call each other.
 
-A template is a kernel that calls other parts by name. It says which names it uses; `bound` compiles it with what stands
-for them. Nothing that is not said is bound: a forgotten name stays a placeholder, with which no kernel compiles.
+State (paper, "Generating Kamikaze Trajectories"): road user × predicted car × parameters of the car's policy, behind
+them what a kind of car, a kind of road user and the objective have of their own. The car's place is its path coordinate
+s along the road's centre line (`skd_sim.scenario.road`): y on the straight lane.
 
-States are vectors as in `model`, velocities (East, North) in m/s, `parameters` those of the composed model.
+A template is a kernel that calls kernels of other parts, its interfaces, by name. They are declared here and described
+by the class of their part; `bound` compiles a template with what stands for them. Velocities are (East, North) in m/s,
+places in m; `parameters` are those of the composed model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, Generic, NamedTuple, ParamSpec, Protocol, TypeVar, cast
+from dataclasses import dataclass, field, fields
+from typing import Any, Final, Generic, NamedTuple, ParamSpec, Protocol, TypeVar, cast, overload
 
 import numpy as np
 from skd_sim.arrays import FloatArray
-from skd_sim.kernels.compilation import kernel, specialise
+from skd_sim.kernels.compilation import kernel, specialise, unbound
+from skd_sim.scenario.ending import inside
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import runs_into
 
 from skd_adversary.crossing.path import path_velocities
-from skd_adversary.pomdp.search import Backup, Cells, PlannerOptions
+from skd_adversary.pomdp.planner import Backup, Cells, PlannerOptions
 
-_UNBOUND = "bound by the composer"
+# State vector; the trigger is the distance within which the car brakes, m (s for some learned cars)
+ADVERSARY_X, ADVERSARY_Y, CAR_S, CAR_SPEED, TRIGGER = range(5)
+STATE_DIM = 5
+
+Pair = tuple[float, float]
+
+# The interfaces: kernels that templates call, each described by the class of its part
+start_road_user: Callable[..., None] = unbound
+velocity: Callable[..., Pair] = unbound
+settle: Callable[..., None] = unbound
+possible: Callable[..., Pair] = unbound
+moving: Callable[..., Pair] = unbound
+next_velocity: Callable[..., Pair] = unbound
+next_possible: Callable[..., Pair] = unbound
+pointing: Callable[..., float] = unbound
+steer: Callable[..., int] = unbound
+touch: Callable[..., float] = unbound
+on_road: Callable[..., Pair] = unbound
+velocity_on_road: Callable[..., Pair] = unbound
+from_car: Callable[..., Pair] = unbound
+left_behind: Callable[..., bool] = unbound
+at_distance: Callable[..., float] = unbound
+contact: Callable[..., float] = unbound
+start_car: Callable[..., None] = unbound
+advance_car: Callable[..., None] = unbound
+expected_acceleration: Callable[..., float] = unbound
+last_changes: Callable[..., Pair] = unbound
+resume_car: Callable[..., None] = unbound
+redraw_policy: Callable[..., None] = unbound
+place_car: Callable[..., None] = unbound
+chosen: Callable[..., Pair] = unbound
+sensible: Callable[..., bool] = unbound
+begin: Callable[..., None] = unbound
+move: Callable[..., float] = unbound
+"""Of all parts together (`model`): (parameters, state, vx, vy, next_state_out, rng) → share of the step at which
+adversary and car touch, else infinity; it writes both into the next state."""
+
 _NO_NUMBER = cast(int, None)  # with which no kernel compiles
-
 USER_ROW: Final = _NO_NUMBER
 """Where the road user's own part of a state begins."""
 ROW: Final = _NO_NUMBER
@@ -39,247 +79,6 @@ AS_PHI: Final = _NO_NUMBER
 """The action *as φ*, one beyond the road user's own: φ's displacement in the present tick, none after its end, or what
 of the `possible` comes nearest to that."""
 
-
-# --- the road user's
-
-
-def velocity(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Return the velocity under an action of the road user."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def start_road_user(parameters: Any, state: FloatArray) -> None:
-    """Write the adversary's own part of a first state."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
-    """Write the adversary's own part of the next state, after a step with a velocity."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> tuple[float, float]:
-    """Return what comes nearest to a wanted velocity of all that the road user can do from its state."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def moving(parameters: Any, state: FloatArray) -> tuple[float, float]:
-    """Return the velocity with which the road user came into a state; none of one that does as it likes at once."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def next_velocity(parameters: Any, vx: float, vy: float, action: int) -> tuple[float, float]:
-    """Return the velocity under an action of the road user in a tick before which it moved at (vx, vy), m/s."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def next_possible(parameters: Any, vx: float, vy: float, wanted_x: float, wanted_y: float) -> tuple[float, float]:
-    """Return what comes nearest to a wanted velocity of all that the road user can do after one of (vx, vy), m/s."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
-    """Return where the road user's body points (rad) while it moves with a velocity."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def steer(parameters: Any, state: FloatArray, way: int) -> int:
-    """Return the adversary's action that comes nearest to one of a pedestrian's; *as φ* is as φ for every kind.
-
-    Default policies think in those: North, South, East, North-East, South-East, stay.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-def touch(parameters: Any, ahead: float, left: float, ahead_after: float, left_after: float, turned: float) -> float:
-    """Return the share of a step at which the road user's body first touches the car's footprint, else infinity.
-
-    Args:
-        parameters: parameters of the model.
-        ahead: how far the adversary's centre is ahead of the car's reference point when the step begins, m.
-        left: how far its centre is to the left of that point then, m.
-        ahead_after: how far its centre is ahead when the step ends, m.
-        left_after: how far its centre is to the left when the step ends, m.
-        turned: heading of its body relative to the car's, rad.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-# --- the road's
-
-
-def on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
-    """Return how far to the right of the road's centre line, and where along it, a point (x, y) is; m.
-
-    In these coordinates every road is straight and leads North.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-def velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Return the components of a velocity to the right of the road and along it, beside a point (x, y)."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
-    """Return how far ahead and to the left of the car's reference point, at path coordinate s (m), a point is; m."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
-    """Return whether a point (x, y), m, is behind the car at path coordinate s (m), which will not turn back to it.
-
-    The path coordinate alone does not say so: before a curve, who is beside the road on its inner side may be far
-    behind the car, and be there before it by the short cut.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-def at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
-    """Return the path coordinate (m) at a distance (m) from a point (x, y), before it on the road or beyond it."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def contact(
-    parameters: Any,
-    x: float,
-    y: float,
-    x_after: float,
-    y_after: float,
-    heading: float,
-    car_s: float,
-    car_s_after: float,
-) -> float:
-    """Return the share of a step at which road user and car first touch, else infinity; both move uniformly.
-
-    Args:
-        parameters: parameters of the model.
-        x: place of the adversary to the East when the step begins, m.
-        y: place of the adversary to the North when the step begins, m.
-        x_after: place to the East when the step ends, m.
-        y_after: place to the North when the step ends, m.
-        heading: heading of its body, rad.
-        car_s: path coordinate of the car's reference point when the step begins, m.
-        car_s_after: path coordinate of the car's reference point when the step ends, m.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-# --- the predicted car's
-
-
-def start_car(parameters: Any, state: FloatArray, rng: np.random.Generator) -> None:
-    """Draw place, speed and policy of the car into a state of the initial belief."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def advance_car(
-    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> None:
-    """Write all of the car's part of the next state, while the adversary moves with a velocity."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def expected_acceleration(
-    parameters: Any,
-    state: FloatArray,
-    x: float,
-    y: float,
-    vx_before: float,
-    vy_before: float,
-    vx: float,
-    vy: float,
-    car_s: float,
-    speed: float,
-    change: float,
-    change_before: float,
-) -> float:
-    """Return what the car of a state will do (m/s²), its noise left aside, once it and the road user have moved.
-
-    Args:
-        parameters: parameters of the model.
-        state: state whose policy of the car is asked.
-        x: place of the adversary to the East, m.
-        y: place of the adversary to the North, m.
-        vx_before: velocity of the adversary to the East in the tick before, m/s.
-        vy_before: velocity of the adversary to the North in the tick before, m/s.
-        vx: velocity of the adversary to the East in the tick itself, m/s.
-        vy: velocity of the adversary to the North in the tick itself, m/s.
-        car_s: path coordinate of the car's reference point, m.
-        speed: speed of the car, m/s.
-        change: change of that speed in the last tick, m/s.
-        change_before: change of that speed in the tick before the last, m/s.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-def last_changes(parameters: Any, state: FloatArray) -> tuple[float, float]:
-    """Return by how much the car's speed changed in the last tick, and in the one before, m/s; 0 to who does not care.
-
-    It begins what `expected_acceleration` is told.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-def resume_car(parameters: Any, state: FloatArray, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Draw the car's speed anew, near that of a state that was believed, before the sensor places the car."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def redraw_policy(parameters: Any, redrawn: FloatArray, rng: np.random.Generator) -> None:
-    """Draw the car's policy anew, after the sensor has placed it."""
-    raise NotImplementedError(_UNBOUND)
-
-
-# --- the sensor's
-
-
-def place_car(
-    parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
-) -> None:
-    """Place the car of a redrawn state where an observation says, with the sensor's noise.
-
-    Args:
-        parameters: parameters of the model.
-        state: state that was believed before.
-        observation: observation as the sensor gives it.
-        redrawn: state that holds the adversary's own part already; the car's place is written into it.
-        rng: generator of the noise.
-    """
-    raise NotImplementedError(_UNBOUND)
-
-
-# --- the objective's
-
-
-def chosen(parameters: Any, state: FloatArray, action: int) -> tuple[float, float]:
-    """Return the velocity under an action: one of the road user's, or *as φ*, if the objective has that."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def sensible(parameters: Any, state: FloatArray, vx: float, vy: float) -> bool:
-    """Return whether it makes sense to move with a velocity that the road user can have."""
-    raise NotImplementedError(_UNBOUND)
-
-
-def begin(parameters: Any, state: FloatArray) -> None:
-    """Write the objective's own part of a first state."""
-    raise NotImplementedError(_UNBOUND)
-
-
-# --- of all together (`model`)
-
-
-def move(
-    parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray, rng: np.random.Generator
-) -> float:
-    """Write adversary and car of the next state; return the share of the step at which they touch, else infinity."""
-    raise NotImplementedError(_UNBOUND)
-
-
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
-
 SEARCH: Final = PlannerOptions(
     simulations=1000,
     depth=25,
@@ -291,15 +90,16 @@ SEARCH: Final = PlannerOptions(
 """Of the adversary's models. It looks at every step, whatever it does, so nothing can be gained by asking first; and a
 hit is a matter of one good action at the right time, which a mean over all that was tried hides. docs/decisions.md."""
 
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
 
 class Template(Generic[_P, _R]):
-    """A kernel to be, which calls parts of the model, or other templates of its module, by name."""
+    """A kernel to be, which calls interfaces, or other templates of its module, by name; see `template`."""
 
-    def __init__(self, function: Callable[_P, _R], uses: tuple[str, ...], inline: bool) -> None:
-        """Keep a function, and the names in it that `bound` replaces by parts; see `template`."""
-        self.function = function
-        self.uses = uses
-        self.inline = inline
+    def __init__(self, function: Callable[_P, _R], inline: bool) -> None:
+        """Keep a function, and whether callers contain its code."""
+        self.function, self.inline = function, inline
 
     def __call__(self, *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Refuse to be called: only a compiled copy can be.
@@ -310,36 +110,65 @@ class Template(Generic[_P, _R]):
         raise TypeError(f"{self.function.__qualname__} is a template; `bound` makes a kernel of it")
 
 
-def template(*uses: str, inline: bool = True) -> Callable[[Callable[_P, _R]], Template[_P, _R]]:
+@overload
+def template(function: Callable[_P, _R], /) -> Template[_P, _R]: ...
+
+
+@overload
+def template(*, inline: bool) -> Callable[[Callable[_P, _R]], Template[_P, _R]]: ...
+
+
+def template(function: Any = None, /, *, inline: bool = True) -> Any:
     """Make a function a template.
 
     Args:
-        uses: names of `interfaces`, and of other templates of the module, that the function reads.
+        function: plain function that calls interfaces by name.
         inline: whether callers contain its code; see `kernel`.
     """
-    return lambda function: Template(function, uses, inline)
+    return Template(function, inline) if function is not None else lambda one: Template(one, inline)
 
 
 def bound(part: Any, name: str, parts: Mapping[str, Any]) -> Any:
-    """Compile a template with the parts that it uses; anything else is returned as it is.
+    """Compile a template with the parts that it names, and so each template that it calls; return others as they are.
 
     Args:
         part: template, compiled kernel or None.
         name: name of the composition, unique for these `parts`.
         parts: kernel or number of each part, by name.
-
-    Raises:
-        TypeError: the template uses what is neither a part nor a template of its module.
     """
     if not isinstance(part, Template):
         return part
     bindings = {}
-    for use in part.uses:
-        helper = parts[use] if use in parts else part.function.__globals__.get(use)
-        if use not in parts and not isinstance(helper, Template):
-            raise TypeError(f"{part.function.__module__}.{part.function.__qualname__} uses {use}, which is no part")
-        bindings[use] = bound(helper, name, parts)
+    for use in part.function.__code__.co_names:
+        helper = part.function.__globals__.get(use)
+        if use in parts or isinstance(helper, Template):
+            bindings[use] = parts[use] if use in parts else bound(helper, name, parts)
     return specialise(part.function, name, bindings, inline=part.inline)
+
+
+def kernels_of(part: Any, name: str, parts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return all kernels of a part, by interface, its templates compiled with `parts`; see `bound`."""
+    found = {one.name: getattr(part, one.name) for one in fields(part)}
+    return {
+        interface: bound(one, name, parts)
+        for interface, one in found.items()
+        if isinstance(one, Template) or hasattr(one, "py_func")
+    }
+
+
+within = kernel(inline=True)(inside)
+"""As `skd_sim.scenario.ending.inside`, for kernels."""
+
+
+@template
+def leads_nowhere(parameters: Any, x: float, y: float, x_after: float, y_after: float) -> bool:
+    """Return whether a step ends where the car cannot be met any more, or leads into something that stands."""
+    p = parameters
+    across, along = on_road(p, x_after, y_after)
+    if within(p.loss, across, along):
+        return True
+    # On an open road the call alone would take as long as the rest of a step.
+    return p.obstacles.shape[0] > 0 and runs_into(p.obstacles, x, y, x_after, y_after, p.core)
 
 
 @kernel(inline=True)
@@ -367,8 +196,8 @@ class ObjectiveModel:
         legal: which actions are legal; see `Pomdp`.
         begin: (parameters, state_out): write the objective's own part of a first state, which begins at `ROW`.
         own_dim: number of points of φ → length of the objective's own part of a state.
-        chosen: interface; by default that of the road user, for an objective without *as φ*.
-        sensible: interface; by default all makes sense.
+        chosen: (parameters, state, action) → velocity; by default the road user's, for an objective without *as φ*.
+        sensible: (parameters, state, vx, vy) → whether a velocity that the road user can have makes sense.
         follows_phi: whether there is one action more than the road user's, *as φ* (`AS_PHI`).
         plans_deviation: the distance that it plans for, and that a maximum distance limits, is the deviation; else
             the discrete Fréchet distance.
@@ -391,17 +220,23 @@ class ObjectiveModel:
 
 @dataclass(frozen=True)
 class CarKernels:
-    """How a kind of predicted car moves; the kernels are described where they are used, in `interfaces`.
+    """How a kind of predicted car moves.
 
     Attributes:
         name: name of the kind; compiled code is called by it.
         own_dim: length of the car's own part of a state, which comes right behind its place, speed and trigger.
-        start_car: interface.
-        advance_car: interface.
-        expected_acceleration: interface.
-        resume_car: interface.
-        redraw_policy: interface.
-        last_changes: interface.
+        start_car: (parameters, state_out, rng): draw place, speed and policy of the car in the initial belief.
+        advance_car: (parameters, state, vx, vy, next_state_out, rng): write all of the car's part of the next state,
+            while the adversary moves with a velocity.
+        expected_acceleration: (parameters, state, place, before, now, car, changes) → what the car of a state will do,
+            m/s², its noise left aside: the adversary being at a place, with its velocities of the tick before and of
+            this one; the car's (path coordinate, speed), and by how much its speed changed in the last tick and in the
+            one before, m/s.
+        resume_car: (parameters, state, redrawn_out, rng): draw the car's speed anew, near that of a state that was
+            believed, before the sensor places the car.
+        redraw_policy: (parameters, redrawn_out, rng): draw the car's policy anew, after that.
+        last_changes: (parameters, state) → the `changes` with which `expected_acceleration` begins; 0 to a car that
+            has a law.
     """
 
     name: str
@@ -424,12 +259,13 @@ class SensorModel:
         sense: (scenario, own place (x, y) in m, that of the car (x, y) in m, generator) → observation.
         observe: draws an observation; see `Pomdp`.
         likelihood: likelihood of an observation; see `Pomdp`.
-        place_car: interface.
+        place_car: (parameters, state, observation, redrawn_out, rng): place the car of a redrawn state, which holds the
+            adversary's own part already, where an observation says, with the sensor's noise; `state` was believed.
     """
 
     name: str
     parameters: Callable[[Scenario], Mapping[str, float]]
-    sense: Callable[[Scenario, tuple[float, float], tuple[float, float], np.random.Generator], FloatArray]
+    sense: Callable[[Scenario, Pair, Pair, np.random.Generator], FloatArray]
     observe: Any
     likelihood: Any
     place_car: Any
@@ -442,12 +278,17 @@ class RoadKernels:
     Attributes:
         name: name of the kind; compiled code is called by it.
         parameters: scenario → parameters of the model, by name.
-        on_road: interface.
-        velocity_on_road: interface.
-        from_car: interface.
-        left_behind: interface.
-        at_distance: interface.
-        contact: interface, as a template that uses interface `touch`.
+        on_road: (parameters, x, y) → how far to the right of the road's centre line, and where along it, a point is, m.
+            In these coordinates every road is straight and leads North.
+        velocity_on_road: (parameters, x, y, vx, vy) → a velocity to the right of the road and along it, beside a point.
+        from_car: (parameters, x, y, car_s) → how far ahead and to the left of the car's reference point a point is, m.
+        left_behind: (parameters, x, y, car_s) → whether a point is behind the car, which will not turn back to it. The
+            path coordinate alone does not say so: before a curve, who is on its inner side may be far behind the car,
+            and be there before it by the short cut.
+        at_distance: (parameters, x, y, distance, behind) → path coordinate (m) at a distance (m) from a point, before
+            it on the road or beyond it.
+        contact: (parameters, place, place_after, heading, car_s, car_s_after) → share of a step at which road user and
+            car first touch, else infinity; both move uniformly. A template that uses `touch`.
     """
 
     name: str
@@ -462,7 +303,7 @@ class RoadKernels:
 
 @dataclass(frozen=True)
 class RoadUserKernels:
-    """How road users of some kinds move, and how their bodies touch; they are described in `interfaces`.
+    """How road users of some kinds move, and how their bodies touch.
 
     Attributes:
         name: name by which compiled code is called.
@@ -470,18 +311,22 @@ class RoadUserKernels:
         rest: action with which it stays where it is, or comes nearest to that.
         own_dim: length of the road user's own part of a state beyond its place; it begins at `USER_ROW`.
         box: whether its body has to be a box.
-        start_road_user: interface.
-        velocity: interface.
-        settle: interface.
-        possible: interface.
-        moving: interface.
-        next_velocity: interface.
-        next_possible: interface.
-        pointing: interface.
-        steer: interface.
-        touch: interface.
         late: `LATE_ACTIONS`.
         early: `EARLY_ACTIONS`.
+        start_road_user: (parameters, state_out): write the own part of a first state.
+        velocity: (parameters, state, action) → velocity.
+        settle: (parameters, state, vx, vy, next_state_out): write the own part after a step with a velocity.
+        possible: (parameters, state, vx, vy) → what comes nearest to a velocity of all that it can do from its state.
+        moving: (parameters, state) → velocity with which it came into a state; none of one that changes it at once.
+        next_velocity: (parameters, vx, vy, action) → velocity in a tick before which it moved at (vx, vy).
+        next_possible: (parameters, vx, vy, x, y) → what comes nearest to velocity (x, y) of all it can do after (vx,
+            vy).
+        pointing: (parameters, state, vx, vy) → where its body points (rad) while it moves with a velocity.
+        steer: (parameters, state, direction) → the action that comes nearest to one of a pedestrian's six, in which
+            default policies think.
+        touch: (parameters, before, after, turned) → share of a step at which its body first touches the car, else
+            infinity: (ahead, left) of the car's reference point when the step begins and ends, m; heading of its body
+            relative to the car's, rad.
     """
 
     name: str
@@ -489,6 +334,8 @@ class RoadUserKernels:
     rest: int
     own_dim: int
     box: bool
+    late: tuple[int, ...]
+    early: tuple[int, ...]
     start_road_user: Any
     velocity: Any
     settle: Any
@@ -499,12 +346,6 @@ class RoadUserKernels:
     pointing: Any
     steer: Any
     touch: Any
-    late: tuple[int, ...]
-    early: tuple[int, ...]
-
-
-Own = tuple[float, float]
-"""What the kind remembers, in units of its own."""
 
 
 class Motion(NamedTuple):
@@ -517,10 +358,10 @@ class Motion(NamedTuple):
         nearest: (scenario, remembered, vx, vy) → the velocity that it can have that comes nearest to a wanted one, m/s.
     """
 
-    first: Callable[[Scenario, FloatArray], Own]
-    after: Callable[[Own, float, float], Own]
-    velocity: Callable[[Scenario, Own, int], tuple[float, float]]
-    nearest: Callable[[Scenario, Own, float, float], tuple[float, float]]
+    first: Callable[[Scenario, FloatArray], Pair]
+    after: Callable[[Pair, float, float], Pair]
+    velocity: Callable[[Scenario, Pair, int], tuple[float, float]]
+    nearest: Callable[[Scenario, Pair, float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -534,7 +375,7 @@ class RoadUserModel:
         motion: the same motion outside kernels.
         fastest: plausible speed, m/s; whatever moves faster in a recording is of another kind, or its unit is wrong.
         height: height of its body in pictures and messages, m.
-        called: what another simulator, a format or a data set calls it, by their names: `{"carla":
+        names: what another simulator, a format or a data set calls it, by their names: `{"carla":
             "walker.pedestrian.0001", "openscenario": "pedestrian"}`; data sets of levelXdata are `levelxdata`.
     """
 
@@ -544,7 +385,7 @@ class RoadUserModel:
     motion: Motion
     fastest: float
     height: float
-    called: Mapping[str, str] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
 
     def choices(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> FloatArray:
         """Return the velocities that it can choose in each tick of a trajectory, having gone it so far.
@@ -573,7 +414,7 @@ class RoadUserModel:
         found = [self.motion.nearest(scenario, own, vx, vy) for own, (vx, vy) in zip(so_far, wanted, strict=True)]
         return np.array(found).reshape(-1, 2)
 
-    def _so_far(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> Iterator[Own]:
+    def _so_far(self, scenario: Scenario, path: FloatArray, moved: FloatArray) -> Iterator[Pair]:
         """Yield what it remembers at the begin of each tick of a trajectory."""
         own = self.motion.first(scenario, path)
         for vx, vy in (np.diff(moved, axis=0) / scenario.time_step).tolist():

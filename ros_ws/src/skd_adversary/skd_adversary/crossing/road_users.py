@@ -1,57 +1,537 @@
-"""The kinds of road user that the adversary can be, and where a kind is looked up by its name.
+"""The kinds of road user that the adversary can be: on foot, and on wheels, each with its limits and its names.
 
-SKD's own stand here, each with its limits (docs/decisions.md says why these numbers) and what others call it; those of
-installed packages are registered (`skd_sim.scenario.road_user`).
+The pedestrian moves at one speed or stays (paper, "Safe Trajectories"). Walkers need time to start, turn and stop:
+their velocity changes by so much a tick at most. Both have the pedestrian's six actions, which say where they want to
+go. Who is on wheels is a box that moves where it points. It keeps heading and speed from tick to tick; each tick it
+brakes, keeps its speed or speeds up, and steers left, not at all or right, the faster the less. docs/decisions.md says
+why these numbers. Kinds of installed packages are registered (`skd_sim.scenario.road_user`).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
+from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road_user import ROAD_USERS
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.world.contact import first_contact, first_contact_of_boxes
 
-from skd_adversary.crossing.on_foot import PEDESTRIAN as PEDESTRIAN
-from skd_adversary.crossing.on_foot import walker
-from skd_adversary.crossing.on_wheels import RidingLimits, wheeled
-from skd_adversary.crossing.parts import RoadUserModel
+from skd_adversary.crossing.parts import USER_ROW, Motion, Pair, RoadUserKernels, RoadUserModel, template
+from skd_adversary.crossing.path import path_velocities
 
+# Actions on foot, in the order of the paper
+NORTH, SOUTH, EAST, NORTH_EAST, SOUTH_EAST, STAY = range(6)
+ACTION_COUNT = 6
+AS_PHI = ACTION_COUNT
+"""As φ (objective `deviation` only): the displacement that φ makes in the present tick, none after its end."""
+_DIAGONAL = math.sqrt(0.5)
+DIRECTION_EAST = (0.0, 0.0, 1.0, _DIAGONAL, _DIAGONAL, 0.0)
+DIRECTION_NORTH = (1.0, -1.0, 0.0, _DIAGONAL, -_DIAGONAL, 0.0)
+
+
+# --- the pedestrian
+
+
+@kernel(inline=True)
+def action_velocity(action: int, speed: float) -> Pair:
+    """Return the pedestrian's velocity (East, North), m/s, under an action."""
+    return speed * DIRECTION_EAST[action], speed * DIRECTION_NORTH[action]
+
+
+@kernel(inline=True)
+def compass_velocity(parameters: Any, action: int) -> Pair:
+    """Return the same of an adversary that crosses to the right, or, with East and West exchanged, to the left."""
+    vx, vy = action_velocity(action, parameters.adversary_speed)
+    return parameters.crossing * vx, vy
+
+
+@kernel(inline=True)
+def _pedestrian_start_road_user(parameters: Any, state: FloatArray) -> None:
+    pass
+
+
+@kernel(inline=True)
+def _pedestrian_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+    return compass_velocity(parameters, action)
+
+
+@kernel(inline=True)
+def _pedestrian_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    pass
+
+
+@kernel(inline=True)
+def _pedestrian_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+    return vx, vy
+
+
+@kernel(inline=True)
+def _pedestrian_moving(parameters: Any, state: FloatArray) -> Pair:
+    return 0.0, 0.0
+
+
+@kernel(inline=True)
+def _pedestrian_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+    return compass_velocity(parameters, action)
+
+
+@kernel(inline=True)
+def _pedestrian_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+    return x, y
+
+
+@kernel(inline=True)
+def _pedestrian_pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    return 0.0
+
+
+@kernel(inline=True)
+def _pedestrian_steer(parameters: Any, state: FloatArray, direction: int) -> int:
+    return direction
+
+
+@kernel(inline=True)
+def _pedestrian_touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
+    p = parameters
+    return first_contact(before[0], before[1], after[0], after[1], p.front, p.rear, p.half_width, p.radius)
+
+
+_PEDESTRIAN_KERNELS = RoadUserKernels(
+    name="pedestrian",
+    action_count=ACTION_COUNT,
+    rest=STAY,
+    own_dim=0,
+    box=False,
+    late=(STAY, SOUTH, SOUTH_EAST),
+    early=(EAST, NORTH_EAST, NORTH),
+    start_road_user=_pedestrian_start_road_user,
+    velocity=_pedestrian_velocity,
+    settle=_pedestrian_settle,
+    possible=_pedestrian_possible,
+    moving=_pedestrian_moving,
+    next_velocity=_pedestrian_next_velocity,
+    next_possible=_pedestrian_next_possible,
+    pointing=_pedestrian_pointing,
+    steer=_pedestrian_steer,
+    touch=_pedestrian_touch,
+)
+
+
+def _on_foot(scenario: Scenario, own: Pair, action: int) -> Pair:
+    """Return the velocity of an action, m/s, as `compass_velocity`."""
+    vx, vy = action_velocity(action, scenario.adversary.speed)
+    return scenario.end.crossing * vx, vy
+
+
+def _nothing_before(scenario: Scenario, path: FloatArray) -> Pair:
+    return 0.0, 0.0
+
+
+def _nothing_after(own: Pair, vx: float, vy: float) -> Pair:
+    return own
+
+
+def _at_once(scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return vx, vy
+
+
+_ON_FOOT: Final = {
+    "carla": "walker.pedestrian.0001",
+    "openscenario": "pedestrian",
+    "osi": "TYPE_PEDESTRIAN",
+    "commonroad": "pedestrian",
+    "levelxdata": "pedestrian",
+}
+PEDESTRIAN: Final = RoadUserModel(
+    "pedestrian",
+    _PEDESTRIAN_KERNELS,
+    lambda scenario: {},
+    Motion(_nothing_before, _nothing_after, _on_foot, _at_once),
+    fastest=12.0,
+    height=1.8,
+    names={**_ON_FOOT, "metadrive": "PEDESTRIAN"},
+)
+"""Nobody has run faster than 12.4 m/s (U. Bolt, Berlin 2009, over 20 m)."""
+
+
+# --- walkers, whose part of a state is their velocity to the East and to the North, m/s
+
+
+@kernel(inline=True)
+def nearest_walked(most: float, vx: float, vy: float, wanted_x: float, wanted_y: float) -> Pair:
+    """Return the velocity after a step that comes nearest to a wanted one, where it changes by at most `most`, m/s."""
+    dx, dy = wanted_x - vx, wanted_y - vy
+    change = math.sqrt(dx * dx + dy * dy)
+    if change <= most:
+        return wanted_x, wanted_y
+    return vx + most / change * dx, vy + most / change * dy
+
+
+@template
+def _walker_start_road_user(parameters: Any, state: FloatArray) -> None:
+    """It comes as φ does in its first step; without φ it stands."""
+    p = parameters
+    state[USER_ROW] = state[USER_ROW + 1] = 0.0
+    if p.path.shape[0] > 1:
+        state[USER_ROW] = (p.path[1, 0] - p.path[0, 0]) / p.time_step
+        state[USER_ROW + 1] = (p.path[1, 1] - p.path[0, 1]) / p.time_step
+
+
+@template
+def _walker_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+    x, y = compass_velocity(parameters, action)
+    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], x, y)
+
+
+@template
+def _walker_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    next_state[USER_ROW], next_state[USER_ROW + 1] = vx, vy
+
+
+@template
+def _walker_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+    return nearest_walked(parameters.own_change, state[USER_ROW], state[USER_ROW + 1], vx, vy)
+
+
+@template
+def _walker_moving(parameters: Any, state: FloatArray) -> Pair:
+    return state[USER_ROW], state[USER_ROW + 1]
+
+
+@kernel(inline=True)
+def _walker_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+    x, y = compass_velocity(parameters, action)
+    return nearest_walked(parameters.own_change, vx, vy, x, y)
+
+
+@kernel(inline=True)
+def _walker_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+    return nearest_walked(parameters.own_change, vx, vy, x, y)
+
+
+_WALKER_KERNELS = replace(
+    _PEDESTRIAN_KERNELS,
+    name="walker",
+    own_dim=2,
+    start_road_user=_walker_start_road_user,
+    velocity=_walker_velocity,
+    settle=_walker_settle,
+    possible=_walker_possible,
+    moving=_walker_moving,
+    next_velocity=_walker_next_velocity,
+    next_possible=_walker_next_possible,
+)
+
+
+def _walker_first(scenario: Scenario, path: FloatArray) -> Pair:
+    vx, vy = path_velocities(path, 1, scenario.time_step)[0].tolist()
+    return vx, vy
+
+
+def _walker_after(own: Pair, vx: float, vy: float) -> Pair:
+    return vx, vy
+
+
+def _walker_action(acceleration: float, scenario: Scenario, own: Pair, action: int) -> Pair:
+    return _walker_nearest(acceleration, scenario, own, *_on_foot(scenario, own, action))
+
+
+def _walker_nearest(acceleration: float, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return nearest_walked(acceleration * scenario.time_step, *own, vx, vy)
+
+
+def walker(
+    name: str, acceleration: float, *, fastest: float, height: float, names: Mapping[str, str] | None = None
+) -> RoadUserModel:
+    """Return a kind of road user on foot whose velocity changes by an acceleration (m/s²) at most."""
+    motion = Motion(
+        _walker_first, _walker_after, partial(_walker_action, acceleration), partial(_walker_nearest, acceleration)
+    )
+    return RoadUserModel(
+        name,
+        _WALKER_KERNELS,
+        lambda scenario: {"own_change": acceleration * scenario.time_step},
+        motion,
+        fastest,
+        height,
+        names or {},
+    )
+
+
+# --- on wheels, whose part of a state is heading (rad) and speed (m/s)
+
+KEEP, ACCELERATE, BRAKE, LEFT, RIGHT, BRAKE_LEFT, BRAKE_RIGHT = range(7)
+_RIDING_ACTIONS = tuple(range(7))  # full effort is what gets furthest from φ in a given time, to whatever side
+_ACCELERATES = (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_BRAKES = (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0)
+_SIDE = (0.0, 0.0, 0.0, 1.0, -1.0, 1.0, -1.0)  # left is positive
+_SAME = 1e-9  # m/s and rad, by rounding
 _TURN = math.pi / 6.0  # rad, the most that anything on wheels turns in a tick
+
+
+class RidingLimits(NamedTuple):
+    """What a kind on wheels can do.
+
+    Attributes:
+        acceleration: m/s².
+        deceleration: m/s².
+        lateral: acceleration to the side, m/s².
+        turn: the most that it turns in a tick, rad; of one that hardly moves.
+        radius: of the tightest circle that it drives, m; 0 if it can turn on the spot.
+    """
+
+    acceleration: float
+    deceleration: float
+    lateral: float
+    turn: float
+    radius: float
+
+
+@kernel(inline=True)
+def _sharpest(limits: RidingLimits, speed: float, time_step: float) -> float:
+    """Return by how much it can turn in a step (rad) at the speed that it then has (m/s)."""
+    sharpest = limits.turn
+    if limits.turn * speed > limits.lateral * time_step:
+        sharpest = limits.lateral * time_step / speed
+    if limits.radius > 0.0:
+        sharpest = min(sharpest, speed * time_step / limits.radius)
+    return sharpest
+
+
+@kernel(inline=True)
+def ridden(limits: RidingLimits, heading: float, speed: float, action: int, most: float, time_step: float) -> Pair:
+    """Return the velocity (East, North), m/s, over a step.
+
+    Args:
+        limits: of its kind.
+        heading: before, rad.
+        speed: before, m/s.
+        action: one of the seven above.
+        most: speed that it can reach, m/s.
+        time_step: s.
+    """
+    effort = limits.acceleration * _ACCELERATES[action] - limits.deceleration * _BRAKES[action]
+    after = min(max(0.0, speed + time_step * effort), max(most, speed))
+    if after < _SAME:  # what rounding leaves of braking to a stand: nobody who stands turns
+        after = 0.0
+    direction = heading + _SIDE[action] * _sharpest(limits, after, time_step)
+    return after * math.cos(direction), after * math.sin(direction)
+
+
+@kernel(inline=True)
+def nearest_ridden(
+    limits: RidingLimits, heading: float, speed: float, vx: float, vy: float, most: float, time_step: float
+) -> Pair:
+    """Return the velocity (East, North), m/s, over a step that comes nearest to a wanted one (vx, vy), m/s.
+
+    Between its actions it can do all: it comes as near as it can to the wanted speed, and at that speed turns as far as
+    it can to the wanted direction. Arguments as in `ridden`.
+    """
+    slowest = max(0.0, speed - time_step * limits.deceleration)
+    fastest = max(most, speed)
+    if speed + time_step * limits.acceleration < fastest:
+        fastest = speed + time_step * limits.acceleration
+    wanted = math.sqrt(vx * vx + vy * vy)
+    cos, sin = math.cos(heading), math.sin(heading)
+    turn = math.atan2(cos * vy - sin * vx, cos * vx + sin * vy)  # 0 for who wants to stand
+    after = min(max(wanted, slowest), fastest)
+    sharpest = _sharpest(limits, after, time_step)
+    if abs(after - wanted) <= _SAME and abs(turn) <= sharpest + _SAME:
+        return vx, vy
+    direction = heading + min(max(turn, -sharpest), sharpest)
+    return after * math.cos(direction), after * math.sin(direction)
+
+
+@kernel(inline=True)
+def settled(heading: float, vx: float, vy: float) -> Pair:
+    """Return heading (rad) and speed (m/s) after a step at a velocity; who stands keeps the heading."""
+    speed = math.sqrt(vx * vx + vy * vy)
+    return (math.atan2(vy, vx) if speed > 0.0 else heading), speed
+
+
+@kernel(inline=True)
+def _arrived(path: FloatArray, heading: float, speed: float, time_step: float) -> Pair:
+    """Return heading (rad) and speed (m/s) with which it comes: those of φ's first step; without φ, those given."""
+    if path.shape[0] < 2:
+        return heading, speed
+    return settled(heading, (path[1, 0] - path[0, 0]) / time_step, (path[1, 1] - path[0, 1]) / time_step)
+
+
+@kernel(inline=True)
+def steered(limits: RidingLimits, crossing: float, heading: float, direction: int) -> int:
+    """Return the action that leads soonest to one of a pedestrian's directions.
+
+    It speeds up where it points about there, turns there, braking where that is behind, and brakes to stay.
+    """
+    if direction == STAY:
+        return BRAKE
+    cos, sin = math.cos(heading), math.sin(heading)
+    east, north = crossing * DIRECTION_EAST[direction], DIRECTION_NORTH[direction]
+    ahead, left = cos * east + sin * north, cos * north - sin * east
+    if ahead < 0.0:
+        return BRAKE_LEFT if left > 0.0 else BRAKE_RIGHT
+    if abs(left) <= math.sin(0.5 * limits.turn):
+        return ACCELERATE
+    return LEFT if left > 0.0 else RIGHT
+
+
+@template
+def _wheeled_start_road_user(parameters: Any, state: FloatArray) -> None:
+    p = parameters
+    state[USER_ROW], state[USER_ROW + 1] = _arrived(p.path, p.own_heading, p.own_speed, p.time_step)
+
+
+@template
+def _wheeled_velocity(parameters: Any, state: FloatArray, action: int) -> Pair:
+    p = parameters
+    return ridden(p.own_limits, state[USER_ROW], state[USER_ROW + 1], action, p.adversary_speed, p.time_step)
+
+
+@template
+def _wheeled_settle(parameters: Any, state: FloatArray, vx: float, vy: float, next_state: FloatArray) -> None:
+    next_state[USER_ROW], next_state[USER_ROW + 1] = settled(state[USER_ROW], vx, vy)
+
+
+@template
+def _wheeled_possible(parameters: Any, state: FloatArray, vx: float, vy: float) -> Pair:
+    p = parameters
+    return nearest_ridden(p.own_limits, state[USER_ROW], state[USER_ROW + 1], vx, vy, p.adversary_speed, p.time_step)
+
+
+@template
+def _wheeled_moving(parameters: Any, state: FloatArray) -> Pair:
+    return state[USER_ROW + 1] * math.cos(state[USER_ROW]), state[USER_ROW + 1] * math.sin(state[USER_ROW])
+
+
+@kernel(inline=True)
+def _wheeled_next_velocity(parameters: Any, vx: float, vy: float, action: int) -> Pair:
+    p = parameters
+    heading, speed = settled(p.own_heading, vx, vy)
+    return ridden(p.own_limits, heading, speed, action, p.adversary_speed, p.time_step)
+
+
+@kernel(inline=True)
+def _wheeled_next_possible(parameters: Any, vx: float, vy: float, x: float, y: float) -> Pair:
+    p = parameters
+    heading, speed = settled(p.own_heading, vx, vy)
+    return nearest_ridden(p.own_limits, heading, speed, x, y, p.adversary_speed, p.time_step)
+
+
+@template
+def _wheeled_pointing(parameters: Any, state: FloatArray, vx: float, vy: float) -> float:
+    return settled(state[USER_ROW], vx, vy)[0]
+
+
+@template
+def _wheeled_steer(parameters: Any, state: FloatArray, direction: int) -> int:
+    return steered(parameters.own_limits, parameters.crossing, state[USER_ROW], direction)
+
+
+@kernel(inline=True)
+def _wheeled_touch(parameters: Any, before: Pair, after: Pair, turned: float) -> float:
+    p = parameters
+    ahead, left = before
+    ahead_after, left_after = after
+    own_length, own_width = p.own_half_length, p.own_half_width
+    return first_contact_of_boxes(
+        ahead, left, ahead_after, left_after, turned, p.front, p.rear, p.half_width, own_length, own_width
+    )
+
+
+_WHEELED_KERNELS = RoadUserKernels(
+    name="wheeled",
+    action_count=len(_RIDING_ACTIONS),
+    rest=BRAKE,
+    own_dim=2,
+    box=True,
+    late=_RIDING_ACTIONS,
+    early=_RIDING_ACTIONS,
+    start_road_user=_wheeled_start_road_user,
+    velocity=_wheeled_velocity,
+    settle=_wheeled_settle,
+    possible=_wheeled_possible,
+    moving=_wheeled_moving,
+    next_velocity=_wheeled_next_velocity,
+    next_possible=_wheeled_next_possible,
+    pointing=_wheeled_pointing,
+    steer=_wheeled_steer,
+    touch=_wheeled_touch,
+)
+
+
+def _arrival(scenario: Scenario) -> Pair:
+    """Return heading (rad) and speed (m/s) with which it comes where there is no φ: as fast as it can, by default."""
+    adversary = scenario.adversary
+    return adversary.first_heading, adversary.speed if adversary.start_speed is None else adversary.start_speed
+
+
+def _wheeled_parameters_of(limits: RidingLimits, scenario: Scenario) -> Mapping[str, Any]:
+    """Return limits, half of the box's length and of its width (m), and how it comes where there is no φ."""
+    _, half_length, half_width = scenario.adversary.shape
+    heading, speed = _arrival(scenario)
+    return {
+        "own_limits": limits,
+        "own_half_length": half_length,
+        "own_half_width": half_width,
+        "own_heading": heading,
+        "own_speed": speed,
+    }
+
+
+def _wheeled_first(scenario: Scenario, path: FloatArray) -> Pair:
+    return _arrived(np.ascontiguousarray(path), *_arrival(scenario), scenario.time_step)
+
+
+def _wheeled_after(own: Pair, vx: float, vy: float) -> Pair:
+    return settled(own[0], vx, vy)
+
+
+def _wheeled_action(limits: RidingLimits, scenario: Scenario, own: Pair, action: int) -> Pair:
+    return ridden(limits, *own, action, scenario.adversary.speed, scenario.time_step)
+
+
+def _wheeled_nearest(limits: RidingLimits, scenario: Scenario, own: Pair, vx: float, vy: float) -> Pair:
+    return nearest_ridden(limits, *own, vx, vy, scenario.adversary.speed, scenario.time_step)
+
+
+def wheeled(
+    name: str, limits: RidingLimits, *, fastest: float, height: float, names: Mapping[str, str] | None = None
+) -> RoadUserModel:
+    """Return a kind of road user on wheels; see `RoadUserModel`."""
+    motion = Motion(_wheeled_first, _wheeled_after, partial(_wheeled_action, limits), partial(_wheeled_nearest, limits))
+    parameters = partial(_wheeled_parameters_of, limits)
+    return RoadUserModel(name, _WHEELED_KERNELS, parameters, motion, fastest, height, names or {})
+
+
+# --- the kinds that there are
 
 RUNNER: Final = walker(
     "runner",
     acceleration=3.0,  # m/s², in any direction: to start, to turn and to stop
     fastest=12.0,
     height=1.8,
-    called={
-        "carla": "walker.pedestrian.0001",
-        "openscenario": "pedestrian",
-        "osi": "TYPE_PEDESTRIAN",
-        "commonroad": "pedestrian",
-        "levelxdata": "pedestrian",
-    },
+    names=_ON_FOOT,
 )
 CHILD: Final = walker(
     "child",
     acceleration=2.0,  # needs some steps to get going
     fastest=8.0,
     height=1.2,
-    called={
-        "carla": "walker.pedestrian.0011",
-        "openscenario": "pedestrian",
-        "osi": "TYPE_PEDESTRIAN",
-        "commonroad": "pedestrian",
-        "levelxdata": "pedestrian",
-    },
+    names={**_ON_FOOT, "carla": "walker.pedestrian.0011"},
 )
 CYCLIST: Final = wheeled(
     "cyclist",
     RidingLimits(acceleration=1.0, deceleration=3.0, lateral=3.0, turn=_TURN, radius=0.0),  # unhurried; a lean of 17°
     fastest=20.0,
     height=1.8,
-    called={
+    names={
         "carla": "vehicle.diamondback.century",
         "metadrive": "CYCLIST",
         "openscenario": "bicycle",
@@ -65,14 +545,14 @@ E_SCOOTER: Final = wheeled(
     RidingLimits(acceleration=1.2, deceleration=3.5, lateral=2.5, turn=_TURN, radius=0.0),  # a lean of 14°
     fastest=15.0,
     height=1.9,
-    called={"openscenario": "bicycle", "osi": "TYPE_STANDUP_SCOOTER", "commonroad": "bicycle"},
+    names={"openscenario": "bicycle", "osi": "TYPE_STANDUP_SCOOTER", "commonroad": "bicycle"},
 )
 MOTORCYCLE: Final = wheeled(
     "motorcycle",
     RidingLimits(acceleration=4.0, deceleration=5.5, lateral=4.0, turn=_TURN, radius=2.5),  # a lean of 22°
     fastest=85.0,
     height=1.5,
-    called={
+    names={
         "carla": "vehicle.kawasaki.ninja",
         "metadrive": "CYCLIST",
         "openscenario": "motorbike",
@@ -86,7 +566,7 @@ CAR: Final = wheeled(
     RidingLimits(acceleration=2.5, deceleration=6.0, lateral=4.0, turn=_TURN, radius=5.5),
     fastest=70.0,
     height=1.5,
-    called={
+    names={
         "carla": "vehicle.tesla.model3",
         "metadrive": "VEHICLE",
         "openscenario": "car",
@@ -100,7 +580,7 @@ VAN: Final = wheeled(
     RidingLimits(acceleration=2.0, deceleration=5.0, lateral=3.5, turn=_TURN, radius=6.5),
     fastest=50.0,
     height=2.4,
-    called={
+    names={
         "carla": "vehicle.mercedes.sprinter",
         "openscenario": "van",
         "osi": "TYPE_DELIVERY_VAN",

@@ -15,60 +15,45 @@ from skd_sim.scenario.road import HEADING_NORTH, road_pose, road_position, strai
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import to_car_frame
 
-from skd_adversary.crossing.parts import RoadKernels, template, touch
+from skd_adversary.crossing.parts import Pair, RoadKernels, template, touch
 
 _GRAZE: Final = 1e-9  # m
 
 
-def _straight_parameters_of(scenario: Scenario) -> Mapping[str, Any]:
-    """Return nothing: there is nothing to know."""
-    return {}
-
-
 @kernel(inline=True)
-def _straight_on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
-    """Interface `on_road`."""
+def _straight_on_road(parameters: Any, x: float, y: float) -> Pair:
     return x, y
 
 
 @kernel(inline=True)
-def _straight_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Interface `velocity_on_road`."""
+def _straight_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> Pair:
     return vx, vy
 
 
 @kernel(inline=True)
-def _straight_from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
-    """Interface `from_car`."""
+def _straight_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pair:
     return y - car_s, -x
 
 
 @kernel(inline=True)
 def _straight_left_behind(parameters: Any, x: float, y: float, car_s: float) -> bool:
-    """Interface `left_behind`."""
     return bool(car_s - parameters.rear > y + parameters.radius)
 
 
 @kernel(inline=True)
 def _straight_at_distance(parameters: Any, x: float, y: float, distance: float, behind: bool) -> float:
-    """Interface `at_distance`."""
     along = math.sqrt(max(0.0, distance * distance - x * x))
     return y - along if behind else y + along
 
 
-@template("touch")
+@template
 def _straight_contact(
-    parameters: Any,
-    x: float,
-    y: float,
-    x_after: float,
-    y_after: float,
-    heading: float,
-    car_s: float,
-    car_s_after: float,
+    parameters: Any, place: Pair, place_after: Pair, heading: float, car_s: float, car_s_after: float
 ) -> float:
     """Interface `contact`: both in the world's own frame."""
     p = parameters
+    x, y = place
+    x_after, y_after = place_after
     # Far away, which is most of the time, the swept test need not be made. Who would only graze the car's side is away,
     # too: there the world's rounding decides, of a car that does not drive along x = 0 to the last bit.
     margin = p.radius + p.half_width - _GRAZE
@@ -76,12 +61,12 @@ def _straight_contact(
         return math.inf
     if y - car_s > p.front + p.radius and y_after - car_s_after > p.front + p.radius:
         return math.inf
-    return touch(p, y - car_s, -x, y_after - car_s_after, -x_after, heading - HEADING_NORTH)
+    return touch(p, (y - car_s, -x), (y_after - car_s_after, -x_after), heading - HEADING_NORTH)
 
 
 STRAIGHT = RoadKernels(
     "straight",
-    _straight_parameters_of,
+    lambda scenario: {},
     _straight_on_road,
     _straight_velocity_on_road,
     _straight_from_car,
@@ -103,15 +88,13 @@ def _curved_parameters_of(scenario: Scenario) -> Mapping[str, Any]:
 
 
 @kernel(inline=True)
-def _curved_on_road(parameters: Any, x: float, y: float) -> tuple[float, float]:
-    """Interface `on_road`."""
+def _curved_on_road(parameters: Any, x: float, y: float) -> Pair:
     along, left = road_position(parameters.line, x, y)
     return -left, along
 
 
 @kernel(inline=True)
-def _curved_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> tuple[float, float]:
-    """Interface `velocity_on_road`."""
+def _curved_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy: float) -> Pair:
     along, _ = road_position(parameters.line, x, y)
     _, _, heading = road_pose(parameters.line, along)
     cos, sin = math.cos(heading), math.sin(heading)
@@ -119,8 +102,7 @@ def _curved_velocity_on_road(parameters: Any, x: float, y: float, vx: float, vy:
 
 
 @kernel(inline=True)
-def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> tuple[float, float]:
-    """Interface `from_car`."""
+def _curved_from_car(parameters: Any, x: float, y: float, car_s: float) -> Pair:
     car_x, car_y, heading = road_pose(parameters.line, car_s)
     return to_car_frame(x, y, car_x, car_y, heading)
 
@@ -150,19 +132,14 @@ def _curved_at_distance(parameters: Any, x: float, y: float, distance: float, be
     return near
 
 
-@template("touch")
+@template
 def _curved_contact(
-    parameters: Any,
-    x: float,
-    y: float,
-    x_after: float,
-    y_after: float,
-    heading: float,
-    car_s: float,
-    car_s_after: float,
+    parameters: Any, place: Pair, place_after: Pair, heading: float, car_s: float, car_s_after: float
 ) -> float:
     """Interface `contact`: piece by piece, each a chord of the car's way."""
     p = parameters
+    x, y = place
+    x_after, y_after = place_after
     ahead, left = _curved_from_car(p, x, y, car_s)
     travelled = car_s_after - car_s
     reach = math.hypot(max(p.front, p.rear), p.half_width) + p.radius
@@ -171,11 +148,11 @@ def _curved_contact(
     pieces = max(1, math.ceil(travelled / p.chord))
     for piece in range(pieces):
         share = (piece + 1) / pieces
-        place = car_s + share * travelled
+        car_here = car_s + share * travelled
         x_here, y_here = x + share * (x_after - x), y + share * (y_after - y)
-        ahead_here, left_here = _curved_from_car(p, x_here, y_here, place)
-        _, _, car_heading = road_pose(p.line, place)
-        fraction = touch(p, ahead, left, ahead_here, left_here, heading - car_heading)
+        ahead_here, left_here = _curved_from_car(p, x_here, y_here, car_here)
+        _, _, car_heading = road_pose(p.line, car_here)
+        fraction = touch(p, (ahead, left), (ahead_here, left_here), heading - car_heading)
         if fraction <= 1.0:
             return float((piece + fraction) / pieces)
         ahead, left = ahead_here, left_here

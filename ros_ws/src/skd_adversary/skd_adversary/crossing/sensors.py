@@ -9,7 +9,6 @@ seen is put on the centre line.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,31 +17,33 @@ from skd_sim.scenario.road import road_position
 from skd_sim.scenario.scenario import Scenario
 from skd_sim.world.contact import rectangle_distance
 
-from skd_adversary.crossing.model import ADVERSARY_X, ADVERSARY_Y, CAR_S
-from skd_adversary.crossing.parts import SensorModel, at_distance, from_car, on_road, template
+from skd_adversary.crossing.parts import (
+    ADVERSARY_X,
+    ADVERSARY_Y,
+    CAR_S,
+    Pair,
+    SensorModel,
+    at_distance,
+    from_car,
+    on_road,
+    template,
+)
 
 
-def _distance_parameters_of(scenario: Scenario) -> Mapping[str, float]:
-    """Return the standard deviation of the noise, m."""
-    return {"distance_noise": scenario.adversary.distance_noise}
-
-
-def _distance_sense(
-    scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
-) -> FloatArray:
+def _distance_sense(scenario: Scenario, own: Pair, car: Pair, rng: np.random.Generator) -> FloatArray:
     """Return the distance at which the car is seen, m; places are (x, y), m."""
     dx, dy = car[0] - own[0], car[1] - own[1]
     distance = math.sqrt(dx * dx + dy * dy)
     return np.array([distance + scenario.adversary.distance_noise * rng.standard_normal()])
 
 
-@template("from_car")
+@template
 def _distance(parameters: Any, state: FloatArray) -> float:
     ahead, left = from_car(parameters, state[ADVERSARY_X], state[ADVERSARY_Y], state[CAR_S])
     return math.sqrt(left * left + ahead * ahead)
 
 
-@template("_distance")
+@template
 def _distance_observe(
     parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -50,14 +51,14 @@ def _distance_observe(
     observation[0] = _distance(parameters, state) + parameters.distance_noise * rng.standard_normal()
 
 
-@template("_distance", inline=False)
+@template(inline=False)
 def _distance_likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
     """Return the density, up to a factor, of an observed distance (m)."""
     error = (observation[0] - _distance(parameters, state)) / parameters.distance_noise
     return math.exp(-0.5 * error * error)
 
 
-@template("on_road", "at_distance", inline=False)
+@template(inline=False)
 def _distance_place_car(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -70,7 +71,7 @@ def _distance_place_car(
 
 DISTANCE = SensorModel(
     "distance",
-    _distance_parameters_of,
+    lambda scenario: {"distance_noise": scenario.adversary.distance_noise},
     _distance_sense,
     _distance_observe,
     _distance_likelihood,
@@ -78,14 +79,7 @@ DISTANCE = SensorModel(
 )
 
 
-def _position_parameters_of(scenario: Scenario) -> Mapping[str, float]:
-    """Return the standard deviation of the noise, m."""
-    return {"position_noise": scenario.adversary.position_noise}
-
-
-def _position_sense(
-    scenario: Scenario, own: tuple[float, float], car: tuple[float, float], rng: np.random.Generator
-) -> FloatArray:
+def _position_sense(scenario: Scenario, own: Pair, car: Pair, rng: np.random.Generator) -> FloatArray:
     """Return how far beyond the road user, along the road, the car is seen, m; places are (x, y), m."""
     noise = scenario.adversary.position_noise * rng.standard_normal(2)  # of both components
     if scenario.road.straight:
@@ -94,7 +88,7 @@ def _position_sense(
     return np.array([road_position(line, car[0] + noise[0], car[1] + noise[1])[0] - road_position(line, *own)[0]])
 
 
-@template("on_road")
+@template
 def _position_observe(
     parameters: Any, state: FloatArray, action: int, observation: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -103,7 +97,7 @@ def _position_observe(
     observation[0] = state[CAR_S] - along + parameters.position_noise * rng.standard_normal()
 
 
-@template("on_road", inline=False)
+@template(inline=False)
 def _position_likelihood(parameters: Any, state: FloatArray, action: int, observation: FloatArray) -> float:
     """Return the density, up to a factor, of an observed relative position along the road (m)."""
     _, along = on_road(parameters, state[ADVERSARY_X], state[ADVERSARY_Y])
@@ -111,7 +105,7 @@ def _position_likelihood(parameters: Any, state: FloatArray, action: int, observ
     return math.exp(-0.5 * error * error)
 
 
-@template("on_road", "from_car", inline=False)
+@template(inline=False)
 def _position_place_car(
     parameters: Any, state: FloatArray, observation: FloatArray, redrawn: FloatArray, rng: np.random.Generator
 ) -> None:
@@ -129,7 +123,7 @@ def _position_place_car(
 
 RELATIVE_POSITION = SensorModel(
     "position",
-    _position_parameters_of,
+    lambda scenario: {"position_noise": scenario.adversary.position_noise},
     _position_sense,
     _position_observe,
     _position_likelihood,

@@ -1,4 +1,6 @@
-"""POMCP over cells of observations: online tree search for listed actions and any observations.
+"""The search of a decision, compiled once per model, and its options: budget, depth, exploration, cells, backup.
+
+POMCP over cells of observations: online tree search for listed actions and any observations.
 
 A simulation follows one state, drawn from the belief, down the tree: UCB1 chooses actions, observations choose children
 (POMCP, Silver and Veness, NIPS 2010). A continuous observation never comes twice, and a tree that makes a child of each
@@ -16,33 +18,375 @@ default policy's.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from skd_sim.arrays import FloatArray
+from skd_sim.kernels.compilation import kernel, specialise, unbound
 from skd_sim.kernels.stream import stream_of
 
 from skd_adversary.pomdp.belief import ParticleBelief
 from skd_adversary.pomdp.model import Pomdp
-from skd_adversary.pomdp.search import Cells, PlannerOptions, SearchMemory, draw_roots, search_kernel
 from skd_adversary.pomdp.tree import (
+    BLOCK,
     CHILDREN,
+    FOUND,
     KNOWN,
     VALUE,
     VISITS,
     Float32Array,
+    IndexArray,
+    SearchTree,
+    Tables,
+    add_child,
+    add_reference_kernel,
+    best_mean,
+    choose,
     clear_node,
     copy_subtree,
     empty_tree,
     exploration_from,
+    forget_returns,
     most_alike_child,
+    most_tried_mean,
     nearest_child,
     no_returns,
+    note_return,
+    note_value,
     profile_kernel,
+    set_profile,
     tables_of,
 )
+
+
+class Backup(IntEnum):
+    """How the value of a node enters that of the node above it."""
+
+    BEST = 0  # the best of its actions' means, as in ABT
+    MEAN = 1  # the mean over all that was tried there, as in POMCP: exploration counts against it
+    MOST_VISITED = 2  # the mean of the action tried most: a lucky first try does not count yet
+
+
+class Cells(IntEnum):
+    """Which observations share a node."""
+
+    LIKELIHOOD = 0  # those that say nearly the same of the states
+    NEAREST = 1  # those that are near each other, by Euclid
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """Budget and shape of the search.
+
+    Attributes:
+        simulations: new simulations per decision: a count, never a time, so that results repeat.
+        depth: longest look-ahead, steps.
+        exploration: UCB1 constant, in units of reward; None: twice the mean absolute deviation of what an action of the
+            root has returned in this decision, of the action for which that is greatest. See `tree`.
+        observation_factor: k of the widening k·N^α; infinity: no limit but what `cells` asks for.
+        observation_exponent: α of the widening.
+        particles: size of the belief.
+        backup: how the value of a node enters that of the node above it.
+        keep_tree: whether the subtree of what was done and seen is kept for the next decision.
+        cells: says which observations share a node.
+        references: next states by whose likelihoods observations are told apart (`Cells.LIKELIHOOD`).
+        cell_distance: squared Hellinger distance of an observation's likelihoods from those of every cell that makes it
+            a cell of its own (`Cells.LIKELIHOOD`).
+    """
+
+    simulations: int = 10_000
+    depth: int = 25
+    exploration: float | None = None
+    observation_factor: float = 4.0
+    observation_exponent: float = 0.25
+    particles: int = 3000
+    backup: Backup = Backup.MEAN
+    keep_tree: bool = False
+    cells: Cells = Cells.LIKELIHOOD
+    references: int = 8
+    cell_distance: float = 0.1
+
+    @property
+    def ucb_constant(self) -> float:
+        """What the search takes for `exploration`."""
+        return FOUND if self.exploration is None else self.exploration
+
+    def __post_init__(self) -> None:
+        for name in ("simulations", "depth", "particles", "references"):
+            value = getattr(self, name)
+            if value < 1 or value != int(value):
+                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if self.exploration is not None and not self.exploration >= 0.0:
+            raise ValueError(f"exploration must not be negative, got {self.exploration:g}")
+        if not self.observation_factor > 0.0 or not 0.0 <= self.observation_exponent <= 1.0:
+            raise ValueError(
+                f"k·N^α needs k > 0 and α in [0, 1], got observation_factor {self.observation_factor!r} and "
+                f"observation_exponent {self.observation_exponent!r}"
+            )
+
+
+_step = _observe = _rollout_action = _roll_out = _leaf_value = unbound
+_legal = _forbid = _profile = _add_reference = unbound
+_ACTIONS = _SEEN = 0
+_HAS_LEAF_VALUE = _HAS_LEGAL = _BY_LIKELIHOOD = False
+_BEST, _MEAN = int(Backup.BEST), int(Backup.MEAN)  # numba takes plain numbers
+
+
+class SearchMemory(NamedTuple):
+    """Memory of one simulation, for a model with states of s numbers, observations of d, and look-ahead h."""
+
+    state: FloatArray  # s
+    moved: FloatArray  # s
+    observation: FloatArray  # d
+    seen: Float32Array  # d: the observation, for distances
+    path_node: IndexArray  # h
+    path_action: IndexArray  # h
+    path_reward: FloatArray  # h
+    other_state: FloatArray  # s
+    other_observation: FloatArray  # d
+    likelihood: FloatArray  # m: of the observation in each reference state
+    profile: Float32Array  # m
+    returns: FloatArray  # actions × 3: what is kept of the decision's returns
+
+
+@kernel(allocates=False)
+def draw_roots(weights: FloatArray, roots: IndexArray, rng: np.random.Generator) -> None:
+    """Draw a particle for each simulation, systematically, in random order: each gets the share that is its due."""
+    count = roots.shape[0]
+    offset = rng.random()
+    cumulative = weights[0]
+    source = 0
+    for i in range(count):
+        position = (i + offset) / count
+        while cumulative < position and source < weights.shape[0] - 1:
+            source += 1
+            cumulative += weights[source]
+        roots[i] = source
+    for i in range(count - 1, 0, -1):
+        j = int(rng.random() * (i + 1))
+        roots[i], roots[j] = roots[j], roots[i]
+
+
+def _search_template(
+    parameters: Any,
+    leaf_parameters: Any,
+    particles: FloatArray,
+    roots: IndexArray,
+    tree: SearchTree,
+    node_count: int,
+    tables: Tables,
+    scratch: SearchMemory,
+    exploration: float,
+    discount: float,
+    backup: int,
+    cell_distance: float,
+    rng: np.random.Generator,
+) -> int:
+    """Grow a tree of `node_count` nodes by one simulation per root particle; return the model steps made."""
+    statistics, links = tree.statistics, tree.links
+    state, moved, observation, seen = scratch.state, scratch.moved, scratch.observation, scratch.seen
+    path_node, path_action, path_reward = scratch.path_node, scratch.path_action, scratch.path_reward
+    likelihood, profile = scratch.likelihood, scratch.profile
+    action_count = statistics.shape[1]
+    if _ACTIONS > 0 and (action_count != _ACTIONS or seen.shape[0] != _SEEN):
+        return -1  # never: it lets the compiler unroll the loops over them
+    depth_limit = path_node.shape[0]
+    last = tables.widening.shape[0] - 1
+    steps = 0
+
+    if _HAS_LEGAL and tree.total[0] == 0:
+        for k in range(state.shape[0]):
+            state[k] = particles[roots[0], k]
+        choices = 0
+        only = 0
+        for a in range(action_count):
+            statistics[0, a, VISITS] = -1.0
+            if _legal(parameters, state, a):
+                statistics[0, a, VISITS] = 0.0
+                choices += 1
+                only = a
+        if choices == 1:  # no search finds another
+            statistics[0, only, VISITS] = 1.0
+            statistics[0, only, VALUE] = 0.0
+            return steps
+    forget_returns(scratch.returns)
+    for i in range(roots.shape[0]):
+        source = roots[i]
+        for k in range(state.shape[0]):
+            state[k] = particles[source, k]
+        constant = exploration_from(exploration, scratch.returns)
+        node = 0
+        depth = 0
+        tail = 0.0
+        while depth < depth_limit:
+            if tree.total[node] == 0:
+                action = _rollout_action(parameters, state, rng)
+            else:
+                action = choose(tree, node, constant, tables, rng)
+            reward, terminal = _step(parameters, state, action, moved, rng)
+            steps += 1
+            path_node[depth] = node
+            path_action[depth] = action
+            path_reward[depth] = reward
+            depth += 1
+            if terminal:
+                break
+            state, moved = moved, state  # to copy numbers that were written just now would wait for them
+            _observe(parameters, state, action, observation, rng)
+            for k in range(seen.shape[0]):
+                seen[k] = observation[k]
+            siblings = links[node, action, CHILDREN]
+            known = 0
+            if _BY_LIKELIHOOD:
+                if siblings > 0:
+                    known = tree.basis[node, action, KNOWN]
+                    if known < profile.shape[0]:
+                        _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                        known += 1
+                    other = scratch.other_state
+                    _profile(parameters, tree, node, action, observation, other, likelihood, profile)
+                child, apart = most_alike_child(tree, node, action, known, profile, seen)
+                same = apart <= cell_distance and child >= 0
+            else:
+                child, apart = nearest_child(tree, node, action, seen)
+                same = apart == 0.0
+            room = siblings < tables.widening[min(int(statistics[node, action, VISITS]), last)]
+            if same or not room or node_count == tree.total.shape[0]:
+                node = child
+                if node < 0:
+                    break
+                if _HAS_LEAF_VALUE and depth == depth_limit:
+                    tail = _leaf_value(leaf_parameters, state)
+                continue
+            child = node_count
+            node_count += 1
+            clear_node(tree, child)
+            if _HAS_LEGAL:
+                _forbid(parameters, tree, child, state)
+            add_child(tree, node, action, child, observation)
+            if _BY_LIKELIHOOD:
+                if siblings == 0:  # the oldest child's row holds the references
+                    tree.basis[node, action, BLOCK] = child
+                    tree.basis[node, action, KNOWN] = 0
+                    _add_reference(parameters, tree, node, action, state, scratch.other_observation)
+                else:
+                    for k in range(known):
+                        tree.likelihood[child, k] = likelihood[k]
+                    set_profile(tree, child, known)
+            # --- the default policy from here on; its first action is the new node's first try
+            first = -1
+            if _HAS_LEAF_VALUE:
+                if depth < depth_limit:
+                    first = _rollout_action(parameters, state, rng)
+                tail = _leaf_value(leaf_parameters, state)
+            else:
+                tail, first, made = _roll_out(parameters, state, moved, depth_limit - depth, discount, rng)
+                steps += made
+            if first >= 0:
+                tree.total[child] = 1
+                statistics[child, first, VISITS] = 1.0
+                statistics[child, first, VALUE] = tail
+            break
+        # --- backup
+        value = tail
+        for level in range(depth - 1, -1, -1):
+            node, action = path_node[level], path_action[level]
+            value = path_reward[level] + discount * value
+            tree.total[node] += 1
+            note_value(tree, node, action, value)
+            if level == 0 and exploration < 0.0:
+                note_return(scratch.returns, action, value)
+            if backup == _MEAN:
+                continue
+            value = float(best_mean(tree, node) if backup == _BEST else most_tried_mean(tree, node))
+    return steps
+
+
+def _roll_out_template(
+    parameters: Any, state: FloatArray, moved: FloatArray, steps: int, discount: float, rng: np.random.Generator
+) -> tuple[float, int, int]:
+    """Act by the default policy; both arrays are overwritten. Return (return, first action or −1, steps made)."""
+    value, discounting = 0.0, 1.0
+    first = -1
+    made = 0
+    while made < steps:
+        action = int(_rollout_action(parameters, state, rng))
+        if made == 0:
+            first = action
+        reward, terminal = _step(parameters, state, action, moved, rng)
+        made += 1
+        value += discounting * reward
+        if terminal:
+            break
+        discounting *= discount
+        state, moved = moved, state
+    return value, first, made
+
+
+def _forbid_template(parameters: Any, tree: SearchTree, node: int, state: FloatArray) -> None:
+    """Keep the search of a new node from actions that make no sense in its state."""
+    for a in range(tree.statistics.shape[1]):
+        if not _legal(parameters, state, a):
+            tree.statistics[node, a, VISITS] = -1.0
+
+
+def search_kernel(model: Pomdp, by_likelihood: bool) -> Callable[..., Any]:
+    """Return the search compiled around a model's functions."""
+    likelihood = model.likelihood if by_likelihood else None
+    return _search_kernel(
+        model.name,
+        model.step,
+        model.observe,
+        model.rollout_action,
+        model.leaf_value,
+        model.legal,
+        likelihood,
+        model.action_count,
+        model.observation_dim,
+    )
+
+
+@functools.cache
+def _search_kernel(
+    name: str,
+    step: Callable[..., Any],
+    observe: Callable[..., Any],
+    rollout_action: Callable[..., Any],
+    leaf_value: Callable[..., Any] | None,
+    legal: Callable[..., Any] | None,
+    likelihood: Callable[..., Any] | None,
+    actions: int,
+    seen: int,
+) -> Callable[..., Any]:
+    bound: dict[str, Any] = {
+        "_step": step,
+        "_observe": observe,
+        "_rollout_action": rollout_action,
+        "_ACTIONS": actions,
+        "_SEEN": seen,
+    }
+    if leaf_value is not None:
+        name += "_leaves"
+        bound |= {"_leaf_value": leaf_value, "_HAS_LEAF_VALUE": True}
+    else:
+        rollout = {"_step": step, "_rollout_action": rollout_action}
+        bound |= {"_roll_out": specialise(_roll_out_template, name, rollout, inline=True)}
+    if legal is not None:
+        forbid = specialise(_forbid_template, name, {"_legal": legal}, inline=True)
+        bound |= {"_legal": legal, "_forbid": forbid, "_HAS_LEGAL": True}
+    if likelihood is not None:
+        bound |= {
+            "_BY_LIKELIHOOD": True,
+            "_profile": profile_kernel(name, likelihood),
+            "_add_reference": add_reference_kernel(name, likelihood),
+        }
+        name += "_by_likelihood"
+    return specialise(_search_template, name, bound, allocates=False)
 
 
 class Planner:

@@ -25,9 +25,17 @@ from skd_sim.scenario.scenario import Scenario, check_way
 from skd_sim.world.contact import first_contact, to_car_frame
 from skd_sim.world.state import Trajectory
 
-from skd_adversary.crossing.on_foot import PEDESTRIAN
-from skd_adversary.safe_trajectories.csv_file import Table, read_table, resample, too_fast
-from skd_adversary.safe_trajectories.tracks import LONGEST_HOLE, check_motion, check_once, in_car_frame
+from skd_adversary.crossing.road_users import PEDESTRIAN
+from skd_adversary.safe_trajectories.recordings import (
+    LONGEST_HOLE,
+    Table,
+    check_motion,
+    check_once,
+    in_car_frame,
+    read_table,
+    resample,
+    too_fast,
+)
 
 FRAME_RATE: Final = 29.97
 """Frames per second of the recordings."""

@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from skd_adversary.car_models.car_model_file import car_model_for_scenario, file_of
-from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, is_citr
+from skd_adversary.safe_trajectories.citr import is_citr
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import real_path
 from skd_sim.options.adversary import Knowledge, check_knowledge, default_knowledge, objectives_named
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import options_of, values_of
 from skd_sim.scenario.scenario import Scenario, changed_scenario, check_control_period, load_scenario
-from skd_sim.scenario.scenario_file import SCENARIOS, is_named, lineage
+from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named, lineage
 
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.options import GENERATED, NO_BEHAVIOUR, OWN, SYNTHETIC, CampaignOptions, GraphOptions

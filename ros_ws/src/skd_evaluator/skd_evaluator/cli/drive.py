@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
-from skd_adversary.safe_trajectories import count_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import one_line
 from skd_sim.options.adversary import Knowledge

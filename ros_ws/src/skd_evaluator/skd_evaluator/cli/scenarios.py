@@ -9,11 +9,11 @@ from pathlib import Path
 
 from rich.markup import escape
 from skd_adversary.crossing.road_users import check_kind
-from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories, load_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.inputs.yaml_file import as_yaml
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
-from skd_sim.scenario.scenario_file import SCENARIOS, is_named
+from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.files.result_folder import write_json

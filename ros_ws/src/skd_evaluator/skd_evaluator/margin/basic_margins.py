@@ -30,7 +30,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing.on_foot import AS_PHI
+from skd_adversary.crossing.road_users import AS_PHI
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import read_json

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from skd_adversary.crossing.road_users import road_user_named
-from skd_adversary.safe_trajectories import REGULATORY, count_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario_file import REGULATORY
 
 from skd_evaluator.assessment.figure_table import CI95, PROBABILITY, SPEEDS, THESE_PHI, Figure
 from skd_evaluator.assessment.options import OWN, SYNTHETIC, WALKERS

@@ -124,7 +124,7 @@ def graph_programs(
     if not composed:
         command = _python_node("skd_sim.start", SIMULATOR, *_ros_parameters(options.simulator_parameters()))
         programs[SIMULATOR] = Program(command, ours)
-        programs[ADVERSARY] = Program(_python_node("skd_adversary.start", ADVERSARY), ours)
+        programs[ADVERSARY] = Program(_python_node("skd_sim.start", ADVERSARY), ours)
     if not car.is_external:
         programs[CONTROLLER] = Program(_python_node("skd_sim.start", CONTROLLER), ours)
     elif options.controller_command:

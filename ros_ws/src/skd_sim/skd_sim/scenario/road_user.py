@@ -232,5 +232,5 @@ def called(body: Body, where: str) -> str:
 
     A kind that has no word for it there is called as the kind car is if its body is a box, else as a pedestrian is.
     """
-    word = ROAD_USERS.find(body.kind).called.get(where) if body.kind in ROAD_USERS else None
-    return str(word or ROAD_USERS.find(CAR if body.is_box else "pedestrian").called[where])
+    word = ROAD_USERS.find(body.kind).names.get(where) if body.kind in ROAD_USERS else None
+    return str(word or ROAD_USERS.find(CAR if body.is_box else "pedestrian").names[where])

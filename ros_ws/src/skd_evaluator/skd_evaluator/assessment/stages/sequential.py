@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from skd_adversary.safe_trajectories import count_safe_trajectories, load_safe_trajectories
+from skd_adversary.safe_trajectories.sources import count_safe_trajectories, load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import EpisodeLog, Mode

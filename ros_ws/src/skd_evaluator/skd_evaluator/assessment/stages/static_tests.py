@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import Controller
 from skd_sim.options.car_under_test import CarUnderTest, is_own_world
 from skd_sim.scenario.protocol import impact_offset, regulatory_trajectories
 from skd_sim.scenario.scenario import Scenario
+from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 
 from skd_evaluator.assessment.assessment import Assessment

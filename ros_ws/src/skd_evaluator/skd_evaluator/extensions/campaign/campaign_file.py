@@ -24,14 +24,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
-from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import did_you_mean, is_there
 from skd_sim.inputs.model import Frozen, read_model
 from skd_sim.inputs.yaml_file import read_yaml, short
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.options.options import option, options_of, read_options
-from skd_sim.scenario.scenario_file import SCENARIOS, is_named
+from skd_sim.scenario.scenario_file import REGULATORY, SCENARIOS, is_named
 
 from skd_evaluator.assessment.options import (
     NO_BEHAVIOUR,

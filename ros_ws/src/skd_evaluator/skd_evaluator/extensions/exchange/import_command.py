@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.tracks import duplicate_of, repeated
+from skd_adversary.safe_trajectories.recordings import duplicate_of, repeated
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road_user import ROAD_USERS

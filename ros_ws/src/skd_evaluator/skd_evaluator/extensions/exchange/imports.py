@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.csv_file import safe_trajectory
-from skd_adversary.safe_trajectories.tracks import in_car_frame
+from skd_adversary.safe_trajectories.recordings import in_car_frame
+from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import is_there, read_json, read_xml

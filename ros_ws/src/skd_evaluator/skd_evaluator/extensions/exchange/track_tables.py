@@ -79,7 +79,7 @@ def _levelx(path: Path, names: Collection[str], kind: str) -> list[TrackedObject
     rate, classes = _rate(path), _classes(path)
     wanted = set(names)
     if not wanted:
-        word = ROAD_USERS.find(kind).called.get(_LEVELX)
+        word = ROAD_USERS.find(kind).names.get(_LEVELX)
         if word is None:
             raise UsageError(f"--kind {kind}: inD and rounD have no class for it")
         wanted = {name for name, one in classes.items() if one == word}

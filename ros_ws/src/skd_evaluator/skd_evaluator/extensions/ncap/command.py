@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.errors import UsageError
 from skd_sim.options.options import options_of, values_of
+from skd_sim.scenario.scenario_file import REGULATORY
 
 from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.from_options import check_car

@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from skd_adversary.safe_trajectories import REGULATORY
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, changed_scenario, load_scenario
-from skd_sim.scenario.scenario_file import lineage
+from skd_sim.scenario.scenario_file import REGULATORY, lineage
 from skd_sim.world.dynamics.basic import clipped_line, command_limits
 from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from skd_adversary.crossing.model import within
+from skd_adversary.crossing.parts import within
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import is_straight_north, road_pose, road_position

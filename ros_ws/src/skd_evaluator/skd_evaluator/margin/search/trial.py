@@ -12,9 +12,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from skd_adversary.crossing.on_foot import AS_PHI, PEDESTRIAN
 from skd_adversary.crossing.path import path_velocities
-from skd_adversary.crossing.road_users import road_user_named
+from skd_adversary.crossing.road_users import AS_PHI, PEDESTRIAN, road_user_named
 from skd_sim.arrays import BoolArray, FloatArray, IntArray
 from skd_sim.scenario.road import right_and_along, road_position
 from skd_sim.scenario.scenario import Scenario

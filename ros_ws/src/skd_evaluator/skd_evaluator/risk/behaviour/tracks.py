@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 from skd_adversary.crossing.road_users import road_user_named
 from skd_adversary.safe_trajectories.citr import FRAME_RATE, is_citr, read_clips, world_frame
-from skd_adversary.safe_trajectories.csv_file import read_table, resample, too_fast
-from skd_adversary.safe_trajectories.tracks import LONGEST_HOLE, check_once
+from skd_adversary.safe_trajectories.recordings import LONGEST_HOLE, check_once, read_table, resample, too_fast
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.world.state import Trajectory

@@ -1,14 +1,19 @@
-"""Recorded people and cars: no leaps and holes, velocities that are those of positions, nobody twice; world frame."""
+"""Recorded road users: tables of csv files, checks of what cannot have been, resampling, and the frame of a car."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import csv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.errors import UsageError
+from skd_sim.inputs.files import finite_number, read_text
+from skd_sim.inputs.yaml_file import short
 
 LONGEST_HOLE: Final = 0.6
 """s without a row, up to which a straight line says where somebody was."""
@@ -18,6 +23,92 @@ _LEAST_WAY: Final = 2.0
 """m, from which on a way shows in which units and which direction it is."""
 _LEAST_POSITIONS: Final = 3
 """Positions at the least by which somebody is told from others."""
+_JITTER = 0.05
+"""m that a sensor may be off from one row to the next: at many rows a second that is no speed."""
+
+
+class Table(NamedTuple):
+    """Rows of a csv file: values (rows × columns, in the requested order) and the line number of each row."""
+
+    values: FloatArray
+    lines: npt.NDArray[np.int64]
+
+
+def read_table(path: Path, columns: Mapping[str, float]) -> Table:
+    """Read numeric columns of a csv file with a header; other columns and blank lines are ignored.
+
+    Args:
+        path: the file; UTF-8, with or without a byte-order mark.
+        columns: name → greatest magnitude allowed, in the column's unit.
+
+    Raises:
+        UsageError: file missing or unreadable, a column missing or there twice, a row too short or too long, or a value
+            that is not a number, not finite or out of range.
+    """
+    rows = csv.reader(StringIO(read_text(path), newline=""))
+    values: list[list[float]] = []
+    lines: list[int] = []
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        for name in columns:
+            if header.count(name) != 1:
+                count = "no column" if name not in header else "two columns"
+                raise UsageError(
+                    f"{path}, line 1: {count} {name!r}; the header must name {','.join(columns)}, got "
+                    f"{short(','.join(header))}"
+                )
+        places = [header.index(name) for name in columns]
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            where = f"{path}, line {rows.line_num}"
+            if len(row) <= max(places) or any(cell.strip() for cell in row[len(header) :]):
+                raise UsageError(f"{where}: {len(row)} values where the header names {len(header)}")
+            values.append([finite_number(row[place].strip(), f"{where}: {header[place]}") for place in places])
+            for value, (name, limit) in zip(values[-1], columns.items(), strict=True):
+                if abs(value) > limit:
+                    raise UsageError(f"{where}: {name} must lie within ±{limit:g}, got {value:g}")
+            lines.append(rows.line_num)
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {rows.line_num}: not csv: {error}") from error
+    return Table(np.array(values, np.float64).reshape(-1, len(columns)), np.array(lines, np.int64))
+
+
+def resample(times: FloatArray, positions: FloatArray, time_step: float) -> FloatArray:
+    """Interpolate positions linearly at times[0] + k·time_step, up to the last time.
+
+    What is left after the last whole time step is dropped, for a trajectory is uniform in time.
+
+    Args:
+        times: n times, s, strictly increasing.
+        positions: n × d positions, m.
+        time_step: duration of a tick, s.
+
+    Returns:
+        m × d positions, m ≥ 1.
+    """
+    # The tolerance keeps the last sample of data already at the time step, whatever its rounding.
+    count = int((times[-1] - times[0]) / time_step + 1e-6) + 1
+    at = np.minimum(times[0] + time_step * np.arange(count), times[-1])
+    return np.column_stack([np.interp(at, times, positions[:, axis]) for axis in range(positions.shape[1])])
+
+
+def too_fast(times: FloatArray, positions: FloatArray, fastest: float) -> tuple[int, str] | None:
+    """Return the first row to which somebody moves faster than can be, and how; none where there is none.
+
+    Args:
+        times: n times, s, strictly increasing.
+        positions: n × 2 positions, m.
+        fastest: m/s, that can be.
+    """
+    moved = np.hypot(*np.diff(positions, axis=0).T)
+    passed = np.diff(times)
+    wrong = np.flatnonzero(moved > fastest * passed + _JITTER)
+    if not len(wrong):
+        return None
+    row = int(wrong[0])
+    metres, seconds = float(moved[row]), float(passed[row])  # of Python's: their quotient may be infinite
+    return row + 1, f"moves {metres:.3g} m in {seconds:.3g} s ({metres / seconds:.3g} m/s)"
 
 
 def check_motion(
@@ -42,8 +133,8 @@ def check_motion(
     hole = int(np.argmax(passed))
     if passed[hole] > LONGEST_HOLE:
         raise UsageError(
-            f"{where}, line {lines[hole + 1]}: {passed[hole]:.3g} s after the row before of the same id, more than "
-            f"{LONGEST_HOLE:g} s; cut a track where it has a hole"
+            f"{where}, line {lines[hole + 1]}: {passed[hole]:.3g} s after the row before of the same id; cut a track "
+            f"where it has a hole of more than {LONGEST_HOLE:g} s"
         )
     moved, stated = np.diff(positions, axis=0), 0.5 * (velocities[1:] + velocities[:-1]) * passed[:, None]
     off = np.hypot(*(moved - stated).T)
@@ -58,8 +149,7 @@ def check_motion(
     if longer > _LEAST_WAY and float(np.hypot(*(went - said))) > share * longer:
         raise UsageError(
             f"{where}, line {lines[0]}: the positions from here on go ({went[0]:.3g}, {went[1]:.3g}) m, and their "
-            f"velocities ({said[0]:.3g}, {said[1]:.3g}) m: are columns, units (m, m/s, rad), frame rate and order "
-            "those of the dataset?"
+            f"velocities ({said[0]:.3g}, {said[1]:.3g}) m: are columns, units and frame rate those of the dataset?"
         )
 
 
