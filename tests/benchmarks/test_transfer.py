@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 import transfer
 from cars.catalogue import CARS
-<<<<<<< 802bbe1b
 from skd_adversary.safe_trajectories.sources import read_csv_trajectory
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
-=======
-from skd_adversary.safe_trajectories.csv_file import read_csv_trajectory
 from skd_evaluator.assessment.plan import Plan
->>>>>>> ef1b1794463538b13a67fbf45774b8dc9f3a9e86
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_sim.scenario.scenario import load_scenario

@@ -23,14 +23,9 @@ LIMITS = (0.8, 3.5, 2.0, math.radians(30.0), 1.0)  # as the package's README has
 SPEED = 20.0 / 3.6
 RIDE = """
 import json, sys
-<<<<<<< 802bbe1b
 from skd_sim.scenario.scenario_file import REGULATORY
-from skd_evaluator.assessment.plan import Plan, safe_trajectories
-=======
-from skd_adversary.safe_trajectories import REGULATORY
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
->>>>>>> ef1b1794463538b13a67fbf45774b8dc9f3a9e86
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_sim import Mode, load_scenario

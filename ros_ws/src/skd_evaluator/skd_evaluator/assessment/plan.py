@@ -18,14 +18,8 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-<<<<<<< 802bbe1b
-from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER, objective_named
-from skd_adversary.crossing.road_users import EAST, PEDESTRIAN, check_kind
-from skd_adversary.safe_trajectories.sources import load_safe_trajectories
-=======
 from skd_adversary.crossing.objectives import objective_named
 from skd_adversary.crossing.road_users import check_kind
->>>>>>> ef1b1794463538b13a67fbf45774b8dc9f3a9e86
 from skd_sim.arrays import FloatArray
 from skd_sim.controllers import with_control_period
 from skd_sim.errors import UsageError

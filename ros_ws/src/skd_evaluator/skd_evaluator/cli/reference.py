@@ -18,14 +18,10 @@ from rich.table import Table
 from skd_adversary.safe_trajectories.sources import count_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Objective
-<<<<<<< 802bbe1b
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.scenario.scenario_file import REGULATORY
-=======
 from skd_sim.scenario.scenario import load_scenario, scenario_from_dict
+from skd_sim.scenario.scenario_file import REGULATORY
 from skd_sim.world.episode import Mode
 from skd_sim.world.state import Trajectory
->>>>>>> ef1b1794463538b13a67fbf45774b8dc9f3a9e86
 
 from skd_evaluator.assessment.context import Progress
 from skd_evaluator.assessment.files.assessment_json import ASSESSMENT

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 from skd_adversary.crossing.objectives import REFERENCE_MULTIPLIER
-from skd_adversary.crossing.on_foot import EAST, PEDESTRIAN
-from skd_adversary.safe_trajectories import load_safe_trajectories
+from skd_adversary.crossing.road_users import EAST, PEDESTRIAN
+from skd_adversary.safe_trajectories.sources import load_safe_trajectories
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import Scenario, check_way
 from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
