@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from fusion_trials import FIGURES as PLAYED
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fused_figure
-from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, TrialFigure
+from skd_evaluator.extensions.fusion.trials import FIGURES, Pairs, TrialFigure
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
-from skd_evaluator.extensions.fusion.trial import figures_of
+from skd_evaluator.extensions.fusion.trials import figures_of
 from skd_evaluator.metrics.contact_place import car_until_contact
 from skd_evaluator.metrics.surrogate_scenes import scene_of
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict

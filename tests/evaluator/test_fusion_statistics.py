@@ -11,7 +11,6 @@ from skd_evaluator.extensions.fusion.estimate import (
     LEAST_PAIRS,
     alone,
     alone_rate,
-    checked_pairs,
     fitted_line,
     fused,
     fused_rate,
@@ -21,7 +20,7 @@ from skd_evaluator.extensions.fusion.estimate import (
     trials_saved,
 )
 from skd_evaluator.extensions.fusion.fusion import NotSaidError, fuse, fused_figure, gap_of, trend
-from skd_evaluator.extensions.fusion.trial import FIGURES, Pairs, PhysicalTrial, paired
+from skd_evaluator.extensions.fusion.trials import FIGURES, Pairs, PhysicalTrial, paired
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_sim.errors import UsageError
 
@@ -84,20 +83,6 @@ def test_saved_trials_are_those_that_an_interval_as_narrow_takes():
         ]
         assert width[2] <= narrower * width[0] < width[1]
     assert trials_saved(10, 1.1, 0.95) == 0
-
-
-@pytest.mark.parametrize(
-    ("y", "x", "every", "says"),
-    [
-        (np.arange(4.0), np.arange(4.0), np.arange(9.0), "4 pairs are too few"),
-        (np.arange(6.0), np.arange(5.0), np.arange(9.0), "do not pair"),
-        (np.arange(6.0), np.arange(6.0), np.arange(5.0), "fewer than the 6"),
-        (np.array([1.0, 2.0, math.nan, 3.0, 4.0]), np.arange(5.0), np.arange(9.0), "finite"),
-    ],
-)
-def test_pairs_that_say_nothing_are_refused(y, x, every, says):
-    with pytest.raises(ValueError, match=says):
-        checked_pairs(y, x, every)
 
 
 def test_figures_that_cannot_be_of_trials_are_refused():

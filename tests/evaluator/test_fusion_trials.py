@@ -11,16 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common import run_skd
-from skd_evaluator.extensions.fusion.recording import read_tracks
-from skd_evaluator.extensions.fusion.track import RecordingFrame
-from skd_evaluator.extensions.fusion.trial import PhysicalTrial
-from skd_evaluator.extensions.fusion.trial_sources import (
-    TrialRecorder,
-    overruled,
-    read_simulated,
-    read_trials,
-    table_in,
-)
+from skd_evaluator.bags.tracks import RecordingFrame
+from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled, read_tracks
+from skd_evaluator.extensions.fusion.trials import PhysicalTrial, read_simulated, read_trials, table_in
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
 
@@ -185,9 +178,7 @@ def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
             row[3] = repr(0.9 * max(0.0, float(row[0]) - 7.3 - gap / SPEED))
     path.write_text("\n".join(map(",".join, [head, *rows])), encoding="utf-8")
     assert recorder().measured(path, PhysicalTrial("walk")).values["hit"] == 1.0
-    with pytest.raises(
-        UsageError, match=r"did not hit, and in the recording it touches the road user; then, .*off its φ"
-    ):
+    with pytest.raises(UsageError, match="off its φ"):
         recorder().measured(path, PhysicalTrial("walk", {"hit": 0.0}, None, "t.csv, line 3"))
 
 
@@ -196,12 +187,15 @@ def test_a_road_user_who_was_touched_and_leaves_its_way_was_hit(tmp_path: Path):
     [
         ("t,id,x\n", "no column 'y'"),
         ("t,id,x,y,x\n0,car,0,0,1\n", "two columns 'x'"),
-        ("t,id,x,y\n0,car,0\n", "another number of values"),
+        ("t,id,x,y\n0,car,0\n", "3 values where the header names 4"),
         ("t,id,x,y\n0,car,zero,0\n", "line 2: x must be a number"),
         ("t,id,x,y\n0,car,nan,0\n", "line 2: x must be finite"),
-        ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 positions are no track"),
-        ('t,id,x,y\n0,"a\nb",0,0\n', r"has no object 'car' but 'a\\nb'; name them"),
-        ("t,id,x,y\n" + "".join(f"{t},car,0,0\n" for t in (0, 1, 2, 3, 1e9)) + "0,other,0,0\n", "lasts 1e.09 s"),
+        ("t,id,x,y\n0,car,0,0\n0,other,0,0\n", "1 position; a track has"),
+        ('t,id,x,y\n0,"a\nb",0,0\n', "has no object 'car' but 'a b'; name them"),
+        (
+            "t,id,x,y\n" + "".join(f"{t},car,0,0\n" for t in (0, 1, 2, 3, 1e9)) + "0,other,0,0\n1,other,0,0\n",
+            "lasts 1e.09 s",
+        ),
     ],
 )
 def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
@@ -228,7 +222,7 @@ def test_tables_of_tracks_that_are_none(tmp_path: Path, rows, says):
         ("phi,clearance\na,\n", "neither a file nor a figure"),
         ("phi,clearance,gap\na,1,5000\n", "gap must be"),
         ("phi,file\na,b\n", "SIMULATED must be the folder of an assessment"),
-        ("phi,clearance\na\n", "another number of values"),
+        ("phi,clearance\na\n", "1 values where the header names 2"),
     ],
 )
 def test_tables_of_trials_that_are_none(tmp_path: Path, text, says):
@@ -263,7 +257,6 @@ def test_bags_become_sentences(simulated: Path, trials: Path, tmp_path: Path, ca
     assert run_skd("fuse", simulated, trials, *NAMES, "--gap-tolerance", "1", "--out", tmp_path / "fused") == 0
     said = capsys.readouterr().out
     content = json.loads((tmp_path / "fused" / "fusion.json").read_text("utf-8"))
-    assert (tmp_path / "fused" / "fusion.png").stat().st_size > 10_000
     assert set(content["figures"]) == {"clearance", "required_deceleration", "hit"}
     for sentence in content["sentences"]:
         assert sentence in said
@@ -282,7 +275,7 @@ def test_trials_calibrate_the_simulator(
 ):
     """The example's car brakes 0.15 s late; what it was played with is in the interval."""
     out = tmp_path / "calibrated"
-    words = ("--parameters", "delay", "--draws", "0", "--workers", "1")
+    words = ("--parameters", "delay", "--workers", "1")
     assert run_skd("calibrate", simulated, trials, *NAMES, *words, "--out", out) == 0
     content = json.loads((out / "simulator.json").read_text("utf-8"))
     delay = content["parameters"]["delay"]

@@ -6,15 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from common import run_skd
 from report_support import edited
-from scipy import special, stats
-from skd_evaluator.extensions.fusion.assessed_draws import draw_warnings, propagated
-from skd_evaluator.extensions.fusion.calibrate_command import warnings_of
+from scipy import stats
 from skd_evaluator.extensions.fusion.calibration import (
     Recorded,
     ReplayedDrive,
@@ -24,7 +21,6 @@ from skd_evaluator.extensions.fusion.calibration import (
     off_by,
     recorded,
 )
-from skd_evaluator.metrics.aborted import NOT_CREDIBLE
 from skd_evaluator.metrics.surrogate_scenes import Scene
 from skd_sim.errors import UsageError
 from skd_sim.scenario.scenario import load_scenario
@@ -97,19 +93,6 @@ def test_trials_of_one_phi_are_one_draw():
     assert thrice.error == pytest.approx(once.error, rel=1e-6)
     with pytest.raises(ValueError, match="4 φ are too few"):
         estimated(off_of(places[:4]), START, ["delay"], list(range(4)))
-
-
-def test_draws_are_as_the_estimates_and_stay_in_their_ranges():
-    places, _ = trials_off(np.random.default_rng(5), 12, 0.03, 15.0)
-    found = estimated(off_of(places), START, ["delay"], list(range(12)))
-    drawn = np.array([one["delay"] for one in found.drawn(4000, np.random.default_rng(6))])
-    assert drawn.min() >= 0.0
-    one = found.told[0]
-    expected = stats.t(found.freedom, one.value, one.error).ppf([0.5, 0.9])
-    assert np.quantile(drawn, [0.5, 0.9]) == pytest.approx(
-        expected, abs=4.0 * one.error / math.sqrt(4000 * 0.09) + 1e-4
-    )
-    assert not warnings_of(found)
 
 
 def test_a_trial_that_was_played_goes_as_it_did_with_its_own_parameters():
@@ -185,46 +168,3 @@ def test_a_car_that_has_no_multiplier_is_said_in_a_line(
     assert run_skd("calibrate", own, tmp_path / "trials.csv", "--out", tmp_path / "out") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
-
-
-def test_what_is_not_known_of_the_simulator_is_in_the_interval():
-    figures = [{"margin": value, "margin_ci95": [value - 0.2, value + 0.2]} for value in (0.8, 1.0, 1.2)]
-    found = propagated(figures, "margin", (0.0, 5.0))
-    assert found is not None
-    assert found.value == pytest.approx(1.0)
-    assert found.by_phi == pytest.approx(0.4)
-    # The mixture of three normals, by its distribution function.
-    places = np.linspace(0.0, 2.0, 200_001)
-    mixed = np.mean([special.ndtr((places - middle) / (0.2 / 1.959964)) for middle in (0.8, 1.0, 1.2)], axis=0)
-    assert found.interval == pytest.approx(np.interp([0.025, 0.975], mixed, places), abs=2e-3)
-    assert propagated([{"margin": None}], "margin", (0.0, 5.0)) is None
-
-
-def draw(**changes: object) -> dict[str, Any]:
-    """The content of assessment.json of a draw of which nothing is to be said, but for changes."""
-    known = {"warnings": [], "margin": 1.8, "margin_note": "", "risk_1": 0.0, "risk_note": "", "eta_max": 5.0}
-    search = {"margin_converged": True, "margin_budget": 64, "margin_how": "whole", "margin_beyond": 0}
-    ran = {"margin_trials": 12, "collision_runs": 125, "objectives": {"deviation": {"trials": 12}}, "aborted": 0}
-    return {**known, **search, **ran, "aborted_reasons": {}, **changes}
-
-
-def test_what_is_to_be_known_of_a_margin_is_said_of_draws():
-    late = {"no answer": {"count": 3, "first": "no answer\nfor a second"}}
-    assert draw_warnings([draw(), draw()], 0.05) == []
-    said = draw_warnings([draw(), draw(margin_converged=False, margin_budget=1024), draw(margin_beyond=5)], 0.05)
-    assert said == [
-        "in 1 of 3 draws the search for the margin had not converged at 1024 candidates a trial: the margin may be "
-        "less",
-        "in 1 of 3 draws nobody could be hit within η_max (5 m) in trials of which the margin is made, 5 of 36 in "
-        "all; they count as η_max: the margin may be more",
-    ]
-    (few,) = draw_warnings([draw(), draw(aborted=3, aborted_reasons=late)], 0.05)
-    assert few == "3 episodes in 1 of 2 draws were aborted (no answer for a second); they count in no figure"
-    (many,) = draw_warnings([draw(), draw(aborted=8, aborted_reasons=late)], 0.05)  # of 137 that were not
-    assert many.startswith(f"{NOT_CREDIBLE}8 episodes in 1 of 2 draws were aborted")
-    lacking = draw(margin=None, margin_note="nothing was found", margin_converged=None, margin_beyond=None)
-    assert draw_warnings([draw(), lacking], 0.05) == [
-        "the margin is not said: in 1 of 2 draws it is not known (nothing was found)"
-    ]
-    doubted = draw(warnings=[f"{NOT_CREDIBLE}it counts", "the car was clipped"])
-    assert draw_warnings([doubted, doubted], 0.05) == [f"{NOT_CREDIBLE}it counts"]

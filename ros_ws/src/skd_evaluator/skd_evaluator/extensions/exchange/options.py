@@ -105,7 +105,7 @@ def add_import(commands: Any) -> None:
         help="a longer gap in a track is not filled: the way is left out (default: %(default)s)",
     )
     add_output_arguments(taken)
-    taken.set_defaults(module="skd_evaluator.extensions.exchange.import_command")
+    taken.set_defaults(module="skd_evaluator.extensions.exchange.imports")
 
 
 def _place(text: str) -> tuple[float, float, float] | str:

@@ -19,8 +19,8 @@ from skd_sim.inputs.files import one_line
 from skd_sim.scenario.road import ONCOMING
 
 from skd_evaluator.bags.mcap_file import Condition, Received, read_messages
+from skd_evaluator.bags.tracks import Track, listed
 from skd_evaluator.extensions.exchange.scene import EGO, EGO_ID, ROAD_FILE, SOURCE, Actor, ExportedEpisode, stretch
-from skd_evaluator.extensions.exchange.tracks import TrackedObject, listed, track_of
 
 HOW = "python -m pip install 'skd[exchange]'"
 
@@ -70,7 +70,7 @@ SCHEMA = "osi3.GroundTruth"
 _NANOSECONDS = 1e-9
 
 
-def read_osi(path: Path) -> list[TrackedObject]:
+def read_osi(path: Path) -> list[Track]:
     """Return every moving object; one that SKD has exported bears its name there, any other its id.
 
     Raises:
@@ -88,7 +88,7 @@ def read_osi(path: Path) -> list[TrackedObject]:
             continue
         topics[received.channel.topic] = None
         if len(topics) > 1:
-            raise UsageError(f"{path}: has ground truth on {listed(list(topics))}; give a file with one of them")
+            raise UsageError(f"{path}: has ground truth on {listed(topics)}; give a file with one of them")
         message = _parsed(kind, received, path)
         time = message.timestamp.seconds + _NANOSECONDS * message.timestamp.nanos
         for one in message.moving_object:
@@ -103,13 +103,11 @@ def read_osi(path: Path) -> list[TrackedObject]:
         raise UsageError(f"{path}: has no moving object in ground truth of OSI")
     if len(set(roles.values())) < len(roles):  # two that say they are the same
         roles = {number: str(number) for number in roles}
-    found = []
-    for number, states in rows.items():
-        table = np.array(states, np.float64)
-        if len(table) >= 2:
-            track = track_of(table[:, 0], table[:, 1:], f"{path}, {roles[number]}")
-            found.append(TrackedObject(roles[number], track, kinds[number]))
-    return found
+    return [
+        Track.of_rows(states, f"{path}, {roles[number]}", roles[number], kinds[number])
+        for number, states in rows.items()
+        if len(states) >= 2
+    ]
 
 
 def _parsed(kind: Any, received: Received, path: Path) -> Any:

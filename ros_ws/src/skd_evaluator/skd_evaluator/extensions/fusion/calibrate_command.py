@@ -1,4 +1,4 @@
-"""`skd calibrate`: a simulated world in which simulated cars go as recorded ones, and what follows from it."""
+"""`skd calibrate`: a simulated world in which simulated cars go as recorded ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.scenario import Scenario
 
 from skd_evaluator.assessment.files.result_folder import write_json
-from skd_evaluator.assessment.options import MAXIMUM_ABORTED
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
@@ -34,20 +33,11 @@ from skd_evaluator.extensions.fusion.calibration import (
     recorded,
 )
 from skd_evaluator.extensions.fusion.fuse_command import recorder_of
-from skd_evaluator.extensions.fusion.trial import PhysicalTrial
-from skd_evaluator.extensions.fusion.trial_sources import (
-    Simulated,
-    read_simulated,
-    read_trials,
-    table_in,
-    track_of,
-)
-from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.report.progress import progress_bar
-from skd_evaluator.report.terminal import counted, narrow_table, print_table
+from skd_evaluator.extensions.fusion.recordings import track_of
+from skd_evaluator.extensions.fusion.trials import PhysicalTrial, Simulated, read_simulated, read_trials, table_in
+from skd_evaluator.report.terminal import narrow_table, print_table
 
 RESULT, SCENARIO = "simulator.json", "simulator.yaml"
-_KEYS = ("margin", "risk_1", "risk_2", "risk_3")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -56,12 +46,13 @@ def run(arguments: argparse.Namespace) -> int:
     folder, physical = arguments.simulated, arguments.physical
     out = result_folder(arguments)
     simulated = read_simulated(folder)
+    if simulated.scenario is None:
+        raise UsageError(f"{folder}: must be the folder of an assessment")
     figures = simulated.figures
     stated = figures["multiplier"]  # which only a car that has one states
     car = CarUnderTest(str(figures["controller"]), CarUnderTest.multiplier if stated is None else float(stated))
     if car.is_external:
         raise UsageError(f"{folder}: its car ran as a node, and cannot drive the trials again in process")
-    assert simulated.scenario is not None
     world = replace(simulated.scenario, control_period=check_controller(car, simulated.scenario).control_period)
     trials = _recorded(simulated, world, table_in(physical), arguments)
     workers = arguments.workers or available_workers()
@@ -73,14 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
             "software, or one that decides otherwise by the noise of the recordings"
         )
     best = replace(calibrated(world, calibration.values), name=f"{world.name}_calibrated")
-    worlds = []
-    if arguments.draws and calibration.told:
-        rng = np.random.default_rng(np.random.SeedSequence(int(figures["seed"]), spawn_key=(len(trials),)))
-        worlds = [calibrated(world, values) for values in calibration.drawn(arguments.draws, rng)]
-    found, of_draws = _with_draws(
-        worlds, car, simulated, int(figures["seed"]), workers, float(figures["eta_max"]), arguments
-    )
-    warnings = [*simulated.remarks, *warnings_of(calibration), *of_draws]
+    warnings = [*simulated.remarks, *warnings_of(calibration)]
     content = {
         "simulated": simulated.source,
         "physical": str(physical),
@@ -102,9 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         "places_off_before": calibration.before,
         "places_off_after": calibration.after,
         "places_off_by_trial": calibration.by_trial.tolist(),
-        "propagated": {one.key: one.as_dict() for one in found},
-        "draws": len(worlds),
-        "sentences": sentences(calibration, found),
+        "sentences": sentences(calibration),
         "warnings": warnings,
     }
 
@@ -126,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"skd calibrate: warning: {line}", file=sys.stderr)
     if problem:
         print(f"skd calibrate: {problem}", file=sys.stderr)
-    return 1 if problem or not_credible(of_draws) else 0
+    return 1 if problem else 0
 
 
 def _recorded(simulated: Simulated, world: Scenario, table: Path, arguments: argparse.Namespace) -> list[Recorded]:
@@ -169,41 +151,19 @@ def _calibrated(
             raise UsageError(str(error)) from error
 
 
-def _with_draws(
-    worlds: Sequence[Scenario],
-    car: CarUnderTest,
-    simulated: Simulated,
-    seed: int,
-    workers: int,
-    eta_max: float,
-    arguments: argparse.Namespace,
-) -> tuple[list[Propagated], list[str]]:
-    """Return figures over draws, and what is to be known of them, a line each."""
-    if not worlds:
-        return [], []
-    safe = dict(list((simulated.safe or {}).items())[: arguments.draw_phi])
-    with progress_bar(quiet=arguments.quiet) as progress:
-        found = assessed_draws(worlds, car, safe, seed, workers, progress)
-    every = [propagated(found, key, (0.0, eta_max if key == "margin" else 1.0)) for key in _KEYS]
-    return [one for one in every if one is not None], draw_warnings(found, MAXIMUM_ABORTED)
-
-
 def warnings_of(calibration: SimulatorCalibration) -> list[str]:
     """Return what a reader should know before believing a calibration."""
-    found = []
-    found += [
+    found = [
         f"{one.parameter.text} is at the end of its range, {one.parameter.shown(one.value)}"
         for one in calibration.told
         if one.value in one.parameter.range
     ]
     if not calibration.told:
-        found.append(
-            "the trials say nothing of the simulator's parameters: margin and risk are those of the assessment"
-        )
+        found.append("the trials say nothing of the simulator's parameters")
     return found
 
 
-def sentences(calibration: SimulatorCalibration, found: Sequence[Propagated]) -> list[str]:
+def sentences(calibration: SimulatorCalibration) -> list[str]:
     """Return what may be said, a sentence each."""
     said = [
         f"The {one.parameter.text} is {one.parameter.shown(one.value)}, with a 95 % interval from "
@@ -215,14 +175,6 @@ def sentences(calibration: SimulatorCalibration, found: Sequence[Propagated]) ->
         f"Simulated cars are {calibration.after:.2f} m from where recorded ones were (root mean square); with the "
         f"scenario's own values {calibration.before:.2f} m."
     )
-    for one in found:
-        unit = " m" if one.key == "margin" else ""
-        name = "margin" if one.key == "margin" else f"risk R({one.key.removeprefix('risk_')})"
-        said.append(
-            f"In the calibrated simulator the {name} is {one.value:.3g}{unit}, with a 95 % interval from "
-            f"{one.interval[0]:.3g} to {one.interval[1]:.3g}{unit}, by {counted(len(one.values), 'draw')} of its "
-            f"parameters; were they known, it would be about {one.by_phi:.2g}{unit} wide."
-        )
     return said
 
 

@@ -327,22 +327,6 @@ class SimulatorCalibration:
         """Values of all parameters of the simulated world, by name."""
         return {one.parameter.name: one.value for one in self.estimates}
 
-    def drawn(self, count: int, rng: np.random.Generator) -> list[dict[str, float]]:
-        """Return values of all parameters drawn from what is known of them: Student's t, in their ranges."""
-        told, found = self.told, []
-        if not told:
-            return [self.values] * count
-        root = np.linalg.cholesky(self.covariance + 1e-12 * np.diag(np.diag(self.covariance)))
-        for _ in range(count):
-            heavy = math.sqrt(self.freedom / rng.chisquare(self.freedom))
-            moved = root @ rng.standard_normal(len(told)) * heavy
-            values = {
-                one.parameter.name: min(max(one.value + float(by), one.parameter.range[0]), one.parameter.range[1])
-                for one, by in zip(told, moved, strict=True)
-            }
-            found.append({**self.values, **values})
-        return found
-
 
 def estimated(
     off: Off, start: Mapping[str, float], free: Sequence[str], groups: Sequence[int], confidence: float = 0.95

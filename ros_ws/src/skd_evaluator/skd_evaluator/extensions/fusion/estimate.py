@@ -40,6 +40,7 @@ for a plain rate, two trials in which it was wrong are added to the residual var
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -50,7 +51,7 @@ from scipy import special
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import cluster_error, components_of, student_quantile
-from skd_evaluator.metrics.statistics import Interval, checked_confidence, plain_numbers, score_interval
+from skd_evaluator.metrics.statistics import Interval, checked_confidence, score_interval
 
 _DRAWS, _NUMBERS = 2000, 2_000_000
 _LEAST = 200
@@ -199,22 +200,6 @@ class Line:
         return self.p_value < PREDICTS
 
 
-def checked_pairs(physical: FloatArray, simulated: FloatArray, every: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the three as arrays.
-
-    Raises:
-        ValueError: what is no finite number, pairs that do not match, too few of them, or fewer simulated φ than pairs.
-    """
-    y, x, population = map(plain_numbers, (physical, simulated, every))
-    if y.size != x.size:
-        raise ValueError(f"{y.size} physical and {x.size} simulated figures do not pair")
-    if y.size < LEAST_PAIRS:
-        raise ValueError(f"{y.size} pairs are too few: at least {LEAST_PAIRS} φ need physical trials")
-    if population.size < y.size:
-        raise ValueError(f"{population.size} simulated φ are fewer than the {y.size} of the pairs, which are of them")
-    return y, x, population
-
-
 def fitted_line(y: FloatArray, x: FloatArray) -> Line:
     """Return the line through pairs of a physical and a simulated figure."""
     spread, common, own = (float(one @ other) for one, other in _centred(y, x))
@@ -334,18 +319,8 @@ def trials_saved(pairs: int, narrower: float, confidence: float) -> int:
     def width(count: int) -> float:
         return student_quantile(count - 1.0, confidence) / math.sqrt(count)
 
-    def enough(count: int) -> bool:
-        return width(count) <= narrower * width(pairs)
-
-    if enough(pairs):
-        return 0
-    low, high = pairs, 2 * pairs
-    while not enough(high) and high < _MOST_TRIALS:
-        low, high = high, 2 * high
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high - pairs
+    most = narrower * width(pairs)
+    return bisect_left(range(pairs, _MOST_TRIALS), True, key=lambda count: width(count) <= most)
 
 
 def _interval(
@@ -482,14 +457,9 @@ def trials_for_width(
             return width_alone(trials, deviation, confidence) <= width
         return width_fused(trials, deviation, correlation, simulated, confidence) <= width
 
-    most = MOST if correlation is None else min(MOST, simulated)
-    if most < LEAST_PAIRS or not enough(most):
-        return None
-    low, high = LEAST_PAIRS - 1, most
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if enough(middle) else (middle, high)
-    return high
+    counts = range(LEAST_PAIRS, (MOST if correlation is None else min(MOST, simulated)) + 1)
+    found = bisect_left(counts, True, key=enough)
+    return counts[found] if found < len(counts) else None
 
 
 def _root(freedom: float) -> float:

@@ -1,4 +1,4 @@
-"""`skd fuse`: what the physical car does, from few physical trials and many simulated ones."""
+"""`skd fuse`: what the physical car does, from few physical and many simulated trials; or how many trials it takes."""
 
 from __future__ import annotations
 
@@ -6,33 +6,36 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any
 
+import numpy as np
 from rich.table import Table
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import one_line
+from skd_sim.inputs.files import one_line, read_json
+from skd_sim.inputs.model import YesNo, limits, read_model
 
 from skd_evaluator.assessment.files.result_folder import write_json
+from skd_evaluator.bags.tracks import RecordingFrame
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.fusion import planning_command
-from skd_evaluator.extensions.fusion.estimate import Mean
+from skd_evaluator.extensions.fusion.estimate import LEAST_PAIRS, Mean, trials_for_width
 from skd_evaluator.extensions.fusion.fusion import FusedFigure, fuse
-from skd_evaluator.extensions.fusion.track import RecordingFrame
-from skd_evaluator.extensions.fusion.trial import GAP_TOLERANCE
-from skd_evaluator.extensions.fusion.trial_sources import (
+from skd_evaluator.extensions.fusion.recordings import TrialRecorder, overruled
+from skd_evaluator.extensions.fusion.trials import (
+    FIGURES,
+    GAP_TOLERANCE,
     Simulated,
-    TrialRecorder,
-    by_phi,
-    overruled,
     read_simulated,
     read_trials,
     table_in,
 )
 from skd_evaluator.report.terminal import counted, narrow_table, print_table
 
-RESULT, PICTURE = "fusion.json", "fusion.png"
-_SMALL = 0.05  # p-value of a trend that is said
+RESULT = "fusion.json"
+CORRELATIONS = (0.5, 0.7, 0.8, 0.9, 0.95)
+_SMALL = 0.05  # p-value of a trend that is shown
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,9 +43,9 @@ def run(arguments: argparse.Namespace) -> int:
     if (arguments.physical is None) == (arguments.width is None):
         raise UsageError("give PHYSICAL, the table of trials, or --width, to plan how many there are to be")
     if arguments.width is not None:
-        return planning_command.run(arguments)
+        return _plan(arguments)
     out = result_folder(arguments)
-    simulated = _simulated(arguments.simulated)
+    simulated = read_simulated(arguments.simulated)
     table = table_in(arguments.physical)
     recorder = recorder_of(simulated, arguments, arguments.gap_tolerance)
     trials = read_trials(table, None if recorder is None else recorder.measured)
@@ -56,14 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         "sentences": [sentence(one) for one in figures],
         "warnings": warnings,
     }
-
-    def write(folder: Path) -> None:
-        from skd_evaluator.extensions.fusion.picture import save_fusion  # slow to import, and needed only now
-
-        write_json(folder / RESULT, content)
-        save_fusion(folder / PICTURE, figures)
-
-    problem = out.save(write)
+    problem = out.save(lambda folder: write_json(folder / RESULT, content))
     if arguments.json:
         print_json(content)
     else:
@@ -82,10 +78,80 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if problem else 0
 
 
-def _simulated(path: Path) -> Simulated:
-    if path.is_dir():
-        return read_simulated(path)
-    return Simulated(str(path), by_phi(read_trials(table_in(path))))
+@dataclass(frozen=True)
+class _FusedBefore:
+    """What planning reads of a figure in fusion.json."""
+
+    deviation: Annotated[float, limits(0.0, 100.0, "in its unit")]
+    simulated_phi: Annotated[int, limits(LEAST_PAIRS, 1e9, "φ")]
+    trials: Annotated[int, limits(LEAST_PAIRS, 1e9, "trials")]
+    predicts: YesNo
+    correlation: Annotated[float, limits(-1.0, 1.0, "no unit")] = 0.0
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    """Say how many trials a width takes, alone and with the simulator; return the exit code."""
+    figure, width = FIGURES[arguments.figure], arguments.width
+    deviation, known, simulated, source, warnings = _planned_with(arguments.simulated, figure.key)
+    if not deviation > 0.0:
+        raise UsageError(f"{arguments.simulated}: {figure.text} is the same on every φ, so nothing can be planned")
+    known = known if arguments.correlation is None else arguments.correlation
+    shown = sorted({*CORRELATIONS, *(() if known is None else (known,))})
+    alone = trials_for_width(width, deviation)
+    rows = [(one, trials_for_width(width, deviation, one, simulated)) for one in shown]
+    for line in warnings:
+        print(f"skd fuse: warning: {line}", file=sys.stderr)
+    if arguments.json:
+        content = {
+            "figure": figure.key,
+            "width": width,
+            "deviation": deviation,
+            "correlation": known,
+            "simulated_phi": simulated,
+            "source": source,
+            "physical_alone": alone,
+            "with_simulator": [{"correlation": one, "trials": trials} for one, trials in rows],
+        }
+        print_json(content)
+        return 0
+    unit = f" {figure.unit}" if figure.unit else ""
+    print(f"{figure.text}: standard deviation {deviation:.3f}{unit} from φ to φ; {source}")
+    table = narrow_table(f"Physical trials, one on each φ, until the 95 % interval is {width:g}{unit} wide")
+    table.add_column("")
+    table.add_column("trials", justify="right")
+    table.add_row("physical trials alone", str(alone or "never"))
+    for one, trials in rows:
+        cells = f"with the simulator, where ρ = {one:.2f}", str(trials or "never")
+        table.add_row(*(f"[bold]{cell}[/]" if one == known else cell for cell in cells))
+    print_table(table)
+    if known is None:
+        print("how well the simulator predicts is known when at least 5 trials are fused: skd fuse")
+    return 0
+
+
+def _planned_with(folder: Path, key: str) -> tuple[float, float | None, int, str, list[str]]:
+    """Return deviation from φ to φ, correlation, number of simulated φ, where these are from, and warnings."""
+    path = folder / RESULT
+    if not path.exists():
+        simulated = read_simulated(folder)
+        every = ([one.values[key] for one in trials if key in one.values] for trials in simulated.trials.values())
+        means = [float(np.mean(values)) for values in every if values]
+        if len(means) < 2:
+            raise UsageError(f"{folder}: has no {key} of two φ")
+        source = f"as simulated in {folder}: the physical car may vary more"
+        return float(np.std(means, ddof=1)), None, len(means), source, list(simulated.remarks)
+    content: Any = read_json(path)
+    try:
+        entry = {name: content["figures"][key][name] for name in _FusedBefore.__annotations__}
+        warnings = [one_line(str(line)) for line in content["warnings"]]
+    except (KeyError, TypeError) as error:
+        raise UsageError(f"{path}: has no {key} of skd fuse") from error
+    found = read_model(
+        _FusedBefore, {name: one for name, one in entry.items() if one is not None}, str(path), f"figures.{key}"
+    )
+    correlation = found.correlation if found.predicts else None
+    source = f"by {counted(found.trials, 'physical trial')} in {folder}"
+    return found.deviation, correlation, found.simulated_phi, source, warnings
 
 
 def recorder_of(
@@ -94,21 +160,17 @@ def recorder_of(
     """Return what reads recordings of trials on simulated φ; None where road and shapes are not known."""
     if simulated.scenario is None or simulated.safe is None:
         return None
+    x, y, degrees = arguments.frame
     return TrialRecorder(
         simulated.scenario,
         simulated.safe,
         arguments.car,
         arguments.road_user,
-        _frame(arguments.frame),
+        RecordingFrame(x, y, math.radians(degrees)),
         arguments.reference,
         arguments.path_tolerance,
         gap_tolerance,
     )
-
-
-def _frame(given: tuple[float, float, float] | None) -> RecordingFrame:
-    x, y, degrees = given or (0.0, 0.0, 0.0)
-    return RecordingFrame(x, y, math.radians(degrees))
 
 
 def fusion_table(figures: Sequence[FusedFigure]) -> Table:
@@ -117,8 +179,8 @@ def fusion_table(figures: Sequence[FusedFigure]) -> Table:
     for name in ("", "physical\nalone", "with the\nsimulator", "ρ", "predicts\n(p)", "trials\nsaved", "gap"):
         table.add_column(name, justify="right" if name else "left")
     for one in figures:
-        both = "—" if one.with_simulator is None else said(one, one.with_simulator)
-        single = said(one, one.alone)
+        both = "—" if one.with_simulator is None else mean_text(one, one.with_simulator)
+        single = mean_text(one, one.alone)
         table.add_row(
             f"{one.figure.text} ({one.figure.unit})" if one.figure.unit else one.figure.text,
             single if one.predicts else f"[bold]{single}[/]",
@@ -131,7 +193,7 @@ def fusion_table(figures: Sequence[FusedFigure]) -> Table:
     return table
 
 
-def said(one: FusedFigure, mean: Mean) -> str:
+def mean_text(one: FusedFigure, mean: Mean) -> str:
     """Return a mean with its interval."""
     low, high = mean.interval
     if one.figure.is_rate:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import scipy
+from scipy import stats
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 
@@ -20,7 +20,6 @@ from skd_evaluator.extensions.fusion.estimate import (
     Reach,
     alone,
     alone_rate,
-    checked_pairs,
     enough_of_each,
     fitted_line,
     fused,
@@ -32,7 +31,7 @@ from skd_evaluator.extensions.fusion.estimate import (
     stand_for_all,
     trials_saved,
 )
-from skd_evaluator.extensions.fusion.trial import FIGURES, GAP_TOLERANCE, Pairs, PhysicalTrial, TrialFigure, paired
+from skd_evaluator.extensions.fusion.trials import FIGURES, GAP_TOLERANCE, Pairs, PhysicalTrial, TrialFigure, paired
 from skd_evaluator.metrics.clustered import student_quantile
 from skd_evaluator.metrics.sample_size import nominal_confidence
 from skd_evaluator.metrics.statistics import Interval
@@ -71,14 +70,6 @@ class Gap:
     by_simulated: GapTrend | None
     by_order: GapTrend | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of fusion.json."""
-        trends = {
-            name: one and asdict(one)
-            for name, one in (("by_simulated", self.by_simulated), ("by_order", self.by_order))
-        }
-        return {"mean": self.mean, "interval": self.interval, **trends}
-
 
 def gap_of(y: FloatArray, x: FloatArray, trials: FloatArray, predicted: FloatArray, confidence: float = 0.95) -> Gap:
     """Return the gap of pairs.
@@ -100,16 +91,12 @@ def gap_of(y: FloatArray, x: FloatArray, trials: FloatArray, predicted: FloatArr
 
 def trend(places: FloatArray, values: FloatArray, confidence: float = 0.95) -> GapTrend | None:
     """Return the line of least squares of values over places; None where the places or the values are all the same."""
-    off, up = places - places.mean(), values - values.mean()
-    spread, freedom = float(off @ off), places.size - 2.0
-    if spread <= 0.0 or freedom < 1.0 or not np.ptp(values) > 1e-9 * float(np.abs(values).max()):
+    if places.size < 3 or not np.ptp(places) or not np.ptp(values) > 1e-9 * float(np.abs(values).max()):
         return None
-    slope = float(off @ up) / spread
-    left = up - slope * off
-    error = math.sqrt(float(left @ left) / freedom / spread)
-    half = student_quantile(freedom, confidence) * error
-    chance = 0.0 if error == 0.0 else float(2.0 * scipy.special.stdtr(freedom, -abs(slope) / error))
-    return GapTrend(slope, (slope - half, slope + half), chance)
+    line = stats.linregress(places, values)
+    half = student_quantile(places.size - 2.0, confidence) * float(line.stderr)
+    slope = float(line.slope)
+    return GapTrend(slope, (slope - half, slope + half), float(line.pvalue))
 
 
 _MANY = 5
@@ -186,7 +173,10 @@ class FusedFigure:
             "simulated_mean": float(pairs.population.mean()),
             "trials_saved": self.saved,
             "gap": {
-                **self.gap.as_dict(),
+                "mean": self.gap.mean,
+                "interval": self.gap.interval,
+                "by_simulated": self.gap.by_simulated and asdict(self.gap.by_simulated),
+                "by_order": self.gap.by_order and asdict(self.gap.by_order),
                 "by_phi": [
                     {"phi": name, "trials": group.size, "physical": real, "simulated": said, "gap": real - said}
                     for name, group, real, said in zip(
@@ -249,11 +239,8 @@ def fuse(
         except NotSaidError as error:
             left_out.append(str(error))
     if not found:
-        raise UsageError(
-            left_out[0]
-            if left_out
-            else f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}"
-        )
+        none = f"physical and simulated trials have no figure in common; known are {', '.join(FIGURES)}"
+        raise UsageError(left_out[0] if left_out else none)
     return Fusion(tuple(found), tuple(left_out))
 
 
@@ -269,16 +256,16 @@ def fused_figure(figure: TrialFigure, pairs: Pairs, confidence: float) -> FusedF
             f"{len(pairs.trials)} physical trials on {len(pairs.names)} φ: at least {LEAST_PAIRS} φ with trials are "
             "needed, for the interval speaks of all φ"
         )
+    y, x = pairs.physical, pairs.simulated
+    line = fitted_line(y, x)
+    if line.predicts and not figure.is_rate and not stand_for_all(x, pairs.population):
+        raise NotSaidError(
+            f"{figure.text}: nothing is said, for the φ with trials are too alike: in the simulation, which "
+            f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
+            f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
+        )
+    _check_shape(figure, pairs)
     try:
-        y, x, _ = checked_pairs(pairs.physical, pairs.simulated, pairs.population)
-        line = fitted_line(y, x)
-        if line.predicts and not figure.is_rate and not stand_for_all(x, pairs.population):
-            raise NotSaidError(
-                f"{figure.text}: nothing is said, for the φ with trials are too alike: in the simulation, which "
-                f"predicts it, its standard deviation is {np.std(x, ddof=1):.3g} {figure.unit} over them and "
-                f"{np.std(pairs.population, ddof=1):.3g} over all φ; a few other φ decide the mean: make more trials"
-            )
-        _check_shape(figure, pairs)
         by_itself = _by_itself(figure, pairs, line, confidence)
         both, why = _with_simulator(figure, pairs, line, confidence)
     except NotSaidError:

@@ -91,7 +91,7 @@ def add_calibrate(commands: Any) -> None:
         "calibrate",
         help="calibrate the simulator by physical trials",
         description="Estimate which delay and deceleration of the brake, friction and sensor range make simulated cars "
-        "go as those recorded on a proving ground, and what margin and risk follow (docs/fusion.md).",
+        "go as those recorded on a proving ground (docs/fusion.md).",
     )
     calibrate.add_argument("simulated", type=Path, metavar="SIMULATED", help="folder of the simulated assessment")
     calibrate.add_argument(
@@ -106,15 +106,6 @@ def add_calibrate(commands: Any) -> None:
         metavar="NAME",
         help=f"what may be calibrated: {', '.join(CALIBRATED)} (default: all of which the trials say something)",
     )
-    add_count(
-        calibration,
-        "--draws",
-        0,
-        1000,
-        "how many draws of the parameters margin and risk are computed with; 0: neither",
-        default=10,
-    )
-    add_count(calibration, "--draw-phi", 5, 10_000, "on how many φ, at most, each draw is assessed", default=20)
     add_workers_argument(calibration)
     add_output_arguments(calibrate)
     calibrate.set_defaults(module="skd_evaluator.extensions.fusion.calibrate_command")
@@ -137,6 +128,7 @@ def _add_recordings(parser: Any) -> Any:
     recordings.add_argument(
         "--frame",
         type=frame_place,
+        default=(0.0, 0.0, 0.0),
         metavar="X,Y,DEGREES",
         help="where the frame map of the scenario lies in the recordings' frame: its origin, m, and the direction of "
         "its x axis (default: 0,0,0)",

@@ -1,0 +1,370 @@
+"""Recordings of physical trials: laid over their φ in space and time, checked, and looked at like episodes.
+
+A recording's clock says nothing of when φ began, so that is the moment from which the tracked road user is nearest to
+φ, in the mean of squares. From there to the end of φ, or to the contact, is the trial.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from skd_sim.arrays import FloatArray
+from skd_sim.errors import UsageError
+from skd_sim.inputs.files import did_you_mean
+from skd_sim.scenario.road import right_and_along, road_pose
+from skd_sim.scenario.scenario import Scenario
+
+from skd_evaluator.bags.read import ADVERSARY, CAR
+from skd_evaluator.bags.tracks import TABLE_CAR, TABLE_OTHER, RecordingFrame, Track, bag_tracks, table_tracks
+from skd_evaluator.extensions.fusion.trials import GAP_TOLERANCE, PhysicalTrial, figures_of, gap_to_crossing
+from skd_evaluator.metrics.surrogate_measures import clearances
+from skd_evaluator.metrics.surrogate_scenes import Scene
+
+PATH_TOLERANCE = 0.5
+"""m that the tracked road user may be off φ at any moment: beyond, it was not a trial on that φ."""
+_LONGEST_HOLE = 0.5  # s without a position: a car at 50 km/h moves 7 m in it
+_LONGEST = 3600.0  # s that a track may last
+_NOISE = 0.3  # m of two tracked places
+_MOVES = 1.0  # m/s, from which directions and speeds of positions say something
+_SAME_SPEED, _SLACK, _SPEED_OVER = 1.3, 1.0, 0.5  # ratio, m/s and s by which stated speeds are compared with positions
+_BRAKES = 12.0  # m/s², more than tyres give
+_STEP = 0.05  # s between moments
+_SHIFTS = 0.02  # s between beginnings of φ that are tried; then finer
+_OVER = 0.3  # s over which velocities are taken: a sensor's noise of 2 cm is 0.1 m/s then
+_LEAST_SHARE = 0.5  # of φ that must be tracked
+_TURNED, _POINTED = math.radians(30.0), math.radians(12.0)  # off the lane's heading, and off where the car goes
+_WENT, _SHOWN = 1.0, 1.5  # s over which is looked where a car goes, and m that show it
+_END = 0.5  # s that a recording may end before φ does, and over which is looked whether the two still come nearer
+
+
+def read_tracks(path: Path, car: str | None, other: str | None) -> tuple[Track, Track]:
+    """Return the tracks of the car and of the other road user, in the recording's frame.
+
+    Args:
+        path: an .mcap file, a bag's folder, or a csv file with the columns t, id, x, y, and perhaps heading and speed.
+        car: topic or id of the car; None: what SKD itself calls it.
+        other: topic or id of the other.
+
+    Raises:
+        UsageError: it cannot be read, is damaged or implausible, lacks one of the two, or they are in two frames.
+    """
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder")
+    is_table = path.suffix.lower() == ".csv"
+    usual = (TABLE_CAR, TABLE_OTHER) if is_table else (CAR, ADVERSARY)
+    first, second = car or usual[0], other or usual[1]
+    if first == second:
+        raise UsageError(f"{path}: car and road user are both {first!r}; say which is which")
+    found = (table_tracks if is_table else bag_tracks)(path, [first, second])
+    if found[first].frame != found[second].frame:
+        raise UsageError(
+            f"{path}: {first} in {found[first].frame!r} and {second} in {found[second].frame!r}: two frames; record "
+            "both in one"
+        )
+    for one in found.values():
+        _check_track(one)
+    return found[first], found[second]
+
+
+def _check_track(track: Track) -> None:
+    """Refuse a track that is too short or long, jumps, or whose speeds are not those of its positions."""
+    times, places, where = track.times, track.places, track.where
+    if len(times) < 5:
+        raise UsageError(f"{where}: {len(times)} positions are no track")
+    if times[-1] - times[0] > _LONGEST:
+        raise UsageError(f"{where}: lasts {times[-1] - times[0]:.4g} s, more than {_LONGEST:g} s: are times in s?")
+    if track.jump:
+        raise UsageError(f"{where}: {track.jump}")
+    share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
+    aside = np.hypot(*(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).T)
+    off = aside - _NOISE - 0.125 * _BRAKES * (times[2:] - times[:-2]) ** 2
+    worst = int(np.argmax(off))
+    if off[worst] > 0.0:
+        raise UsageError(
+            f"{where}: is {aside[worst]:.2g} m off the line between the positions before and after at "
+            f"{times[worst + 1]:.2f} s: positions without jumps are needed"
+        )
+    if track.speeds is not None:
+        _check_speeds(track, np.abs(track.speeds))
+
+
+def _check_speeds(track: Track, speeds: FloatArray) -> None:
+    """Refuse stated speeds (m/s) that are not those of the positions, on the whole or at a moment."""
+    times = track.times
+    went = float(np.hypot(*np.diff(track.places, axis=0).T).sum())
+    stated = float(np.trapezoid(speeds, times))
+    if max(went, stated) < _MOVES * (times[-1] - times[0]):
+        return
+    ratio = stated / max(went, 1e-9)
+    if not 1.0 / _SAME_SPEED <= ratio <= _SAME_SPEED:
+        hint = ": is it in km/h?" if abs(ratio - 3.6) < 0.5 else ""
+        raise UsageError(f"{track.where}: its speed is {ratio:.2g} times that of its positions{hint}")
+    seen = np.hypot(*_velocity_at(track, times, _SPEED_OVER, holes=True).T)
+    off = np.abs(seen - speeds) - _SLACK - (_SAME_SPEED - 1.0) * np.maximum(seen, speeds)
+    worst = int(np.argmax(off))
+    if off[worst] > 0.0:
+        raise UsageError(
+            f"{track.where}: its speed is {speeds[worst]:.2g} m/s at {times[worst]:.2f} s, and that of its positions "
+            f"{seen[worst]:.2g} m/s"
+        )
+
+
+def _places_at(track: Track, times: FloatArray, *, holes: bool = False) -> FloatArray:
+    """Return places at some times (s), n × 2, m, in straight lines; a hole is refused unless `holes`."""
+    known = track.times
+    if times[0] < known[0] - 1e-6 or times[-1] > known[-1] + 1e-6:
+        raise UsageError(
+            f"{track.where}: is tracked from {known[0]:.2f} to {known[-1]:.2f} s, and the trial is from "
+            f"{times[0]:.2f} to {times[-1]:.2f} s"
+        )
+    hole = np.diff(known)[np.clip(np.searchsorted(known, times), 1, len(known) - 1) - 1].max()
+    if hole > _LONGEST_HOLE and not holes:
+        raise UsageError(f"{track.where}: has a hole of {hole:.2f} s, more than {_LONGEST_HOLE:g} s")
+    return np.column_stack([np.interp(times, known, column) for column in track.places.T])
+
+
+def _velocity_at(track: Track, times: FloatArray, over: float, *, holes: bool = False) -> FloatArray:
+    """Return velocities at some times (s), n × 2, m/s, by the places half of `over` (s) before and after."""
+    before = np.maximum(times - 0.5 * over, track.times[0])
+    after = np.minimum(times + 0.5 * over, track.times[-1])
+    moved = _places_at(track, after, holes=holes) - _places_at(track, before, holes=holes)
+    return np.asarray(moved / (after - before)[:, None])
+
+
+def _headings_at(track: Track, times: FloatArray) -> FloatArray:
+    """Return headings at some times (s), rad: as recorded, else those of the velocities, kept while it stands."""
+    if track.headings is not None:
+        return np.interp(times, track.times, np.unwrap(track.headings))
+    velocity = _velocity_at(track, times, _OVER)
+    moves = np.flatnonzero(np.hypot(*velocity.T) >= _MOVES)
+    if not moves.size:
+        raise UsageError(f"{track.where}: stands all the time and has no heading: record its heading")
+    kept = moves[np.maximum(0, np.searchsorted(moves, np.arange(len(times)), side="right") - 1)]
+    return np.unwrap(np.arctan2(velocity[kept, 1], velocity[kept, 0]))
+
+
+def _speeds_at(track: Track, times: FloatArray) -> FloatArray:
+    """Return speeds at some times (s), m/s: as recorded, else those of the positions."""
+    if track.speeds is not None:
+        return np.interp(times, track.times, np.abs(track.speeds))
+    return np.asarray(np.hypot(*_velocity_at(track, times, _OVER).T))
+
+
+@dataclass(frozen=True)
+class TrialRecorder:
+    """How recordings of trials are read.
+
+    Attributes:
+        scenario: road and shapes.
+        safe: positions of each φ at ticks, m, by name.
+        car: topic or id of the car; None: SKD's own name.
+        other: topic or id of the road user.
+        frame: where `map` lies in the recording's frame.
+        reference: how far ahead of the scenario's reference point of the car the tracked point is, m.
+        tolerance: m that the road user may be off φ.
+        gap_tolerance: m that the timing of a table may be off that of the recording.
+    """
+
+    scenario: Scenario
+    safe: Mapping[str, FloatArray]
+    car: str | None = None
+    other: str | None = None
+    frame: RecordingFrame = field(default_factory=RecordingFrame)
+    reference: float = 0.0
+    tolerance: float = PATH_TOLERANCE
+    gap_tolerance: float = GAP_TOLERANCE
+
+    def measured(self, path: Path, trial: PhysicalTrial) -> PhysicalTrial:
+        """Return a trial with timing and figures as its recording has them.
+
+        Where the table says that the car did not hit, a contact has to be deeper than noise.
+
+        Raises:
+            UsageError: it cannot be read, does not follow φ, does not fit the road, or contradicts the table.
+        """
+        said = trial.values
+        is_apart = said.get("hit") == 0.0 or said.get("clearance", 0.0) > 0.0
+        depth = _NOISE if is_apart else 0.0
+        scene = self.laid(path, trial, depth)
+        speeds, is_hit = scene.car[:, 3].tolist(), self.scenario.collision.is_hit
+        contact, seen = _first_contact(scene, depth), _first_contact(scene, 0.0)
+        hit = contact is not None and is_hit(speeds[contact])
+        if contact is None and said.get("hit") != 1.0:
+            self._check_whole(scene, self.safe[trial.phi], path)
+        if hit and is_apart:
+            raise UsageError(
+                f"{trial.where}: says that the car did not hit, and in the recording it is more than {depth:g} m "
+                f"inside the road user's outline, at {speeds[-1]:.1f} m/s; that is a hit (hit = 1)"
+            )
+        values = figures_of(scene, hit=hit)
+        _check_agrees(trial, values)
+        if said.get("hit") == 1.0:
+            values["clearance"] = 0.0
+        gap = gap_to_crossing(self.scenario, scene.car[0])
+        if trial.gap is not None and abs(trial.gap - gap) > self.gap_tolerance:
+            raise UsageError(
+                f"{trial.where}: gap is said to be {trial.gap:.2f} m, and the recording gives {gap:.2f}, more than "
+                f"{self.gap_tolerance:g} m off: leave it out, or does --reference say which point is tracked?"
+            )
+        return replace(
+            trial,
+            values={**values, **said},
+            gap=gap if trial.gap is None else trial.gap,
+            seen_hit=seen is not None and is_hit(speeds[seen]),
+            track=track_of(scene),
+        )
+
+    def laid(self, path: Path, trial: PhysicalTrial, depth: float = 0.0) -> Scene:
+        """Return the recording of a trial from the beginning of its φ to its end, or to the contact.
+
+        Args:
+            path: the recording.
+            trial: which it is.
+            depth: how far inside each other the outlines have to be for a contact, m.
+
+        Raises:
+            UsageError: it cannot be read, does not follow φ, or does not fit the road.
+        """
+        if trial.phi not in self.safe:
+            raise UsageError(f"{trial.where}: φ {trial.phi!r} was not simulated{did_you_mean(trial.phi, self.safe)}")
+        car, other = (track.placed(self.frame) for track in read_tracks(path, self.car, self.other))
+        phi = self.safe[trial.phi]
+        begin = self._beginning(other, phi, path)
+        scene = self._scene(car, other, begin, self.scenario.time_step * (len(phi) - 1))
+        contact = _first_contact(scene, depth)
+        if contact is not None:
+            rows = slice(contact + 1)
+            scene = replace(
+                scene,
+                times=scene.times[rows],
+                car=scene.car[rows],
+                other=scene.other[rows],
+                velocity=scene.velocity[rows],
+                turned=scene.turned[rows],
+            )
+        self._check_follows(scene, phi, path)
+        self._check_road(scene, path)
+        fastest, least = float(scene.car[:, 3].max()), self.scenario.collision.hit_speed
+        if fastest < least:
+            raise UsageError(
+                f"{path}: the car never drives, at most {fastest:.2f} m/s, and a hit begins at {least:g} m/s"
+            )
+        return scene
+
+    def _beginning(self, other: Track, phi: FloatArray, path: Path) -> float:
+        """Return when φ began, s on the recording's clock."""
+        ticks = self.scenario.time_step * np.arange(len(phi))
+        first, last = other.times[0], other.times[-1] - _LEAST_SHARE * ticks[-1]
+        if last < first:
+            raise UsageError(
+                f"{path}: the road user is tracked for {other.times[-1] - other.times[0]:.1f} s, less than half of its "
+                f"φ ({ticks[-1]:.1f} s)"
+            )
+
+        def off(begin: float) -> float:
+            tracked = (begin + ticks <= other.times[-1] + 1e-9) & (begin + ticks >= other.times[0] - 1e-9)
+            x, y = (np.interp(begin + ticks[tracked], other.times, column) for column in other.places.T)
+            return float(np.mean((x - phi[tracked, 0]) ** 2 + (y - phi[tracked, 1]) ** 2))
+
+        best = min(np.arange(first, last + _SHIFTS, _SHIFTS).tolist(), key=off)
+        return float(min(np.clip(best + np.linspace(-_SHIFTS, _SHIFTS, 81), first, None).tolist(), key=off))
+
+    def _scene(self, car: Track, other: Track, begin: float, duration: float) -> Scene:
+        end = min(begin + duration, other.times[-1])
+        times = np.append(np.arange(begin, end - 1e-9, _STEP), end)
+        headings = _headings_at(car, times)
+        places = _places_at(car, times) - self.reference * np.column_stack([np.cos(headings), np.sin(headings)])
+        body = self.scenario.adversary
+        turned = _headings_at(other, times) if body.is_box else np.zeros(len(times))
+        states = np.column_stack([places, headings, _speeds_at(car, times)])
+        footprint = self.scenario.car.front, self.scenario.car.rear, self.scenario.car.half_width
+        velocity = _velocity_at(other, times, _OVER)
+        return Scene(times - begin, states, _places_at(other, times), velocity, turned, footprint, body.shape)
+
+    def _check_follows(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+        ticks = self.scenario.time_step * np.arange(len(phi))
+        due = np.column_stack([np.interp(scene.times, ticks, column) for column in phi.T])
+        off = np.hypot(*(scene.other - due).T)
+        worst = int(np.argmax(off))
+        if off[worst] > self.tolerance:
+            raise UsageError(
+                f"{path}: the road user is {off[worst]:.2f} m off its φ after {scene.times[worst]:.1f} s, more than "
+                f"{self.tolerance:g} m: is it the φ of this trial, and does --frame say where map lies?"
+            )
+
+    def _check_whole(self, scene: Scene, phi: FloatArray, path: Path) -> None:
+        """Refuse a recording that ends while the two still come nearer: how near they came is not known."""
+        missing = self.scenario.time_step * (len(phi) - 1) - float(scene.times[-1])
+        distances = clearances(scene)
+        before = distances[scene.times < scene.times[-1] - _END]
+        if missing > _END and (not before.size or distances[-1] < before.min()):
+            raise UsageError(
+                f"{path}: ends {missing:.1f} s before its φ does, and the two still come nearer then: record car and "
+                "road user until the car has passed or stands, or to the contact (hit = 1 in the table)"
+            )
+
+    def _check_road(self, scene: Scene, path: Path) -> None:
+        """Refuse a car that is beside its lane, across it, or goes elsewhere than it points."""
+        line = self.scenario.road.line
+        places = right_and_along(line, np.ascontiguousarray(scene.car[:, :2]))
+        aside = float(np.abs(places[:, 0]).max())
+        if aside > 0.5 * self.scenario.road.lane_width:
+            raise UsageError(
+                f"{path}: the car is {aside:.1f} m beside its lane's centre: does --frame say where map lies?"
+            )
+        lanes = np.array([road_pose(line, along)[2] for along in places[:, 1].tolist()])
+        turned = float(np.abs(np.angle(np.exp(1j * (scene.car[:, 2] - lanes)))).max())
+        if turned > _TURNED:
+            raise UsageError(f"{path}: the car points {math.degrees(turned):.0f}° off its lane: does --frame turn it?")
+        over = max(1, min(round(_WENT / _STEP), len(scene.times) - 1))
+        went = (scene.car[over:, :2] - scene.car[:-over, :2]) @ np.array([1.0, 1j])
+        pointed = np.cumsum(np.exp(1j * scene.car[:, 2]))
+        off = np.abs(np.angle(went * (pointed[over:] - pointed[:-over]).conj()))[np.abs(went) >= _SHOWN]
+        if off.size and off.max() > _POINTED:
+            raise UsageError(
+                f"{path}: the car goes {math.degrees(off.max()):.0f}° aside of where it points: is its heading in rad, "
+                "counter-clockwise from the x axis of the recording's frame?"
+            )
+
+
+def track_of(scene: Scene) -> FloatArray:
+    """Return where car and road user were at each moment of a trial, n × 4, m."""
+    return np.column_stack([scene.car[:, :2], scene.other])
+
+
+def overruled(trials: Sequence[PhysicalTrial]) -> list[str]:
+    """Return, in a line, in how many trials a table says that the car did not hit although its recording has a hit."""
+    other = [one for one in trials if one.seen_hit and one.values["hit"] == 0.0]
+    if not other:
+        return []
+    seen = sum(bool(one.seen_hit) for one in trials)
+    return [
+        f"in {len(other)} of {len(trials)} trials the table says that the car did not hit, and in the recording "
+        f"it does, less than {_NOISE:g} m deep, which may be noise: the table counts; by the recordings it hits in "
+        f"{seen} (first: {other[0].where})"
+    ]
+
+
+def _first_contact(scene: Scene, depth: float) -> int | None:
+    """Return the first moment at which the outlines are so far inside each other (m); None without any."""
+    front, rear, half_width = scene.footprint
+    shrunk = replace(scene, footprint=(front - depth, rear - depth, max(0.0, half_width - depth)))
+    touching = np.flatnonzero(clearances(shrunk) <= 0.0)
+    return int(touching[0]) if touching.size else None
+
+
+def _check_agrees(trial: PhysicalTrial, measured: Mapping[str, float]) -> None:
+    """Refuse a table that says otherwise than the recording beside it, noise left aside."""
+    if trial.values.get("hit") == 1.0 and measured["clearance"] > _NOISE:
+        raise UsageError(
+            f"{trial.where}: says that the car hit, and in the recording it stays {measured['clearance']:.2f} m away"
+        )
+    for key in ("clearance", "required_deceleration"):
+        if key in trial.values and abs(trial.values[key] - measured[key]) > _NOISE:
+            raise UsageError(
+                f"{trial.where}: {key} is said to be {trial.values[key]:g}, and the recording gives {measured[key]:.3g}"
+            )
