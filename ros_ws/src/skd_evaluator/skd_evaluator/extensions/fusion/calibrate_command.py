@@ -20,7 +20,6 @@ from skd_evaluator.assessment.files.result_folder import write_json
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.fusion.assessed_draws import Propagated, assessed_draws, draw_warnings, propagated
 from skd_evaluator.extensions.fusion.calibration import (
     PARAMETERS,
     POOR,
