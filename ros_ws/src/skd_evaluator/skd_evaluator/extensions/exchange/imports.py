@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_adversary.safe_trajectories.recordings import duplicate_of, in_car_frame, repeated
+from skd_adversary.safe_trajectories.sources import safe_trajectory
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.road import right_and_along
