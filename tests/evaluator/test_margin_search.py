@@ -147,7 +147,7 @@ def test_of_a_car_with_a_state_it_is_what_brute_force_finds(ticks, period, count
 
 def test_a_touch_that_is_too_slow_ends_the_episode():
     walked_in = 0
-    for number in range(8):
+    for number in (0, 6, 7):  # of which the sixth is touched too slowly
         episode = short(number, 2)
         slow = replace(
             episode, scenario=replace(episode.scenario, collision=replace(CROSSING.collision, hit_speed=7.5))

@@ -23,6 +23,7 @@ from rosbags.highlevel import AnyReader
 from skd_adversary.ros.adversary_node import AdversaryNode
 from skd_evaluator.assessment.options import GraphOptions
 from skd_evaluator.bags.read import read_episodes
+from skd_evaluator.ros import evaluator as evaluator_module
 from skd_evaluator.ros.evaluator_node import EvaluatorProcess
 from skd_sim.ros.controller_node import CarController
 from skd_sim.ros.simulator_node import VehicleSimulator
@@ -164,7 +165,10 @@ def run_with_adversary(
         return node.run_episode(episode)
 
 
-def test_nobody_walks(context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode) -> None:
+def test_nobody_walks(
+    context: ForkServerContext, domain: int, tmp_path: Path, replay: Episode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluator_module, "_FIRST_DISCOVERY", 3.0)
     nodes = running(
         start_node(context, SIMULATOR, tmp_path / "s", domain, startup_timeout=2.0),
         start_node(context, CONTROLLER, tmp_path / "c", domain),

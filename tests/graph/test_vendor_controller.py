@@ -60,7 +60,7 @@ def test_marked_commands(checkout, small_lesson, monkeypatch, capsys):
         shorter = line.replace("--safe-count", "--knowledge nothing --margin-limit 0 --behaviour none --safe-count")
         if "real_time" in line:  # which is run twice more at that pace
             shorter = re.sub(
-                "--safe-count .* --out", "--safe-count 1 --kamikaze-count 2 --collision-runs 2 --out", shorter
+                "--safe-count .* --out", "--safe-count 1 --kamikaze-count 1 --collision-runs 1 --out", shorter
             )
         finished = start(shorter, checkout).finish()
         assert finished.code == 0, f"{line}\n{finished.out}\n{finished.err}"
