@@ -29,8 +29,8 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import HIGHEST, LOWEST, margin_of, yardstick
+from skd_evaluator.metrics.clustered import MARGINS, clustered_mean
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
-from skd_evaluator.metrics.margins import margin_figures
 from skd_evaluator.metrics.statistics import normal_interval
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.scenario.scenario import Scenario, load_scenario
@@ -124,13 +124,13 @@ def margins(
         by_phi, by_distinct, independent = Tally(), Tally(), Tally()
         for chosen, numbers in drawn:
             drawn_margins = population[chosen[:, None], numbers]
-            found = margin_figures(list(drawn_margins), eta_max)
+            found = clustered_mean(list(drawn_margins), prior=MARGINS, limits=(0.0, eta_max))
             merged = [drawn_margins[equal[chosen] == one].ravel() for one in np.unique(equal[chosen])]
-            distinct = margin_figures(merged, eta_max)
+            distinct = clustered_mean(merged, prior=MARGINS, limits=(0.0, eta_max))
             assert found is not None
             assert distinct is not None
-            by_phi.add(truth, found.ci95)
-            by_distinct.add(truth, distinct.ci95)
+            by_phi.add(truth, found.interval)
+            by_distinct.add(truth, distinct.interval)
             independent.add(truth, normal_interval(drawn_margins.ravel()))
         tallies = {"by φ": by_phi, "by distinct φ": by_distinct, "as independent": independent}
         for kind, tally in tallies.items():
@@ -155,7 +155,7 @@ def multipliers(
         for chosen, numbers in drawn:
             mine = list(car[chosen[:, None], numbers])
             found = equivalent_multiplier(mine, {one / 100: list(basic(one)[chosen[:, None], numbers]) for one in grid})
-            by_phi.add(truth, found.ci95)
+            by_phi.add(truth, found.interval)
             of_these.add(truth, found.ci95_trials)
             missing += not np.isfinite(found.ci95 or 0.0).all()
         for kind, tally in (("by φ", by_phi), ("these φ", of_these)):

@@ -67,7 +67,7 @@ def searched(episodes: Sequence[Episode], workers: int, effort: Effort) -> tuple
 
 def margins(found: SearchedMargins, eta_max: float) -> FloatArray:
     """Return the margin of each trial, m; η_max where no hit was found."""
-    return np.array([eta_max if way is None else way.distance for way in found.ways])
+    return np.array([eta_max if hit is None else hit.distance for hit in found.hits])
 
 
 def row(car: Car, episodes: Sequence[Episode], workers: int, times: int) -> list[str]:
@@ -83,11 +83,11 @@ def row(car: Car, episodes: Sequence[Episode], workers: int, times: int) -> list
     )
     least = np.minimum(said[chosen], margins(more, car.scenario.eta_max))
     before = float(said[chosen].mean())
-    excess = "–" if found.excess is None else f"{found.excess.mean:.3f} ± {found.excess.error:.3f}"
+    excess = "–" if found.search.excess is None else f"{found.search.excess.mean:.3f} ± {found.search.excess.error:.3f}"
     return [
         f"{said.mean():.3f}",
-        "yes" if found.converged else "no",
-        str(found.budget),
+        "yes" if found.search.converged else "no",
+        str(found.search.budget),
         excess,
         f"{least.mean() / before:.3f}" if before > 0.0 else "–",
         f"{seconds:.0f}",

@@ -11,7 +11,7 @@ from contacts import run_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.margin import least_ways
+from skd_evaluator.assessment.stages.margin import minimal_deviations
 from skd_evaluator.assessment.stages.risk import crude_crossings
 from skd_evaluator.margin.search.search import IN_PROCESS
 from skd_evaluator.metrics.behaviour import WALKERS
@@ -116,12 +116,10 @@ def margin(work: Work) -> Found:
     """Return the margin of each trial: exact for the basic car, else searched."""
     episodes = work.episodes(work.plan(), Mode.KAMIKAZE, work.trials)
     eta_max = work.car.scenario.eta_max
-    found = least_ways(episodes, {}, work.runner, lambda *_: None, work.limit)
-    note = (
-        "exact" if found.budget is None else f"{found.budget} candidates{'' if found.converged else ', not converged'}"
-    )
+    hits, search = minimal_deviations(episodes, {}, work.runner, lambda *_: None, work.limit)
+    note = "exact" if search is None else f"{search.budget} candidates{'' if search.converged else ', not converged'}"
     return {
-        "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in found.ways]),
+        "values": work.by_phi([eta_max if one is None else min(eta_max, one.distance) for one in hits]),
         "note": note,
     }
 

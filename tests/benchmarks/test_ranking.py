@@ -147,7 +147,7 @@ def test_the_interval_over_cars_is_wider_than_one_over_pairs_where_one_car_is_wr
 
 
 def test_a_ranking_lists_what_a_figure_has_wrong_with_both_cars():
-    """Three made-up cars: the figure has the last two the wrong way round."""
+    """Three made-up cars: the figure has the last two the wrong hit round."""
     runs = ["." * 60, "F" * 20 + "." * 40, "F" * 40 + "." * 20]
     values = [[[3.0, 3.0], [4.0, 4.0]], [[1.0, 1.0], [1.5, 1.5]], [[2.0, 2.0], [2.5, 2.5]]]
     rows = [

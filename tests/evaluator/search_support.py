@@ -8,7 +8,7 @@ import numpy as np
 from skd_evaluator.assessment.plan import Stage, episode_id
 from skd_evaluator.margin.search.rounds import one_by_one
 from skd_evaluator.margin.search.search import Effort, search_margins
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode
 from skd_sim.world.state import AdversaryState, CarState, Trajectory
@@ -38,9 +38,9 @@ def kamikaze_episode(
     )
 
 
-def search_margin(episode: Episode, budget: int) -> LeastWay | None:
+def search_margin(episode: Episode, budget: int) -> Hit | None:
     """Return the hit of least deviation that the search finds in one trial."""
-    return search_margins([episode], {}, one_by_one, Effort(min(32, budget), budget)).ways[0]
+    return search_margins([episode], {}, one_by_one, Effort(min(32, budget), budget)).hits[0]
 
 
 def bent(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -57,7 +57,7 @@ def any_touch(episode: Episode) -> Episode:
 
 
 def touching(walked: list[tuple[float, float]], contact: Contact | None) -> np.ndarray:
-    """Return the way up to the place of a contact in its last tick."""
+    """Return the hit up to the place of a contact in its last tick."""
     assert contact is not None
     before, after = walked[-2:]
     (x, y), (x_to, y_to) = before, after

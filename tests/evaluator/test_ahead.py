@@ -11,7 +11,7 @@ import pytest
 from common import wait_until
 from skd_evaluator.assessment.stages import margin as ahead
 from skd_evaluator.assessment.stages.margin import margins_compiled_beside
-from skd_evaluator.margin.exact.exact import search_least_way
+from skd_evaluator.margin.exact.exact import search_least
 from skd_evaluator.metrics import frechet as frechet_kernels
 from skd_sim.kernels import compilation
 from skd_sim.kernels.compilation import is_kept
@@ -91,7 +91,7 @@ def test_it_ends_with_the_one_that_began_it(monkeypatch: pytest.MonkeyPatch, tmp
 
 def test_a_kernel_is_kept_once_it_has_been_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compilation, "cache_folder", lambda: tmp_path)
-    assert not is_kept(search_least_way)
+    assert not is_kept(search_least)
     (tmp_path / f"{frechet_kernels.__name__}.measure-0123.kernel").touch()
-    assert not is_kept(search_least_way)
+    assert not is_kept(search_least)
     assert is_kept(frechet_kernels.measure)

@@ -203,7 +203,7 @@ def margins(policy, safe, *, together):
         if not together:
             patch.setattr(searching, "takes_batches", lambda _controller: False)
         rounds = searching.in_processes(runner, lambda *_: None)
-        return search_margins(episodes, {}, rounds, Effort(16, 32)).ways
+        return search_margins(episodes, {}, rounds, Effort(16, 32)).hits
 
 
 def test_margins_side_by_side_are_those_one_by_one_to_the_bit(safe):

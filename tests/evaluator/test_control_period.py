@@ -272,7 +272,7 @@ def test_the_search_finds_what_can_be_driven(name: str) -> None:
     log = run_episode(episode)
     known = {episode.episode_id: [log]}
     margins = search_margins([episode], known, one_by_one, Effort(16, 64))
-    (found,), (hit,) = margins.ways, margins.hits
+    (found,), (hit,) = margins.hits, margins.episodes
     assert found is not None
     assert hit is not None
     driven = run_episode(hit)

@@ -17,7 +17,7 @@ from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.margin.exact import exact
 from skd_evaluator.margin.exact import exact as exact_search
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.deviation import Hit, deviation
 from skd_sim.controllers import BasicController
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Episode, Mode, Outcome, Role, generator
@@ -60,7 +60,7 @@ class Steps:
         return self.phi[before] + (time - before) * (self.phi[after] - self.phi[before])
 
     def velocities(self, tick: int) -> list[tuple[float, float]]:
-        """Return those of all ways: stay, as φ, five directions at each pace."""
+        """Return those of all moves: stay, as φ, five directions at each pace."""
         x, y = (self.along(tick + 1) - self.along(tick)) / TIME_STEP
         speed = self.episode.scenario.adversary.speed
         own = [(pace * speed * east, pace * speed * north) for pace in self.paces for east, north in DIRECTIONS]
@@ -83,7 +83,7 @@ class Steps:
 
 
 def brute_force(episode: Episode, paces: tuple[float, ...] = BOTH) -> float:
-    """Return the least deviation over all sequences of ways, every step made by the world; infinity: none.
+    """Return the least deviation over all sequences of moves, every step made by the world; infinity: none.
 
     Only what has strayed more than a hit found before is not followed any further.
     """
@@ -136,8 +136,8 @@ def checked(episode: Episode, upper_bound: float | None = None) -> float:
     return found.distance
 
 
-def check_way(episode: Episode, found: LeastWay) -> None:
-    """Walk a way in the world; every step has to be one of the ways, and the last one, and no other, a collision."""
+def check_way(episode: Episode, found: Hit) -> None:
+    """Walk a way in the world; every step has to be one of the moves, and the last one, and no other, a collision."""
     steps = Steps(episode)
     walked = found.trajectory.positions
     car, adversary = steps.world.car, steps.world.adversary
@@ -155,7 +155,7 @@ def check_way(episode: Episode, found: LeastWay) -> None:
             ):
                 break
         else:
-            raise AssertionError(f"step {tick} is none of the ways")
+            raise AssertionError(f"step {tick} is none of the moves")
         if tick == last:
             assert contact is not None
             assert contact.speed == pytest.approx(found.impact_speed, abs=1e-9)
@@ -225,7 +225,7 @@ def test_there_is_nothing_below_the_gap_where_every_step_of_phi_is_another(multi
     assert found is not None
     check_way(episode, found)
     assert found.gap <= 0.02 * found.distance
-    # Without half speeds there are few enough places for a plain search, and a margin of less ways is no less.
+    # Without half speeds there are few enough places for a plain search, and a margin of less moves is no less.
     assert least_by_layers(episode, found.distance - found.gap - 1e-9, FULL_ONLY) == math.inf
 
 
@@ -346,9 +346,9 @@ def test_a_search_in_cells_alone_would_find_more(monkeypatch):
         found.append(checked(episode))
         course = exact.make_course(episode)
         reachability, nodes = exact.make_reachability(1 << 10, 40), exact_search.make_nodes(1 << 12)
-        exact_search.fill_ways(course, reachability)
-        ways = np.empty(40, np.int64)
-        _, coarse, _ = exact_search._search(course, reachability, nodes, 1.2 * found[-1] + 0.03, 0.2, ways)
+        exact_search.fill_moves(course, reachability)
+        moves = np.empty(40, np.int64)
+        _, coarse, _ = exact_search._search(course, reachability, nodes, 1.2 * found[-1] + 0.03, 0.2, moves)
         assert coarse >= found[-1] - 1e-9
         found[-1] -= coarse
     assert min(found) < -1e-3

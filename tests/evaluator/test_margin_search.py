@@ -13,7 +13,7 @@ from search_support import CROSSING, bent, kamikaze_episode
 from skd_evaluator.assessment.plan import Plan, Stage, episode_id
 from skd_evaluator.assessment.run.episodes import run_episode
 from skd_evaluator.assessment.run.workers import InProcessRunner
-from skd_evaluator.assessment.stages.margin import least_ways
+from skd_evaluator.assessment.stages.margin import minimal_deviations
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.actions import velocities
 from skd_evaluator.margin.exact.exact import exact_margin
@@ -89,8 +89,8 @@ def searched(
 
 
 def found(margins: SearchedMargins) -> float:
-    (way,) = margins.ways
-    return math.inf if way is None else way.distance
+    (hit,) = margins.hits
+    return math.inf if hit is None else hit.distance
 
 
 def episodes(multiplier: float, count: int = 3) -> list[Episode]:
@@ -163,12 +163,12 @@ def test_never_below_the_exact_margin_and_near_it(multiplier):
     reached, least = [], []
     crooked = [kamikaze_episode(bent(np.random.default_rng(seed), 9), 30, multiplier, seed) for seed in range(2)]
     for trials in (episodes(multiplier), crooked[:1], crooked[1:]):
-        for episode, way in zip(trials, searched(trials, Effort(32, 512)).ways, strict=True):
+        for episode, hit in zip(trials, searched(trials, Effort(32, 512)).hits, strict=True):
             exact = exact_margin(episode)
             assert exact is not None
-            assert way is not None
-            assert way.distance >= exact.distance - exact.gap - 1e-9
-            reached.append(way.distance)
+            assert hit is not None
+            assert hit.distance >= exact.distance - exact.gap - 1e-9
+            reached.append(hit.distance)
             least.append(exact.distance)
     assert np.mean(reached) <= 1.02 * np.mean(least) + 1e-9
 
@@ -177,12 +177,12 @@ def test_the_same_whoever_searches_and_never_more_with_more_effort():
     trials = [replace(one, safe_trajectory=one.safe_trajectory) for one in episodes(1.15, 12)]
     with InProcessRunner(1) as one, InProcessRunner(2) as two:
         margins = [search_margins(trials, {}, in_processes(runner, lambda *_: None), LITTLE) for runner in (one, two)]
-    first, again = ([way.distance for way in one.ways if way is not None] for one in margins)
+    first, again = ([hit.distance for hit in one.hits if hit is not None] for one in margins)
     assert first == again
     assert margins[0].means == margins[1].means
     means = [mean for _, mean in margins[0].means]
     assert means == sorted(means, reverse=True)
-    assert np.mean([way.distance for way in margins[0].ways if way is not None]) <= means[-1] + 1e-12
+    assert np.mean([hit.distance for hit in margins[0].hits if hit is not None]) <= means[-1] + 1e-12
 
 
 def test_where_phi_itself_is_hit_nothing_else_is_tried():
@@ -190,11 +190,11 @@ def test_where_phi_itself_is_hit_nothing_else_is_tried():
     along = run_episode(replace(episode, mode=Mode.REPLAY))
     assert along.outcome == Outcome.COLLISION
     driver = Driver(BasicController(0.0))
-    (way,) = search_margins([episode], {}, driver.rounds, LITTLE).ways
-    assert way is not None
-    assert way.distance <= 1e-12
-    assert way.gap == 0.0
-    assert way.impact_speed == pytest.approx(along.impact_speed)
+    (hit,) = search_margins([episode], {}, driver.rounds, LITTLE).hits
+    assert hit is not None
+    assert hit.distance <= 1e-12
+    assert hit.gap == 0.0
+    assert hit.impact_speed == pytest.approx(along.impact_speed)
     assert len(driver.driven) == 1
 
 
@@ -207,9 +207,9 @@ def test_what_kamikazes_did_is_begun_with():
     log = run_episode(prescribed(episode, positions), controller=BasicController(1.0))
     assert log.hit
     driver = Driver(BasicController(1.0))
-    (way,) = search_margins([episode], {episode.episode_id: [log]}, driver.rounds, Effort(1, 1)).ways
-    assert way is not None
-    assert way.distance <= exact.distance + 1e-9
+    (hit,) = search_margins([episode], {episode.episode_id: [log]}, driver.rounds, Effort(1, 1)).hits
+    assert hit is not None
+    assert hit.distance <= exact.distance + 1e-9
 
 
 def test_the_actions_of_a_trajectory_lead_along_it():
@@ -227,18 +227,18 @@ def test_other_cars_and_roads_are_hit_as_the_search_says(controller, scenario):
     setting = Plan(load_scenario(scenario), controller=controller).scenario
     known = replace(kamikaze_episode(POINTS), knowledge=Knowledge.NOTHING)
     episode = replace(known, scenario=setting, controller=controller)
-    (way,) = searched([episode], LITTLE).ways
-    assert way is not None
-    assert way.distance == pytest.approx(deviation(POINTS, way.trajectory.positions, way.duration), abs=1e-12)
-    assert way.impact_speed >= setting.collision.hit_speed
+    (hit,) = searched([episode], LITTLE).hits
+    assert hit is not None
+    assert hit.distance == pytest.approx(deviation(POINTS, hit.trajectory.positions, hit.duration), abs=1e-12)
+    assert hit.impact_speed >= setting.collision.hit_speed
 
 
 def test_a_cyclist_takes_its_own_actions():
     scenario = load_scenario("cyclist")
     points = np.column_stack([np.arange(-10.0, 4.0, 1.2), np.zeros(12)])
-    (way,) = searched([replace(kamikaze_episode(points), scenario=scenario)], LITTLE).ways
-    assert way is not None
-    positions = way.trajectory.positions
+    (hit,) = searched([replace(kamikaze_episode(points), scenario=scenario)], LITTLE).hits
+    assert hit is not None
+    positions = hit.trajectory.positions
     for tick in range(len(positions) - 2):
         step = (positions[tick + 1] - positions[tick]) / scenario.time_step
         can = velocities(scenario, points, tick, positions[: tick + 1])
@@ -248,24 +248,24 @@ def test_a_cyclist_takes_its_own_actions():
 def test_where_nobody_can_be_hit_there_is_no_hit_and_the_mean_is_the_greatest():
     scenario = replace(CROSSING, collision=replace(CROSSING.collision, hit_speed=30.0))
     margins = searched([replace(one, scenario=scenario) for one in episodes(1.0)], LITTLE)
-    assert margins.ways.count(None) == 3
+    assert margins.hits.count(None) == 3
     assert margins.means[-1][1] == scenario.eta_max
 
 
 def test_a_search_that_deeper_search_refutes_has_not_converged():
     margins = searched(episodes(1.15, 8), Effort(2, 8, excursions=0))
-    assert margins.excess is not None
-    assert margins.excess.trials == 8
-    fell = margins.means[-1][1] - np.mean([5.0 if way is None else way.distance for way in margins.ways])
-    assert margins.excess.mean == pytest.approx(fell)
-    assert not margins.converged
+    assert margins.search.excess is not None
+    assert margins.search.excess.trials == 8
+    fell = margins.means[-1][1] - np.mean([5.0 if hit is None else hit.distance for hit in margins.hits])
+    assert margins.search.excess.mean == pytest.approx(fell)
+    assert not margins.search.converged
 
 
 def test_a_car_that_does_not_repeat_itself_is_noticed():
     driver = Driver(Moody())
     margins = search_margins(episodes(1.0, 8), {}, driver.rounds, LITTLE)
     hits, again = repeated(margins, driver)
-    assert hits == 8 - margins.ways.count(None)
+    assert hits == 8 - margins.hits.count(None)
     assert again < hits
     calm = Driver(BasicController(1.0))
     assert repeated(search_margins(episodes(1.0, 8), {}, calm.rounds, LITTLE), calm) == (8, 8)
@@ -291,8 +291,9 @@ def test_a_start_that_depends_on_phi_stays_that_of_the_trial():
 
 def test_a_limit_below_the_usual_effort_is_kept():
     with InProcessRunner(1) as runner:
-        found = least_ways([short(0, 9, 0.1), short(1, 9, 0.1)], {}, runner, lambda *_: None, 8)
-    assert found.budget == 8
+        _, search = minimal_deviations([short(0, 9, 0.1), short(1, 9, 0.1)], {}, runner, lambda *_: None, 8)
+    assert search is not None
+    assert search.budget == 8
 
 
 def test_no_hit_beyond_eta_max_counts():
@@ -302,9 +303,9 @@ def test_no_hit_beyond_eta_max_counts():
     found = []
     for number in range(4):
         episode = Episode(scenario, Mode.KAMIKAZE, 1, number, safe_trajectory=phi, multiplier=0.75)
-        (way,) = searched([episode], Effort(64, 128)).ways
-        if way is not None:
-            found.append(way.distance)
+        (hit,) = searched([episode], Effort(64, 128)).hits
+        if hit is not None:
+            found.append(hit.distance)
     assert len(found) >= 2
     assert max(found) <= 2.0
     assert min(found) > 3.5 - 0.9 - math.hypot(2.25, 0.9)  # as far aside as a box reaches, at most

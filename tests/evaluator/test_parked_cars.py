@@ -19,7 +19,7 @@ from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.margin.basic_margins import unknown_for
 from skd_evaluator.margin.exact.exact import exact_margin
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.scenario.scenario import Scenario, load_scenario, scenario_from_dict
 from skd_sim.world.episode import Episode, Mode
@@ -89,7 +89,7 @@ def test_the_margin_goes_around_and_is_no_less_than_without() -> None:
     scenario = parked(edge=-1.25)
     for blocked, free in zip(episodes(scenario, 6), episodes(CROSSING, 6), strict=True):
         found, least = search_margin(blocked, 256), exact_margin(free)
-        assert isinstance(found, LeastWay)
+        assert isinstance(found, Hit)
         assert least is not None
         assert_free(scenario, found.trajectory.positions, CROSSING.adversary.core)
         assert found.distance >= least.distance - 1e-9

@@ -20,7 +20,7 @@ from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.objective_result import KamikazeSet, ObjectiveResult, objective_result
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.assembly import aborted
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.charts import save_sweep
 from skd_evaluator.report.pictures import save_trajectories
@@ -182,7 +182,7 @@ def with_margins(what: ObjectiveResult) -> Assessment:
     for number, group in enumerate(what.kamikaze):
         phi = group.safe_trajectory
         mine = [
-            LeastWay(
+            Hit(
                 0.2 + 0.1 * k,
                 Trajectory(phi.positions[:5] + np.array([0.0, 0.2 + 0.1 * k]), phi.time_step),
                 4.0,
@@ -202,7 +202,7 @@ def test_the_ways_of_the_margin_are_drawn_beside_those_that_were_planned(tmp_pat
     panels = [axes for axes in figures[0].axes if lines(axes, palette.SAFE.lower())]
     for number, axes in enumerate(panels):
         assert len(lines(axes, palette.KAMIKAZE.lower())) == len(what.kamikaze[number].logs)
-        ways = [way.trajectory.positions for way in rating.margins.ways[number] if way is not None]
+        ways = [way.trajectory.positions for way in rating.margins.hits[number] if way is not None]
         drawn_lines = lines(axes, palette.MARGIN.lower())
         assert len(drawn_lines) == len(ways) == 2 + number
         for line, way in zip(drawn_lines, ways, strict=True):

@@ -13,7 +13,7 @@ from skd_evaluator.assessment.objective_result import standing_contacts
 from skd_evaluator.assessment.plan import Plan, Stage, split_episode_id
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.presentation import picture_names
 from skd_evaluator.report.terminal import headline_table
@@ -186,7 +186,7 @@ def test_who_walks_into_a_standing_car_is_counted_apart() -> None:
 
 def test_the_first_figure_of_the_table_is_the_margin(both: Assessment) -> None:
     ways = tuple(
-        tuple(LeastWay(0.5, phi, len(phi) - 1.0, 4.0, 0.0) for _ in range(PLAN.kamikaze_count)) for phi in both.safe
+        tuple(Hit(0.5, phi, len(phi) - 1.0, 4.0, 0.0) for _ in range(PLAN.kamikaze_count)) for phi in both.safe
     )
     result = replace(both, margins=Margins(ways, CROSSING.eta_max)).as_dict()
     names = [str(name) for name in headline_table(result).columns[0].cells]

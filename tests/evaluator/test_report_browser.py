@@ -60,7 +60,7 @@ def test_figures_are_drawn(opened, subjects, file):
     assert opened.count("#maps svg") == len(shown.safe)
     mine = shown.collided & (shown.mode == Mode.KAMIKAZE) & (shown.objective == "deviation")
     assert opened.count("#contact .touch") == mine.sum()
-    ways = sum(way is not None for of_phi in shown.margin_ways for way in of_phi)
+    ways = sum(way is not None for of_phi in shown.margin_hits for way in of_phi)
     assert opened.count("#maps .psi.least") == opened.count("#maps .psi") == ways
     opened.page.select_option("#map-objective", "deviation")
     assert opened.count("#maps .psi") == mine.sum()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skd_adversary.crossing import road_users
 from skd_adversary.crossing.road_users import ACTION_COUNT, AS_PHI, STAY, action_velocity, road_user_named
-from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, velocities, way_velocity
+from skd_evaluator.margin.actions import FIRST_HALF, MOVE_COUNT, move_velocity, velocities
 from skd_sim.scenario.scenario import load_scenario
 
 CROSSING, CYCLIST = load_scenario("crossing"), load_scenario("cyclist")
@@ -18,7 +18,7 @@ PHI = np.array([[-3.5, 0.0], [-3.2, 0.1], [-2.9, 0.1]])
 
 def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
     found = velocities(CROSSING, PHI, 0)
-    assert found.shape == (WAY_COUNT, 2) == (12, 2)
+    assert found.shape == (MOVE_COUNT, 2) == (12, 2)
     speeds = np.hypot(*found.T)
     assert np.delete(speeds, [STAY, AS_PHI]) == pytest.approx([2.5] * 5 + [1.25] * 5)
     assert speeds[STAY] == 0.0
@@ -30,8 +30,8 @@ def test_a_pedestrian_stays_or_goes_in_five_directions_at_two_paces_or_as_phi():
     assert found[AS_PHI] == pytest.approx([1.0, 1.0 / 3.0])
     assert velocities(CROSSING, PHI, 1)[AS_PHI] == pytest.approx([1.0, 0.0])
     assert velocities(CROSSING, PHI, 2)[AS_PHI] == pytest.approx([0.0, 0.0], abs=0.0)
-    for way in range(WAY_COUNT):
-        assert tuple(found[way]) == way_velocity(way, PHI, 0, CROSSING.time_step, 2.5)
+    for way in range(MOVE_COUNT):
+        assert tuple(found[way]) == move_velocity(way, PHI, 0, CROSSING.time_step, 2.5)
 
 
 def test_a_cyclist_has_its_own_actions_from_its_own_state():

@@ -17,7 +17,7 @@ from skd_evaluator.assessment.files.assessment_json import check_figure
 from skd_evaluator.assessment.files.results import read_result
 from skd_evaluator.cli.commands import make_parser
 from skd_evaluator.cli.compare import run as compare
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.report.html.subjects import read_subjects
 from skd_evaluator.report.rows import figure_rows
@@ -51,7 +51,7 @@ def figures_of(folder: Path) -> dict[str, Any]:
 )
 def test_it_is_the_tenth_between_order_statistics(distances, found):
     phi = Trajectory([[0.0, 0.0], [1.0, 0.0]], 0.3, "phi")
-    ways = tuple(None if one is None else LeastWay(one, phi, 1.0, 4.0, 0.0) for one in distances)
+    ways = tuple(None if one is None else Hit(one, phi, 1.0, 4.0, 0.0) for one in distances)
     assert Margins((ways,), 5.0).figures()[FIGURE] == pytest.approx(found)
 
 

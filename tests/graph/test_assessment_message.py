@@ -11,7 +11,7 @@ import pytest
 from skd_evaluator.assessment.assessment import Assessment
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.margins import Margins
 from skd_evaluator.ros.evaluator import assessment_to_message
@@ -73,7 +73,7 @@ def test_the_margin_is_told_and_what_lies_beyond_is_infinite() -> None:
     assert math.isnan(nothing.margin)
     assert not nothing.margin_converged
     assert math.isnan(nothing.optimality_gap)
-    ways = tuple(tuple(LeastWay(0.1 * (k + 1), phi, len(phi) - 1.0, 4.0, 0.0) for k in range(5)) for phi in found.safe)
+    ways = tuple(tuple(Hit(0.1 * (k + 1), phi, len(phi) - 1.0, 4.0, 0.0) for k in range(5)) for phi in found.safe)
     equivalent = EquivalentMultiplier(math.inf, (1.25, math.inf), (1.25, math.inf), 0.5, 1.5)
     rating = dataclasses.replace(found, margins=Margins(ways, 5.0), equivalent=equivalent)
     message, result = assessment_to_message(rating, "night", 0), rating.as_dict()

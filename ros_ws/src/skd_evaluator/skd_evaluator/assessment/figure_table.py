@@ -210,6 +210,8 @@ FIGURES = (
            "null: it is exact, or not known", _MARGIN, told=Told.SEARCH, campaign=3, compare=3),
     Figure("margin_excess", Kind(or_null(ref("margin_excess"))), "how much too high the margin may still be, estimated "
            "from trials that were searched deeper; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
+    Figure("margin_sources", _typed("array", "null", items=ref("margin_source")), "what each source of "
+           "candidates brought; null: it is exact, or not known", _MARGIN, told=Told.SEARCH),
     Figure("margin_gap", LENGTH, "the least is at most so far below the margin, m; null: it was searched for", _MARGIN),
     Figure("margin_trials", COUNT_OR_NULL, of=_MARGIN, compare=6),
     Figure("margin_beyond", COUNT_OR_NULL, "trials in which nobody is hit within eta_max", _MARGIN,

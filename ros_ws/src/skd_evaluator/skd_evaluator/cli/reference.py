@@ -30,7 +30,7 @@ from skd_evaluator.assessment.files.results import StoredResult, read_result
 from skd_evaluator.assessment.options import SYNTHETIC
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
-from skd_evaluator.assessment.stages.margin import least_ways, warm_up_margins
+from skd_evaluator.assessment.stages.margin import minimal_deviations, warm_up_margins
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
@@ -102,9 +102,9 @@ def reference_sweep(
         def told(_label: str, done: int, total: int, multiplier: float = multiplier) -> None:
             progress(f"{asked.name}, C = {multiplier:g}", done, total)
 
-        ways = least_ways(episodes, {}, runner, told, limit)
-        grouped = tuple(tuple(ways.ways[start : start + count]) for start in range(0, len(episodes), count))
-        found[multiplier] = Margins(grouped, plan.scenario.eta_max, ways.budget, ways.converged, ways.excess)
+        hits, search = minimal_deviations(episodes, {}, runner, told, limit)
+        grouped = tuple(tuple(hits[start : start + count]) for start in range(0, len(episodes), count))
+        found[multiplier] = Margins(grouped, plan.scenario.eta_max, search)
     return found
 
 

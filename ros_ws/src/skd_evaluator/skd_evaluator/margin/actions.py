@@ -1,7 +1,7 @@
-"""What the adversary of the margin can do in a tick, its ways, and for which cars it is known what they answer.
+"""What the adversary of the margin can do in a tick, its moves, and for which cars it is known what they answer.
 
-A pedestrian takes the planner's six actions (ways 0 … 5), goes as φ (way 6, `AS_PHI`) or takes one of the five
-directions at half speed (ways 7 … 11). As φ is the displacement that φ makes in the tick, none after φ's end, whatever
+A pedestrian takes the planner's six actions (moves 0 … 5), goes as φ (move 6, `AS_PHI`) or takes one of the five
+directions at half speed (moves 7 … 11). As φ is the displacement that φ makes in the tick, none after φ's end, whatever
 its pace: somebody has walked so.
 
 A road user with a state of its own, as the cyclist, has its own actions from that state, at no half speed, for its
@@ -23,7 +23,7 @@ from skd_sim.world.episode import Episode, Mode
 
 FIRST_HALF: Final = AS_PHI + 1
 """Way FIRST_HALF + a is action a at half speed."""
-WAY_COUNT: Final = FIRST_HALF + STAY
+MOVE_COUNT: Final = FIRST_HALF + STAY
 """Of a pedestrian: 12."""
 HALF: Final = 0.5
 """Of the full speed: of somebody who hesitates."""
@@ -32,25 +32,25 @@ assert STAY == ACTION_COUNT - 1  # all actions but the last have a direction, an
 
 
 @kernel(inline=True)
-def way_velocity(way: int, path: FloatArray, tick: int, time_step: float, speed: float) -> tuple[float, float]:
-    """Return the velocity (East, North), m/s, in a way, of a pedestrian who crosses to the right.
+def move_velocity(move: int, path: FloatArray, tick: int, time_step: float, speed: float) -> tuple[float, float]:
+    """Return the velocity (East, North), m/s, of a move of a pedestrian who crosses to the right.
 
     Args:
-        way: number of the way, 0 … WAY_COUNT − 1.
+        move: number of the move, 0 … MOVE_COUNT − 1.
         path: φ, n × 2, m.
-        tick: number of the tick in which the way is taken, ≥ 0.
+        tick: number of the tick in which the move is taken, ≥ 0.
         time_step: duration of a tick, s.
         speed: speed of the pedestrian, m/s.
     """
-    if way == AS_PHI:
+    if move == AS_PHI:
         return path_velocity(path, tick, time_step)
-    if way > AS_PHI:
-        return action_velocity(way - FIRST_HALF, HALF * speed)
-    return action_velocity(way, speed)
+    if move > AS_PHI:
+        return action_velocity(move - FIRST_HALF, HALF * speed)
+    return action_velocity(move, speed)
 
 
 def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArray | None = None) -> FloatArray:
-    """Return the velocities of all ways in a tick.
+    """Return the velocities of all moves in a tick.
 
     Args:
         scenario: names the road user and its speed.
@@ -60,7 +60,7 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
             depend on it.
 
     Returns:
-        k × 2, (East, North), m/s; of a pedestrian k is WAY_COUNT. Several may be the same.
+        k × 2, (East, North), m/s; of a pedestrian k is MOVE_COUNT. Several may be the same.
 
     Raises:
         ValueError: where a road user with a state of its own has been is not given, or not for as many ticks.
@@ -69,8 +69,8 @@ def velocities(scenario: Scenario, path: FloatArray, tick: int, walked: FloatArr
     user = road_user_named(scenario.adversary.kind)
     if user is PEDESTRIAN:
         speed = scenario.adversary.speed
-        found = np.array([way_velocity(way, path, tick, step, speed) for way in range(WAY_COUNT)])
-        found[np.arange(WAY_COUNT) != AS_PHI, 0] *= scenario.end.crossing
+        found = np.array([move_velocity(move, path, tick, step, speed) for move in range(MOVE_COUNT)])
+        found[np.arange(MOVE_COUNT) != AS_PHI, 0] *= scenario.end.crossing
         return found
     if walked is None or len(walked) != tick + 1:
         raise ValueError(f"what a {user.name} can do at tick {tick} depends on the {tick + 1} places where it has been")

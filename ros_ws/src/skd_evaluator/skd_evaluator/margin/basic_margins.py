@@ -99,14 +99,14 @@ def trials_of(scenario: Scenario, safe: Sequence[Trajectory], trials: int) -> in
         safe: the safe trajectories Φ.
         trials: how many trials the car has on each φ.
     """
-    most = _MOST if all(_steps_are_ways(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
+    most = _MOST if all(_steps_are_moves(scenario, phi) for phi in safe) else _MOST_OF_ANY_PACE
     return min(trials, math.ceil(most / len(safe)))
 
 
-def _steps_are_ways(scenario: Scenario, phi: Trajectory) -> bool:
+def _steps_are_moves(scenario: Scenario, phi: Trajectory) -> bool:
     steps = np.diff(phi.positions[:, :2], axis=0)
-    ways = velocities(scenario, phi.positions, 0) * scenario.time_step
-    own = np.delete(ways, AS_PHI, axis=0)
+    moves = velocities(scenario, phi.positions, 0) * scenario.time_step
+    own = np.delete(moves, AS_PHI, axis=0)
     apart = np.abs(steps[:, None, :] - own[None, :, :]).max(axis=2)
     return bool((apart.min(axis=1, initial=math.inf) <= _SAME_STEP).all())
 

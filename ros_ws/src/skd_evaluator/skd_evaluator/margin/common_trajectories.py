@@ -28,13 +28,13 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers, check_controller
 from skd_evaluator.errors import AssessmentError
 from skd_evaluator.margin.search.rounds import SAME, in_processes
-from skd_evaluator.margin.search.search import Hit, margins_beside
+from skd_evaluator.margin.search.search import OtherHit, margins_beside
 from skd_evaluator.margin.search.trial import prescribed
-from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.deviation import Hit, deviation
 from skd_evaluator.metrics.statistics import mean
 
 MARGIN = "margin"
-Ways = Sequence[Sequence[LeastWay | None]]
+Ways = Sequence[Sequence[Hit | None]]
 """For each φ the hits of least deviation, one a trial; None: no hit was found."""
 _LOWERED = 1e-3  # m: less is not said
 
@@ -53,7 +53,7 @@ def on_common_trajectories(
     searched = [one for one in both if one.figures.get("margin_budget") is not None]
     if not searched or any(MARGIN not in one.groups for one in both) or refusals(first, second):
         return first, second, ()
-    ways = [read_episodes(one.folder).margin_ways for one in both]
+    ways = [read_episodes(one.folder).margin_hits for one in both]
     found, lines = [], []
     for one, mine, other, theirs in zip(both, ways, both[::-1], ways[::-1], strict=True):
         if one not in searched:
@@ -81,13 +81,13 @@ def check_not_worse(folder: Path, earlier: StoredResult) -> Check:
     return not_worse(mine, earlier, lines)
 
 
-def _hits(result: StoredResult, ways: Ways) -> list[Hit]:
+def _hits(result: StoredResult, ways: Ways) -> list[OtherHit]:
     """Return the hits of least deviation of a result, least first."""
     found = [(way, phi) for phi, mine in zip(result.safe, ways, strict=True) for way in mine if way is not None]
-    return [Hit(phi, _whole(way)) for way, phi in sorted(found, key=lambda one: one[0].distance)]
+    return [OtherHit(phi, _whole(way)) for way, phi in sorted(found, key=lambda one: one[0].distance)]
 
 
-def _whole(way: LeastWay) -> FloatArray:
+def _whole(way: Hit) -> FloatArray:
     """Return the positions of a hit, n × 2, m, the last of them not at the contact but at the end of its tick."""
     positions = way.trajectory.positions
     before, contact = positions[-2:]
@@ -95,7 +95,7 @@ def _whole(way: LeastWay) -> FloatArray:
     return np.concatenate([positions[:-1], [before + (contact - before) / share]])
 
 
-def _margins(result: StoredResult, ways: Ways, hits: Sequence[Hit], progress: Progress) -> tuple[FloatArray, ...]:
+def _margins(result: StoredResult, ways: Ways, hits: Sequence[OtherHit], progress: Progress) -> tuple[FloatArray, ...]:
     """Return the margins of each φ, m, of a car that also meets some other trajectories.
 
     Raises:

@@ -9,8 +9,6 @@ the coupling of times being the identity. It is linear in length, and 0 exactly 
 Both move uniformly within a tick, so their difference is linear in time there and its norm convex: its greatest value
 over a tick is at an end of it. Ticks and the contact therefore suffice, and the value is exact. φ ends at a tick.
 
-The way of least deviation on which the moving car hits, in one trial.
-
 The mean deviation of a car: what a kamikaze needed, over all trials, those that failed included.
 
 A mean over successes alone flatters a car that is hit easily and hides one that is hardly ever hit: of the latter only
@@ -30,6 +28,7 @@ import numpy as np
 import numpy.typing as npt
 from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.kernels.compilation import kernel
+from skd_sim.world.episode import EpisodeLog
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.metrics.clustered import DISTANCES, Clustered, clustered_mean
@@ -139,23 +138,29 @@ def _checked(phi: FloatArray, psi: FloatArray, duration: float, name: str) -> fl
 
 
 @dataclass(frozen=True, eq=False)
-class LeastWay:
-    """The way of least deviation that ends in a hit, under the draws of one trial.
+class Hit:
+    """A trajectory on which the moving car hits, under the draws of one trial: the one of least deviation.
 
     Attributes:
-        distance: deviation of the way, m.
+        distance: deviation of the trajectory, m.
         trajectory: the adversary's positions per tick, the last of them at the contact, m.
         duration: time until the contact, ticks.
         impact_speed: speed of the car at the contact, m/s; at least the scenario's `collision.hit_speed`.
         gap: the least deviation of all is no more than this below `distance`, m; 0: up to rounding it is `distance`;
-            infinity: that is not known, for the way was found by search.
+            infinity: that is not known, for it was found by search.
     """
 
     distance: float
     trajectory: Trajectory
     duration: float
     impact_speed: float
-    gap: float
+    gap: float = math.inf
+
+
+def hit_of(phi: FloatArray, log: EpisodeLog) -> Hit:
+    """Return the hit in which an episode ended, of whose deviation from φ (n × 2, m) nothing is known beforehand."""
+    duration, path = log.impact_time / log.episode.scenario.time_step, log.trajectory
+    return Hit(deviation(phi, path.positions, duration), path, duration, log.impact_speed)
 
 
 @dataclass(frozen=True, eq=False)

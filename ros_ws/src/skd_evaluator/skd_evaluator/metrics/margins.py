@@ -2,14 +2,8 @@
 
 Each trial, a safe trajectory φ and one set of draws, has a least deviation of its own. It is clairvoyant: who walks
 that way knows beforehand how the car will be noisy. So the mean says how much room there is, and not how often somebody
-is hit. A trial in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`).
-
-The margin of a car and what is reported with it, from the margins of its trials.
-
-The margin of a trial is the least deviation with which anybody could have been hit by the moving car; a trial
-in which nobody could within η_max counts as η_max. Their mean over all trials is the margin of the car: the
-restricted mean, as that of the planned deviation (`mean_deviation`), and the area above the curve of P(η), the
-share of trials whose margin is at most η.
+is hit. A trial in which nobody can be hit within η_max counts as η_max (the restricted mean of `mean_deviation`): the
+margin is the area above the curve of P(η), the share of trials whose margin is at most η.
 """
 
 from __future__ import annotations
@@ -22,11 +16,10 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from skd_sim.arrays import FloatArray
 
 from skd_evaluator.metrics.clustered import MARGINS, Clustered, clustered_mean
-from skd_evaluator.metrics.deviation import LeastWay
+from skd_evaluator.metrics.deviation import Hit
 from skd_evaluator.metrics.statistics import Interval, mean, ratio_interval
 from skd_evaluator.metrics.vulnerability_curve import VulnerabilityCurve, vulnerability_curve
 
@@ -54,36 +47,50 @@ class Excess:
     trials: int
 
 
-@dataclass(frozen=True, eq=False)
-class Margins:
-    """The least ways of all trials, and what is reported of them.
+@dataclass(frozen=True)
+class Search:
+    """How margins were searched for, and how good they are.
 
     Attributes:
-        ways: for each φ the least way of each trial, in the order of their numbers; None: nobody can be hit within
-            η_max, or no such way was found.
-        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
-        budget: candidates that the search drove in a trial; None: the margins are exact.
+        budget: candidates a trial.
         converged: whether the mean may be taken for the margin, see `skd_evaluator.margin.search.search`; else it is an
-            upper bound. Exact ones are.
-        excess: how much too high the mean may be; None: not at all, or nothing says.
-        confidence: confidence of the intervals over φ.
+            upper bound.
+        excess: how much too high the mean may be; None: no trial was searched deeper.
+        sources: of each source of candidates how many it gave, how many of them were better hits than the best known,
+            and by how much they lowered margins, summed over trials, m.
         how: what was driven, in a few words, if it was not the car itself in this process; else empty.
     """
 
-    ways: tuple[tuple[LeastWay | None, ...], ...]
-    eta_max: float
-    budget: int | None = None
-    converged: bool = True
+    budget: int
+    converged: bool
     excess: Excess | None = None
-    confidence: float = 0.95
+    sources: tuple[Mapping[str, Any], ...] = ()
     how: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """The hits of least deviation of all trials, and what is reported of them.
+
+    Attributes:
+        hits: for each φ the hit of least deviation of each trial, in the order of their numbers; None: nobody can be
+            hit within η_max, or no hit was found.
+        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
+        search: how they were searched for; None: the margins are exact.
+        confidence: confidence of the intervals over φ.
+    """
+
+    hits: tuple[tuple[Hit | None, ...], ...]
+    eta_max: float
+    search: Search | None = None
+    confidence: float = 0.95
 
     @cached_property
     def per_phi(self) -> tuple[FloatArray, ...]:
         """Margin of each trial, per φ, m; η_max where nobody can be hit within it."""
         return tuple(
-            np.array([self.eta_max if way is None else min(way.distance, self.eta_max) for way in ways])
-            for ways in self.ways
+            np.array([self.eta_max if hit is None else min(hit.distance, self.eta_max) for hit in hits])
+            for hits in self.hits
         )
 
     @property
@@ -97,13 +104,9 @@ class Margins:
         return mean(self.values)
 
     @cached_property
-    def _figures(self) -> MarginFigures | None:
-        return margin_figures(self.per_phi, self.eta_max, confidence=self.confidence)
-
-    @cached_property
     def clustered(self) -> Clustered | None:
         """The margin with what its error over φ is."""
-        return None if self._figures is None else self._figures.clustered
+        return clustered_mean(self.per_phi, self.confidence, prior=MARGINS, limits=(0.0, self.eta_max))
 
     @property
     def ci95(self) -> Interval | None:
@@ -111,52 +114,59 @@ class Margins:
         if self.clustered is None or self.clustered.interval is None:
             return None
         low, high = self.clustered.interval
-        if self.excess is None:
+        excess = self.search.excess if self.search is not None else None
+        if excess is None:
             return low, high
         z = NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
-        below = math.hypot(self.mean - low, z * self.excess.error) + self.excess.mean
+        below = math.hypot(self.mean - low, z * excess.error) + excess.mean
         return max(0.0, self.mean - below), high
 
     @property
     def exact(self) -> bool:
         """Whether they were computed, and not searched for."""
-        return self.budget is None
+        return self.search is None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the mean may be taken for the margin."""
+        return self.search is None or self.search.converged
 
     @property
     def gap(self) -> float | None:
         """The margin is no more than this above the least that is possible, m; None: that is not known."""
-        gaps = np.array([0.0 if way is None else way.gap for ways in self.ways for way in ways])
+        gaps = np.array([0.0 if hit is None else hit.gap for hits in self.hits for hit in hits])
         return mean(gaps) if self.exact and gaps.size and np.isfinite(gaps).all() else None
 
     @property
     def curve(self) -> VulnerabilityCurve | None:
         """The vulnerability curve: how often somebody who strays at most η could be hit."""
-        return None if self._figures is None else self._figures.curve
+        return vulnerability_curve(self.per_phi, self.eta_max)
 
     @property
     def impact_speeds(self) -> FloatArray:
-        """Speed of the car at the contact of each way that there is, m/s."""
-        return np.array([way.impact_speed for ways in self.ways for way in ways if way is not None])
+        """Speed of the car at the contact of each hit, m/s."""
+        return np.array([hit.impact_speed for hits in self.hits for hit in hits if hit is not None])
 
     @property
     def beyond(self) -> int:
         """Trials in which nobody is hit within η_max, as far as was found."""
-        return sum(way is None for ways in self.ways for way in ways)
+        return sum(hit is None for hits in self.hits for hit in hits)
 
     def figures(self) -> dict[str, Any]:
         """Return the entries of assessment.json."""
-        speeds = self.impact_speeds
+        speeds, search = self.impact_speeds, self.search
         return {
             "margin": self.mean,
             "margin_ci95": self.ci95,
             "margin_p10": float(np.quantile(self.values, 0.1)),
             "margin_converged": self.converged,
-            "margin_budget": self.budget,
-            "margin_excess": None if self.excess is None else asdict(self.excess),
+            "margin_budget": search and search.budget,
+            "margin_excess": search and search.excess and asdict(search.excess),
+            "margin_sources": search and [dict(one) for one in search.sources],
             "margin_gap": self.gap,
             "margin_trials": int(self.values.size),
             "margin_beyond": self.beyond,
-            "margin_how": self.how,
+            "margin_how": "" if search is None else search.how,
             "impact_speed": impact_figures(speeds),
         }
 
@@ -210,71 +220,3 @@ def optimality_gap(
     items = means if len(above) > 1 else [above[0], below[0]]
     interval = ratio_interval(items[0], items[1], confidence) if math.isfinite(value) else None
     return value, interval
-
-
-_BEYOND = 1e-9  # m, by which a margin may be above η_max: rounding
-
-
-@dataclass(frozen=True, eq=False)
-class MarginFigures:
-    """The margin of a car.
-
-    Attributes:
-        groups: for each φ the margins of the trials that were not aborted, m, in [0, η_max].
-        clustered: their mean, m, with what is known of its error over φ.
-        curve: the vulnerability curve.
-        eta_max: η_max, m: what a trial counts as in which nobody can be hit.
-        aborted: number of trials that were aborted.
-    """
-
-    groups: tuple[FloatArray, ...]
-    clustered: Clustered
-    curve: VulnerabilityCurve
-    eta_max: float
-    aborted: int = 0
-
-    @property
-    def margin(self) -> float:
-        """Mean over all trials, m."""
-        return self.clustered.value
-
-    @property
-    def ci95(self) -> Interval | None:
-        """Its interval by φ, m: of the mean over all φ of this kind; None below two φ with trials."""
-        return self.clustered.interval
-
-
-def margin_figures(
-    groups: Sequence[npt.ArrayLike], eta_max: float, *, confidence: float = 0.95
-) -> MarginFigures | None:
-    """Return the margin of a car.
-
-    Args:
-        groups: for each φ the margin of each trial, m, in [0, η_max]; infinity where nobody could be hit; nan:
-            aborted.
-        eta_max: η_max, m, > 0.
-        confidence: confidence of the interval by φ.
-
-    Returns:
-        None without a trial that counts.
-
-    Raises:
-        ValueError: a margin is negative, or finite and above η_max, or η_max is not positive and finite.
-    """
-    if not 0.0 < eta_max < math.inf:
-        raise ValueError(f"η_max must be positive and finite, got {eta_max}")
-    kept, aborted = [], 0
-    for group in groups:
-        values = np.asarray(group, dtype=np.float64)
-        if values.ndim != 1:
-            raise ValueError(f"the margins of a φ must be a plain list of numbers, got shape {values.shape}")
-        known = values[~np.isnan(values)]
-        aborted += values.size - known.size
-        if (known < 0.0).any() or (known[np.isfinite(known)] > eta_max + _BEYOND).any():
-            raise ValueError(f"margins must be from 0 to η_max = {eta_max:g} m, infinite where nobody could be hit")
-        kept.append(np.minimum(known, eta_max))
-    curve = vulnerability_curve(kept, eta_max)
-    found = clustered_mean(kept, confidence, prior=MARGINS, limits=(0.0, eta_max))
-    if curve is None or found is None:
-        return None
-    return MarginFigures(tuple(kept), found, curve, eta_max, aborted)

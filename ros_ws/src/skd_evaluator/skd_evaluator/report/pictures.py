@@ -205,7 +205,7 @@ def save_trajectories(path: Path, rating: Assessment, assessment: ObjectiveResul
     groups = assessment.kamikaze[:PANELS]
     of_margin: list[list[Trajectory]] = [[] for _ in groups]
     if rating.margins is not None and _ranks(rating, assessment):
-        known = [[way for way in ways if way is not None] for ways in rating.margins.ways[: len(groups)]]
+        known = [[way for way in ways if way is not None] for ways in rating.margins.hits[: len(groups)]]
         of_margin = [[way.trajectory for way in sorted(ways, key=lambda one: one.distance)] for ways in known]
     everything = [group.safe_trajectory.positions for group in groups] + [
         log.trajectory.positions for group in groups for log in group.logs[:shown]

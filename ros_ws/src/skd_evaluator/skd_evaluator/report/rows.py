@@ -161,6 +161,10 @@ def _margin_details(figures: Mapping[str, Any], style: Style) -> list[FigureRow]
             stopped = "converged" if figures["margin_converged"] else "not converged"
             name = "margin: candidates driven in a trial"
             rows.append(FigureRow(name, f"{figures['margin_budget']:,}", basis=stopped))
+            for one in figures["margin_sources"] or ():
+                lowered = style.number(one["lowered"] / figures["margin_trials"], 3)
+                basis = f"{one['hits']:,} better hits of {one['candidates']:,} candidates"
+                rows.append(FigureRow(f"  lowered by {one['source']} (m)", lowered, basis=basis))
         elif figures["margin_gap"]:
             rows.append(
                 FigureRow("margin: the least is at most this much less (m)", style.number(figures["margin_gap"], 4))

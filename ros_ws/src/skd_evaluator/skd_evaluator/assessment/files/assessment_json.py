@@ -125,6 +125,9 @@ def _definitions() -> dict[str, Any]:
         "margin_excess": _object(
             mean=_said(_NUMBER, "m"), error=_said(_NUMBER, "standard error, m"),
             trials=_said(_COUNT, "trials that were searched deeper")),
+        "margin_source": _object(
+            source=_TEXT, candidates=_COUNT, hits=_said(_COUNT, "of them that were better than the best known"),
+            lowered=_said(_NUMBER, "margins by, in all trials together, m")),
         "clusterings": _clusterings(AT_THE_TOP.values()),
         "clusterings_of_objective": _clusterings(OF_OBJECTIVES.values()),
         "until_width": _object(

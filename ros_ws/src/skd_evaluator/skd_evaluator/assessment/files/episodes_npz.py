@@ -30,7 +30,7 @@ from skd_evaluator.assessment.failures import Walkers, failures_of
 from skd_evaluator.assessment.plan import Stage, episode_id, split_episode_id
 from skd_evaluator.metrics.behaviour.model import NAMES
 from skd_evaluator.metrics.contact_place import car_until_contact
-from skd_evaluator.metrics.deviation import LeastWay, deviation_pairs
+from skd_evaluator.metrics.deviation import Hit, deviation_pairs
 from skd_evaluator.metrics.frechet import discrete_frechet_pairs
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Touch
 
@@ -207,7 +207,7 @@ def _margin_columns(rating: Assessment) -> Columns:
     """
     if rating.margins is None:
         return {}
-    rows = [(index, trial, way) for index, ways in enumerate(rating.margins.ways) for trial, way in enumerate(ways)]
+    rows = [(index, trial, way) for index, ways in enumerate(rating.margins.hits) for trial, way in enumerate(ways)]
     ways = [way for _, _, way in rows]
     lengths = [0 if way is None else len(way.trajectory) for way in ways]
     return {
@@ -331,7 +331,7 @@ class StoredEpisodes:
         impact_time: time of the contact, s; nan without a collision.
         impact_speed: speed of the car at the contact, m/s; nan without a collision.
         hit_speed: speed of the car, m/s, from which on a collision is a hit.
-        margin_ways: per φ the trajectory of minimal deviation of each trial; None: nobody is hit within η_max.
+        margin_hits: per φ the trajectory of minimal deviation of each trial; None: nobody is hit within η_max.
         belief: per episode n × 4 as in `skd_sim.world.episode.EpisodeLog`, nan where nothing is known; none
             where the file holds none.
         further: arrays that figures follow from and that nothing is drawn of, by name, those of episodes without the
@@ -351,7 +351,7 @@ class StoredEpisodes:
     impact_speed: FloatArray
     belief: tuple[FloatArray, ...] = ()
     hit_speed: float = 0.0
-    margin_ways: tuple[tuple[LeastWay | None, ...], ...] = ()
+    margin_hits: tuple[tuple[Hit | None, ...], ...] = ()
     further: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -388,9 +388,9 @@ class StoredEpisodes:
 
     def margins(self, eta_max: float) -> tuple[FloatArray, ...] | None:
         """Return per φ the margin of each trial, m, η_max where nobody can be hit; None where it is not known."""
-        if not self.margin_ways:
+        if not self.margin_hits:
             return None
-        every = ([math.inf if way is None else way.distance for way in ways] for ways in self.margin_ways)
+        every = ([math.inf if way is None else way.distance for way in ways] for ways in self.margin_hits)
         return tuple(np.minimum(np.array(one, np.float64), eta_max) for one in every)
 
     @cached_property
@@ -459,7 +459,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
             ways["belief"] = tuple(arrays["belief"][slice(*spans[row])].astype(np.float64) for row in rest)
     whole = {name: arrays[name][rest].astype(np.int64) for name in ("mode", "safe_index", "outcome", "episode_id")}
     phis = tuple(arrays["positions"][slice(*spans[row])] for row in safe)
-    margin_ways = _margin_ways(arrays, phis, path)
+    margin_hits = _margin_ways(arrays, phis, path)
     stored = StoredEpisodes(
         safe=phis,
         time_step=float(arrays["time_step"]),
@@ -474,7 +474,7 @@ def read_episodes(folder: Path) -> StoredEpisodes:
         impact_speed=arrays["impact_speed"][rest],
         belief=ways.get("belief", ()),
         hit_speed=float(arrays["hit_speed"]),
-        margin_ways=margin_ways,
+        margin_hits=margin_hits,
         further=_further(arrays, rest),
     )
     try:
@@ -492,7 +492,7 @@ def _further(arrays: dict[str, npt.NDArray[Any]], rest: IntArray) -> dict[str, n
 
 def _margin_ways(
     arrays: dict[str, npt.NDArray[Any]], safe: Sequence[FloatArray], path: Path
-) -> tuple[tuple[LeastWay | None, ...], ...]:
+) -> tuple[tuple[Hit | None, ...], ...]:
     """Return per φ the trajectory of minimal deviation of each trial, its deviation computed anew; empty without any.
 
     Raises:
@@ -525,7 +525,7 @@ def _margin_ways(
         if (np.abs(distances - said[known]) > _ROUNDING).any():
             raise UsageError(f"{path}: the way of a margin has another deviation than it says")
         columns = (distances.tolist(), trajectories, durations.tolist(), speeds.tolist())
-        by_row = dict(zip(known.tolist(), map(LeastWay, *columns, arrays["margin_gap"][known].tolist()), strict=True))
+        by_row = dict(zip(known.tolist(), map(Hit, *columns, arrays["margin_gap"][known].tolist()), strict=True))
         found.append(tuple(by_row.get(row) for row in rows.tolist()))
     return tuple(found)
 
@@ -631,7 +631,7 @@ def failing_episodes(stored: StoredEpisodes, order: Sequence[int] | None = None)
         impact_time=times,
         impact_speed=speeds,
         belief=(),
-        margin_ways=(),
+        margin_hits=(),
         further={},
     )
 

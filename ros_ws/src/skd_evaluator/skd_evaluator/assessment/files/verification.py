@@ -29,7 +29,7 @@ from skd_evaluator.assessment.files.result_folder import MANIFEST, Held, hold, r
 from skd_evaluator.assessment.objective_result import CONFIDENCE, KamikazeSet, kamikaze_set
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.metrics.aborted import not_credible
-from skd_evaluator.metrics.margins import Excess, Margins
+from skd_evaluator.metrics.margins import Excess, Margins, Search
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch
 
 
@@ -128,12 +128,14 @@ def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Tra
 def _stored_margins(
     figures: Mapping[str, Any], stored: StoredEpisodes, scenario: Scenario, confidence: float
 ) -> Margins | None:
-    if not stored.margin_ways:
+    if not stored.margin_hits:
         return None
-    budget, converged = figures["margin_budget"], figures["margin_converged"]
-    excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
-    how = figures["margin_how"] or ""
-    return Margins(stored.margin_ways, scenario.eta_max, budget, bool(converged), excess, confidence, how)
+    search = None
+    if (budget := figures["margin_budget"]) is not None:
+        excess = None if figures["margin_excess"] is None else Excess(**figures["margin_excess"])
+        converged, sources = bool(figures["margin_converged"]), tuple(figures["margin_sources"] or ())
+        search = Search(budget, converged, excess, sources, figures["margin_how"] or "")
+    return Margins(stored.margin_hits, scenario.eta_max, search, confidence)
 
 
 def stored_risks(figures: Mapping[str, Any], stored: StoredEpisodes, confidence: float = CONFIDENCE) -> Risks | None:

@@ -6,10 +6,9 @@ them. So the margins are a property of the car, and do not depend on what an adv
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from skd_adversary.warm_up import warm_up_episodes
@@ -27,14 +26,14 @@ from skd_evaluator.assessment.run.workers import Workers, available_workers, in_
 from skd_evaluator.errors import AssessmentError, OutOfReachError
 from skd_evaluator.margin.actions import has_exact_margin
 from skd_evaluator.margin.basic_margins import equivalent_of
-from skd_evaluator.margin.exact.exact import exact_margin, search_least_way
+from skd_evaluator.margin.exact.exact import exact_margin, search_least
 from skd_evaluator.margin.search.rounds import by_episodes, in_processes, one_by_one, repeated
 from skd_evaluator.margin.search.search import IN_PROCESS, WHOLE_EPISODES, Effort, search_margins
 from skd_evaluator.metrics.aborted import NOT_CREDIBLE
-from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.deviation import Hit, hit_of
 from skd_evaluator.metrics.equivalent_multiplier import EquivalentMultiplier
 from skd_evaluator.metrics.frechet import discrete_frechet
-from skd_evaluator.metrics.margins import Excess, Margins
+from skd_evaluator.metrics.margins import Margins, Search
 
 LABEL = "margins"
 _ROUNDING = 1e-6  # m
@@ -71,48 +70,31 @@ def why_no_margin(plan: Plan, limit: int, *, whole_episodes: bool) -> str:
     return ""
 
 
-def exact_or_found(episode: Episode) -> LeastWay | None:
-    """Return the least way of a trial of a known car, or the best one found if the exact search lacks memory."""
+def exact_or_found(episode: Episode) -> Hit | None:
+    """Return the hit of least deviation of a known car, or the best one found if the exact search lacks memory."""
     try:
         return exact_margin(episode)
     except UsageError:
-        return search_margins([episode], {}, one_by_one).ways[0]
+        return search_margins([episode], {}, one_by_one).hits[0]
 
 
-def exact_margins(episodes: Sequence[Episode], runner: Workers, progress: Progress) -> list[LeastWay | None]:
-    """Return the least way of each of some episodes of a car that is known; None where there is none within η_max."""
+def exact_margins(episodes: Sequence[Episode], runner: Workers, progress: Progress) -> list[Hit | None]:
+    """Return the hit of least deviation in each of some episodes of a known car; None where there is none."""
     found = []
-    for count, way in enumerate(runner.map(exact_or_found, episodes), start=1):
-        found.append(way)
+    for count, hit in enumerate(runner.map(exact_or_found, episodes), start=1):
+        found.append(hit)
         progress(LABEL, count, len(episodes))
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class LeastWays:
-    """The hits of least deviation of some trials, exact or as far as found.
-
-    Attributes:
-        ways: one for each trial; None: nobody can be hit within η_max, or no such hit was found.
-        budget: candidates that were driven in a trial; None: they are exact.
-        converged: whether their mean may be taken for the margin; exact ones may.
-        excess: how much too high their mean may be; None: not at all, or nothing says.
-    """
-
-    ways: list[LeastWay | None]
-    budget: int | None = None
-    converged: bool = True
-    excess: Excess | None = None
-
-
-def least_ways(
+def minimal_deviations(
     episodes: Sequence[Episode],
     logs: Mapping[int, Sequence[EpisodeLog]],
     runner: Workers,
     progress: Progress,
     limit: int,
-) -> LeastWays:
-    """Return the hits of least deviation of a car that runs in process: exact where it is known, else searched for.
+) -> tuple[list[Hit | None], Search | None]:
+    """Return the hits of least deviation of a car that runs in process, and how they were searched for; None: exact.
 
     Args:
         episodes: the trials: kamikaze mode, of one car, at least one.
@@ -126,7 +108,7 @@ def least_ways(
     """
     first = episodes[0]
     if has_exact_margin(first.car, first.scenario):
-        return LeastWays(exact_margins(episodes, runner, progress))
+        return exact_margins(episodes, runner, progress), None
     found = search_margins(episodes, logs, in_processes(runner, progress), _effort(IN_PROCESS, limit))
     hits, again = repeated(found, runner)
     if again < hits:
@@ -135,7 +117,7 @@ def least_ways(
             "again. What it draws at random has to come from the generator that reset gives it, and reset has to undo "
             "all that an episode has left"
         )
-    return LeastWays(found.ways, found.budget, found.converged, found.excess)
+    return found.hits, found.search
 
 
 def _effort(usual: Effort, limit: int) -> Effort:
@@ -145,32 +127,27 @@ def _effort(usual: Effort, limit: int) -> Effort:
 
 
 def with_planned_hits(
-    episodes: Sequence[Episode], ways: Sequence[LeastWay | None], logs: Mapping[int, Sequence[EpisodeLog]]
-) -> tuple[list[LeastWay | None], int]:
-    """Return the ways, or better ones on which planned kamikazes were hit, and in how many trials these were better.
+    episodes: Sequence[Episode], hits: Sequence[Hit | None], logs: Mapping[int, Sequence[EpisodeLog]]
+) -> tuple[list[Hit | None], int]:
+    """Return the hits, or better ones of planned kamikazes, and in how many trials these were better.
 
-    A hit that happened counts, if it takes less than η_max. The search begins with these ways, so it finds none worse
-    if the car always answers in the same way.
+    The search begins with the kamikazes' hits, so it finds none worse if the car always answers in the same way.
 
     Args:
         episodes: the trials.
-        ways: the least way that was found for each trial.
+        hits: the hit of least deviation that was found for each trial.
         logs: what happened to kamikazes in them, by the id of their episode.
     """
-    found, shorter = list(ways), 0
+    found = list(hits)
     for index, episode in enumerate(episodes):
         for log in logs.get(episode.episode_id, ()):
             if not log.hit or episode.safe_trajectory is None:
                 continue
-            duration = log.impact_time / episode.scenario.time_step
-            distance = deviation(episode.safe_trajectory.positions, log.trajectory.positions, duration)
-            least = found[index]
-            if distance >= episode.scenario.eta_max:  # nothing is looked for that far away
-                continue
-            if least is None or distance < least.distance - _ROUNDING:
-                found[index] = LeastWay(distance, log.trajectory, duration, log.impact_speed, math.inf)
-                shorter += least is ways[index]
-    return found, shorter
+            hit, least = hit_of(episode.safe_trajectory.positions, log), found[index]
+            bound = episode.scenario.eta_max if least is None else least.distance - _ROUNDING
+            if hit.distance < bound:
+                found[index] = hit
+    return found, sum(new is not old for new, old in zip(found, hits, strict=True))
 
 
 def _without_noise(episode: Episode) -> Episode:
@@ -181,8 +158,8 @@ def _without_noise(episode: Episode) -> Episode:
 
 def _otherwise(plan: Plan, number: int, trials: int) -> str:
     return (
-        f"{NOT_CREDIBLE}in {number} of {trials} trials a planned kamikaze was hit on a way on which the search for "
-        f"the margin was not: {plan.controller} answers the search otherwise than an episode; these hits count"
+        f"{NOT_CREDIBLE}in {number} of {trials} trials a planned kamikaze was hit where the search for the margin was "
+        f"not: {plan.controller} answers the search otherwise than an episode; these hits count"
     )
 
 
@@ -192,8 +169,8 @@ def _by_whole_episodes(
     plan: Plan,
     runner: Runner,
     context: Context,
-) -> tuple[LeastWays, str, list[str]]:
-    """Return what whole episodes have found, how, in a few words, and what a reader should know, a line each.
+) -> tuple[list[Hit | None], Search, list[str]]:
+    """Return the hits that whole episodes have found, how they were searched for, and warnings, a line each.
 
     Raises:
         AssessmentError: the car fails, or more episodes were aborted than may be.
@@ -212,10 +189,9 @@ def _by_whole_episodes(
             f"{NOT_CREDIBLE}simulator {plan.simulator}, or controller {plan.controller}, does not repeat itself: of "
             f"{hits} hits {again} came again"
         )
-    how = f"by up to {found.budget} whole episodes a trial; " + (
-        f"{again} of {hits} hits came again" if hits else "none hit"
-    )
-    return LeastWays(found.ways, found.budget, found.converged, found.excess), how, warnings
+    came = f"{again} of {hits} hits came again" if hits else "none hit"
+    how = f"by up to {found.search.budget} whole episodes a trial; {came}"
+    return found.hits, replace(found.search, how=how), warnings
 
 
 def run(context: Context, assessment: Assessment) -> Assessment:
@@ -239,33 +215,25 @@ def run(context: Context, assessment: Assessment) -> Assessment:
     logs: dict[int, list[EpisodeLog]] = {}
     for log in assessment.kamikaze_logs:
         logs.setdefault(log.episode.episode_id, []).append(log)
-    how, warnings = "", list[str]()
+    search: Search | None
+    warnings: list[str] = []
     try:
         if whole:
             runner = context.runner if plan.car.is_external else context.workers
             trials = episodes if is_own_world(plan.simulator) else [_without_noise(one) for one in episodes]
-            found, how, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
+            found, search, warnings = _by_whole_episodes(trials, logs, plan, runner, context)
         else:
-            found = least_ways(episodes, logs, context.workers, context.progress, context.margin_limit)
-        ways = found.ways
-        if not whole and found.budget is not None:
-            ways, shorter = with_planned_hits(episodes, ways, logs)
-            if shorter:
-                warnings = [_otherwise(plan, shorter, len(episodes))]
+            found, search = minimal_deviations(episodes, logs, context.workers, context.progress, context.margin_limit)
+            if search is not None:
+                found, shorter = with_planned_hits(episodes, found, logs)
+                if shorter:
+                    warnings = [_otherwise(plan, shorter, len(episodes))]
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where nobody has led it yet has figures all the same
         return replace(assessment, margin_note=f"its search ended: {error}")
-    grouped = tuple(tuple(ways[start : start + each]) for start in range(0, len(ways), each))
-    margins = Margins(
-        grouped,
-        plan.scenario.eta_max,
-        found.budget,
-        found.converged,
-        found.excess,
-        confidence=assessment.confidence,
-        **({"how": how} if whole else {}),
-    )
+    hits = tuple(tuple(found[start : start + each]) for start in range(0, len(found), each))
+    margins = Margins(hits, plan.scenario.eta_max, search, assessment.confidence)
     equivalent: EquivalentMultiplier | None
     if margins.exact:  # it is a basic car itself
         own = plan.multiplier
@@ -296,7 +264,7 @@ def margins_compiled_beside(*, wanted: bool = True) -> Iterator[Callable[[], Non
     """
     with ExitStack() as stack:
         wait: Callable[[], bool] | None = None
-        if wanted and available_workers() > 1 and not is_kept(search_least_way):
+        if wanted and available_workers() > 1 and not is_kept(search_least):
             wait = stack.enter_context(in_background(_compile))
 
         def load() -> None:

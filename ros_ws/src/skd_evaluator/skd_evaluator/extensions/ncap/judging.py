@@ -20,7 +20,7 @@ from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import Workers
 from skd_evaluator.assessment.stages.checks import undisturbed_drives
 from skd_evaluator.assessment.stages.kamikazes import kamikaze_sets
-from skd_evaluator.assessment.stages.margin import least_ways, why_no_margin, with_planned_hits
+from skd_evaluator.assessment.stages.margin import minimal_deviations, why_no_margin, with_planned_hits
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
 from skd_evaluator.cli.reference import MULTIPLIERS, ReferenceTrials, reference_sweep
@@ -295,13 +295,13 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Se
             return replace(cell, margin_why=why)
         episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
         by_id = {log.episode.episode_id: [log] for log in logs}
-        found = least_ways(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
-        ways, _ = with_planned_hits(episodes, found.ways, by_id)
+        found, search = minimal_deviations(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
+        hits, _ = with_planned_hits(episodes, found, by_id)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
-    margins = Margins((tuple(ways),), plan.scenario.eta_max, found.budget, found.converged, found.excess)
+    margins = Margins((tuple(hits),), plan.scenario.eta_max, search)
     if asked.equivalent:
         cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
     searched = replace(

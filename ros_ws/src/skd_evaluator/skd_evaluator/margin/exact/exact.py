@@ -1,12 +1,12 @@
 """The exact margin of the basic car: the least deviation with which anybody could have been hit in a trial.
 
-A trial's draws do not depend on what the adversary does, and what the basic car answers to every sequence of ways is
+A trial's draws do not depend on what the adversary does, and what the basic car answers to every sequence of moves is
 known. The search is over all of them. If it runs out of memory, which happens where all steps of φ differ,
-`LeastWay.gap` says how far the result may be from the least.
+`Hit.gap` says how far the result may be from the least.
 
 The kernels go through all places that the adversary can reach within a limit, tick by tick. A node is a place, a state
-of the car, and the least deviation of a way that leads there. A node is left out if the reachability bound shows that
-no hit can follow. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
+of the car, and the least deviation of a trajectory that leads there. A node is left out if the reachability bound shows
+that no hit can follow. Sequences that come to the same place merge: a place is the sum of moves, whatever their order.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from skd_sim.world.episode import Episode, controller_generator, controller_seed
 from skd_sim.world.state import Trajectory
 from skd_sim.world.world import Contact, make_world
 
-from skd_evaluator.margin.actions import FIRST_HALF, WAY_COUNT, require_exact, way_velocity
+from skd_evaluator.margin.actions import FIRST_HALF, MOVE_COUNT, move_velocity, require_exact
 from skd_evaluator.margin.exact.reachability import (
     SURE,
     Course,
     Reachability,
-    fill_ways,
+    fill_moves,
     foresee,
     is_hopeful,
     look_back,
@@ -38,27 +38,27 @@ from skd_evaluator.margin.exact.reachability import (
     place_of_phi,
     where_of,
 )
-from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.deviation import Hit, deviation
 
 _EFFORTS = ((1 << 10, 1 << 12, False), (1 << 13, 1 << 16, True), (1 << 17, 1 << 18, True))
 """Tried one after the other until one has room: histories, nodes, and whether a gap will do."""
 TOLERANCE = 1e-9
-"""m, between a search and the trajectory that the world gives for its ways."""
+"""m, between a search and the trajectory that the world gives for its moves."""
 
 
-def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> LeastWay | None:
-    """Return the way of least deviation that ends in a hit, under an episode's draws.
+def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_speed: bool = True) -> Hit | None:
+    """Return the hit of least deviation, under an episode's draws.
 
     A hit is a contact at `collision.hit_speed` or more of the car's own speed. A slower one that the world counts ends
-    a way without a hit; one below `collision.minimum_impact_speed` does not end it.
+    a trajectory without a hit; one below `collision.minimum_impact_speed` does not end it.
 
     Args:
         episode: kamikaze mode, basic controller, basic car, pedestrian; its objective does not matter.
-        upper_bound: only ways of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
-        half_speed: whether directions at half speed are among the ways; without, it is no margin, for comparison.
+        upper_bound: only moves of at most this deviation (m) are looked for; the scenario's `eta_max` by default.
+        half_speed: whether directions at half speed are among the moves; without, it is no margin, for comparison.
 
     Returns:
-        The way; None where there is none within the bound and the horizon, or, where there was no room for all, none
+        The hit; None where there is none within the bound and the horizon, or, where there was no room for all, none
         was found: then the least, if there is one, is just below the bound.
 
     Raises:
@@ -66,28 +66,28 @@ def exact_margin(episode: Episode, upper_bound: float | None = None, *, half_spe
         UsageError: the search would need too much memory.
     """
     require_exact(episode)
-    course = make_course(episode, WAY_COUNT if half_speed else FIRST_HALF)
+    course = make_course(episode, MOVE_COUNT if half_speed else FIRST_HALF)
     ticks = episode.scenario.ticks
     upper = (episode.scenario.eta_max if upper_bound is None else upper_bound) * (1.0 + TOLERANCE) + TOLERANCE
-    ways = np.empty(ticks, np.int64)
+    moves = np.empty(ticks, np.int64)
     for histories, nodes, loose in _EFFORTS:
         reachability = make_reachability(histories, ticks)
-        state, distance, gap, length = search_least_way(course, reachability, make_nodes(nodes), upper, loose, ways)
+        state, distance, gap, length = search_least(course, reachability, make_nodes(nodes), upper, loose, moves)
         if state not in (FULL, CROWDED):
             break
     if state == CROWDED:
         raise UsageError(f"margin: more than {histories} histories of the car in episode {episode.episode_id}")
     if state != FOUND:
         return None
-    trajectory, duration, contact = _walk(episode, ways[:length])
+    trajectory, duration, contact = _walk(episode, moves[:length])
     assert episode.safe_trajectory is not None
     exact = deviation(episode.safe_trajectory.positions, trajectory.positions, duration)
     assert abs(exact - distance) <= TOLERANCE, f"world {exact!r}, search {distance!r}"
-    return LeastWay(exact, trajectory, duration, contact.speed, gap)
+    return Hit(exact, trajectory, duration, contact.speed, gap)
 
 
-def _walk(episode: Episode, ways: npt.NDArray[np.int64]) -> tuple[Trajectory, float, Contact]:
-    """Return the trajectory of ways in the episode's own world, its duration in ticks, and the contact at its end.
+def _walk(episode: Episode, moves: npt.NDArray[np.int64]) -> tuple[Trajectory, float, Contact]:
+    """Return the trajectory of moves in the episode's own world, its duration in ticks, and the contact at its end.
 
     The last tick has to end in a hit, and none before in a collision: a search that found something else is wrong.
     """
@@ -98,23 +98,23 @@ def _walk(episode: Episode, ways: npt.NDArray[np.int64]) -> tuple[Trajectory, fl
     controller.reset(scenario, controller_generator(controller_seed(episode.seed, episode.episode_id)))
     walked = [world.adversary[:2]]
     contact = None
-    for tick, way in enumerate(ways.tolist()):
+    for tick, move in enumerate(moves.tolist()):
         assert contact is None, f"episode {episode.episode_id}: collision in the world before tick {tick}"
-        velocity = way_velocity(way, path, tick, scenario.time_step, scenario.adversary.speed)
+        velocity = move_velocity(move, path, tick, scenario.time_step, scenario.adversary.speed)
         contact = world.step(controller.command(world.car, world.adversary), velocity)
         walked.append(world.adversary[:2])
     assert contact is not None, f"episode {episode.episode_id}: no collision in the world"
     assert scenario.collision.is_hit(contact.speed), f"episode {episode.episode_id}: no hit at {contact.speed!r} m/s"
     before, after = np.array(walked[-2]), np.array(walked[-1])
     walked[-1] = tuple(before + contact.fraction * (after - before))
-    return Trajectory(np.array(walked), scenario.time_step), len(ways) - 1 + contact.fraction, contact
+    return Trajectory(np.array(walked), scenario.time_step), len(moves) - 1 + contact.fraction, contact
 
 
 NOTHING, FOUND, FULL, CROWDED = range(4)
 """What a search answers: no hit within the limit, one found, no room for its nodes, or none for the histories."""
 SAME = 1e-7  # m, between places that are one: sums of the same moves in another order
 _SHIFT = 0.3819660112501051  # of the cells, so that no place of a simple φ is on a border
-_SAME_WAY = 1e-12  # m
+_SAME_MOVE = 1e-12  # m
 
 _FIRST_LIMIT = 0.05  # m
 _NEAR, _NEARER = 0.05, 0.001  # share of a limit to which the least that is possible is found
@@ -136,7 +136,7 @@ class Nodes(NamedTuple):
     history: IntArray  # node → history of the reachability bound
     strayed: FloatArray  # node → greatest distance from φ so far, m
     origin: IntArray  # node → node before
-    way: IntArray  # node → way that led here
+    move: IntArray  # node → move that led here
     slot: IntArray  # hash table
     stamp: IntArray  # slot → layer that it is of
 
@@ -153,7 +153,7 @@ def make_nodes(capacity: int) -> Nodes:
         history=integers(),
         strayed=np.empty(capacity),
         origin=integers(),
-        way=integers(),
+        move=integers(),
         slot=np.empty(2 * capacity, np.int64),
         stamp=np.zeros(2 * capacity, np.int64),
     )
@@ -169,7 +169,7 @@ def _hash(i: int, j: int, history: int, mask: int) -> int:
 
 @kernel(inline=True)
 def _visit(
-    q: Nodes, x: float, y: float, history: int, strayed: float, origin: int, way: int, stamp: int, cell: float
+    q: Nodes, x: float, y: float, history: int, strayed: float, origin: int, move: int, stamp: int, cell: float
 ) -> bool:
     """Add a node to a layer, unless the place was reached with less deviation; False: there is no room."""
     mask = q.slot.shape[0] - 1
@@ -185,7 +185,7 @@ def _visit(
             if strayed < q.strayed[known]:
                 q.place[known, 0], q.place[known, 1] = x, y
                 q.strayed[known] = strayed
-                q.origin[known], q.way[known] = origin, way
+                q.origin[known], q.move[known] = origin, move
             return True
         slot = (slot + 1) & mask
     node = q.size[0]
@@ -198,7 +198,7 @@ def _visit(
     q.history[node] = history
     q.strayed[node] = strayed
     q.origin[node] = origin
-    q.way[node] = way
+    q.move[node] = move
     return True
 
 
@@ -215,10 +215,10 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
             count.
 
     Returns:
-        (FOUND, node before the last way, last way, deviation in m), or (NOTHING or FULL, −1, −1, infinity).
+        (FOUND, node before the last move, last move, deviation in m), or (NOTHING or FULL, −1, −1, infinity).
     """
     ticks = c.noise.shape[0]
-    best, best_node, best_way = np.inf, -1, -1
+    best, best_node, best_move = np.inf, -1, -1
     q.size[0] = 0
     q.size[1] += 1
     where = where_of(c, f, 0, c.path[0, 0], c.path[0, 1])
@@ -226,8 +226,8 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
         return NOTHING, -1, -1, np.inf
     _visit(q, c.path[0, 0], c.path[0, 1], 0, 0.0, -1, -1, q.size[1], cell)
     begin, end, tick = 0, 1, 0
-    steps = np.empty((WAY_COUNT, 2))
-    names = np.empty(WAY_COUNT, np.int64)
+    steps = np.empty((MOVE_COUNT, 2))
+    names = np.empty(MOVE_COUNT, np.int64)
     side_apart = SURE * c.path_edge
     front_apart, rear_apart = SURE * (c.front + c.radius), SURE * (c.rear + c.radius)
     while begin < end and tick < ticks:
@@ -235,13 +235,13 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
         x_phi, y_phi = place_of_phi(c, tick)
         x_phi_to, y_phi_to = place_of_phi(c, tick + 1)
         distinct = 0
-        for way in range(c.ways):
-            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.adversary_speed)
+        for move in range(c.moves):
+            vx, vy = move_velocity(move, c.path, tick, c.time_step, c.adversary_speed)
             known = False
             for k in range(distinct):
-                known |= max(abs(vx - steps[k, 0]), abs(vy - steps[k, 1])) * c.time_step <= _SAME_WAY
+                known |= max(abs(vx - steps[k, 0]), abs(vy - steps[k, 1])) * c.time_step <= _SAME_MOVE
             if not known:
-                steps[distinct, 0], steps[distinct, 1], names[distinct] = vx, vy, way
+                steps[distinct, 0], steps[distinct, 1], names[distinct] = vx, vy, move
                 distinct += 1
         for node in range(begin, end):
             strayed = q.strayed[node]
@@ -279,7 +279,7 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
                             distance = max(strayed, np.sqrt(away_x * away_x + away_y * away_y))
                             if distance < limit:
                                 limit = best = distance
-                                best_node, best_way = node, names[k]
+                                best_node, best_move = node, names[k]
                         if impact >= c.minimum_impact_speed:
                             continue
                 if not goes_on or x_to > c.path_edge:
@@ -292,7 +292,7 @@ def search_within(c: Course, f: Reachability, q: Nodes, limit: float, cell: floa
                     return FULL, -1, -1, np.inf
         begin, end = end, q.size[0]
         tick += 1
-    return (FOUND if best_node >= 0 else NOTHING), best_node, best_way, best
+    return (FOUND if best_node >= 0 else NOTHING), best_node, best_move, best
 
 
 @kernel(inline=True)
@@ -313,30 +313,30 @@ def _least_possible(c: Course, f: Reachability, low: float, high: float, share: 
 
 
 @kernel
-def _search(c: Course, f: Reachability, q: Nodes, limit: float, cell: float, ways: IntArray) -> tuple[int, float, int]:
-    """Bound what a limit lets reach, and search within it; return what `search_least_way` does, but for the gap."""
+def _search(c: Course, f: Reachability, q: Nodes, limit: float, cell: float, moves: IntArray) -> tuple[int, float, int]:
+    """Bound what a limit lets reach, and search within it; return what `search_least` does, but for the gap."""
     fine = _fine(limit)
     possible = foresee(c, f, limit, fine, False)
     if possible == 0:
         return NOTHING, np.inf, 0
     if possible < 0 or look_back(c, f, limit, fine) < 0:
         return CROWDED, np.inf, 0
-    state, node, way, best = search_within(c, f, q, limit, cell)
+    state, node, move, best = search_within(c, f, q, limit, cell)
     if state != FOUND:
         return state, np.inf, 0
     length = 1
-    ways[0] = way
+    moves[0] = move
     while q.origin[node] >= 0:
-        ways[length] = q.way[node]
+        moves[length] = q.move[node]
         length += 1
         node = q.origin[node]
-    ways[:length] = ways[:length][::-1].copy()
+    moves[:length] = moves[:length][::-1].copy()
     return FOUND, best, length
 
 
 @kernel(nogil=True)
-def search_least_way(
-    c: Course, f: Reachability, q: Nodes, upper: float, loose: bool, ways: IntArray
+def search_least(
+    c: Course, f: Reachability, q: Nodes, upper: float, loose: bool, moves: IntArray
 ) -> tuple[int, float, float, int]:
     """Search for the hit of least deviation.
 
@@ -350,13 +350,13 @@ def search_least_way(
         q: memory of the search.
         upper: only hits with less deviation than this are looked for, m.
         loose: whether a gap is accepted if there is no room for all nodes.
-        ways: room for one way for each tick; receives those of the hit.
+        moves: room for one move for each tick; receives those of the hit.
 
     Returns:
-        (FOUND, deviation in m, by how much the least may be below it in m, number of ways), or (NOTHING, FULL or
+        (FOUND, deviation in m, by how much the least may be below it in m, number of moves), or (NOTHING, FULL or
         CROWDED, infinity, 0, 0).
     """
-    fill_ways(c, f)
+    fill_moves(c, f)
     low, high = 0.0, min(_FIRST_LIMIT, upper)
     while foresee(c, f, high, _fine(high), True) == 0:
         low = high
@@ -369,20 +369,20 @@ def search_least_way(
     while limit < upper:
         limit = min(_WIDER * limit + _MORE, upper)
         cell = max(_CELL, _CELL_SHARE * limit)
-        state, best, length = _search(c, f, q, limit, cell, ways)
+        state, best, length = _search(c, f, q, limit, cell, moves)
         while state == FULL and loose:
             cell *= 2.0
-            state, best, length = _search(c, f, q, limit, cell, ways)
+            state, best, length = _search(c, f, q, limit, cell, moves)
         if state in (FULL, CROWDED):
             return state, np.inf, 0.0, 0
         if state == FOUND:
             break
-    other = np.empty_like(ways)
+    other = np.empty_like(moves)
     limit = min(best, upper)
     if not loose:
         state, distance, other_length = _search(c, f, q, limit, SAME, other)
         if state == FOUND:
-            ways[:] = other
+            moves[:] = other
             best, length = distance, other_length
         elif state != NOTHING:
             return state, np.inf, 0.0, 0
@@ -395,7 +395,7 @@ def search_least_way(
         state, distance, other_length = _search(c, f, q, limit, cell, other)
         if state == FOUND:
             better = limit - distance
-            ways[:] = other
+            moves[:] = other
             limit = best = distance
             length = other_length
             if better <= _WORTH * limit:
@@ -409,7 +409,7 @@ def search_least_way(
         middle = low + share * (limit - low)
         state, distance, other_length = _search(c, f, q, middle, SAME, other)
         if state == FOUND:
-            ways[:] = other
+            moves[:] = other
             limit = best = distance
             length = other_length
             low = max(low, limit)  # all that is less has been looked at

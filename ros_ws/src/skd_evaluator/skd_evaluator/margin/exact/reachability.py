@@ -2,10 +2,10 @@
 
 What the basic car does in a tick depends on the adversary through one thing alone: whether it is behind the front,
 in the strip in which the car brakes for it, or ahead of that. A *history* says which, tick by tick, and so which state
-the car is in. If a pedestrian could also take any velocity between those of its ways, the places that it can be at
-under a history would form a convex set: φ's neighbourhood, cut by the strips, and the sums of such sets with the ways.
+the car is in. If a pedestrian could also take any velocity between those of its moves, the places that it can be at
+under a history would form a convex set: φ's neighbourhood, cut by the strips, and the sums of such sets with the moves.
 Real ones are among them. Backwards, likewise, a set holds all from where it can still be hit within the limit. Where
-nothing is left on either side no sequence of ways leads to a hit.
+nothing is left on either side no sequence of moves leads to a hit.
 
 One kamikaze episode of the basic car in numbers: φ, the car and its known noise.
 
@@ -24,13 +24,13 @@ from skd_sim.world.episode import Episode, Role, generator
 from skd_sim.world.state import next_speed, travelled
 from skd_sim.world.world import make_world
 
-from skd_evaluator.margin.actions import WAY_COUNT, way_velocity
+from skd_evaluator.margin.actions import MOVE_COUNT, move_velocity
 from skd_evaluator.margin.exact.polygons import MOST, SLACK, add, cut, cut_to_capsule, half_planes, hull
 
 BEHIND, BRAKED, AHEAD = range(3)
 """Where the adversary is when a tick begins: behind the car's front, in the strip in which it brakes, ahead of it."""
 NONE = -1
-_WAY_POINTS = WAY_COUNT + 4
+_MOVE_POINTS = MOVE_COUNT + 4
 _PIECES = 24  # of a tick in which there can be a contact, at most
 _OUTSTANDING = 0.003  # share of a limit by which a set may stand out of it
 
@@ -47,8 +47,8 @@ class Reachability(NamedTuple):
     reached: IntArray  # history → first row, and number of rows: where it can be
     planes: FloatArray  # (a, b, c): a·x + b·y ≤ c
     hopeful: IntArray  # history × where → first row, and number of rows: from where there can be a hit
-    ways: FloatArray  # tick × corner × 2: hull of the displacements in a tick, m
-    way_count: IntArray  # tick → its corners
+    moves: FloatArray  # tick × corner × 2: hull of the displacements in a tick, m
+    move_count: IntArray  # tick → its corners
 
 
 def make_reachability(histories: int, ticks: int) -> Reachability:
@@ -67,22 +67,22 @@ def make_reachability(histories: int, ticks: int) -> Reachability:
         reached=integers(histories, 2),
         planes=np.empty((24 * histories + 4 * MOST, 3)),
         hopeful=integers(histories, 3, 2),
-        ways=np.zeros((ticks, _WAY_POINTS, 2)),
-        way_count=np.zeros(ticks, np.int64),
+        moves=np.zeros((ticks, _MOVE_POINTS, 2)),
+        move_count=np.zeros(ticks, np.int64),
     )
 
 
 @kernel
-def fill_ways(c: Course, f: Reachability) -> None:
+def fill_moves(c: Course, f: Reachability) -> None:
     """Fill in the hulls of displacements."""
-    points, out = np.empty((WAY_COUNT, 2)), np.empty((MOST, 2))
+    points, out = np.empty((MOVE_COUNT, 2)), np.empty((MOST, 2))
     for tick in range(c.noise.shape[0]):
-        for way in range(c.ways):
-            vx, vy = way_velocity(way, c.path, tick, c.time_step, c.adversary_speed)
-            points[way, 0], points[way, 1] = c.time_step * vx, c.time_step * vy
-        count = hull(points, c.ways, out)
-        f.way_count[tick] = count
-        f.ways[tick, :count] = out[:count]
+        for move in range(c.moves):
+            vx, vy = move_velocity(move, c.path, tick, c.time_step, c.adversary_speed)
+            points[move, 0], points[move, 1] = c.time_step * vx, c.time_step * vy
+        count = hull(points, c.moves, out)
+        f.move_count[tick] = count
+        f.moves[tick, :count] = out[:count]
 
 
 @kernel
@@ -136,7 +136,7 @@ def contact_set(
 
     Args:
         c: what is known of the episode beforehand.
-        f: the reachability bound, which has the ways.
+        f: the reachability bound, which has the moves.
         tick: number of the tick in which the hit is.
         before: state of the car when it begins.
         after: state of the car when it ends.
@@ -159,13 +159,13 @@ def contact_set(
         begin = max(0.0, (c.hit_speed - speed) / (speed_after - speed) - 1e-9)
     elif speed_after < c.hit_speed:
         end = min(1.0, (c.hit_speed - speed) / (speed_after - speed) + 1e-9)
-    way_x, way_y = after[0] - before[0], after[1] - before[1]
-    ways, way_count = f.ways[tick], f.way_count[tick]
+    moved_x, moved_y = after[0] - before[0], after[1] - before[1]
+    moves, move_count = f.moves[tick], f.move_count[tick]
     # The set against the box that the car sweeps, as the adversary sees it.
     low_x, high_x, low_y, high_y = 0.0, 0.0, 0.0, 0.0
-    for i in range(way_count):
-        low_x, high_x = min(low_x, way_x - ways[i, 0]), max(high_x, way_x - ways[i, 0])
-        low_y, high_y = min(low_y, way_y - ways[i, 1]), max(high_y, way_y - ways[i, 1])
+    for i in range(move_count):
+        low_x, high_x = min(low_x, moved_x - moves[i, 0]), max(high_x, moved_x - moves[i, 0])
+        low_y, high_y = min(low_y, moved_y - moves[i, 1]), max(high_y, moved_y - moves[i, 1])
     side = c.half_width + c.radius + SLACK
     if (
         box[0] > before[0] + side + high_x
@@ -176,11 +176,11 @@ def contact_set(
         return 0
     x_phi, y_phi = place_of_phi(c, tick)
     x_to, y_to = place_of_phi(c, tick + 1)
-    past_x, past_y = x_to - x_phi - way_x, y_to - y_phi - way_y
+    past_x, past_y = x_to - x_phi - moved_x, y_to - y_phi - moved_y
     length = np.sqrt(past_x * past_x + past_y * past_y) * (end - begin)
     pieces = max(1, min(_PIECES, int(np.ceil(length / fine))))
     grown, other, sum_, cone = np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2))
-    corners = np.empty((2 * _WAY_POINTS, 2))
+    corners = np.empty((2 * _MOVE_POINTS, 2))
     n = 0
     for piece in range(pieces):
         s = begin + (end - begin) * piece / pieces
@@ -199,11 +199,11 @@ def contact_set(
         )
         if count == 0:
             continue
-        for i in range(way_count):
-            dx, dy = way_x - ways[i, 0], way_y - ways[i, 1]
+        for i in range(move_count):
+            dx, dy = moved_x - moves[i, 0], moved_y - moves[i, 1]
             corners[2 * i, 0], corners[2 * i, 1] = s * dx, s * dy
             corners[2 * i + 1, 0], corners[2 * i + 1, 1] = e * dx, e * dy
-        cone_count = hull(corners, 2 * way_count, cone)
+        cone_count = hull(corners, 2 * move_count, cone)
         count = add(grown, count, cone, cone_count, sum_)
         for k in range(plane_count):
             count = cut(sum_, count, planes[k, 0], planes[k, 1], planes[k, 2], other)
@@ -232,7 +232,7 @@ def foresee(c: Course, f: Reachability, limit: float, fine: float, only_whether:
 
     Args:
         c: what is known of the episode beforehand.
-        f: memory, with its ways; its other content is overwritten.
+        f: memory, with its moves; its other content is overwritten.
         limit: greatest deviation, m.
         fine: how finely places are told apart, as in `contact_set`.
         only_whether: stop at the first hit that is possible.
@@ -295,7 +295,7 @@ def foresee(c: Course, f: Reachability, limit: float, fine: float, only_whether:
                 possible = 1
                 if only_whether:
                     return 1
-            n = add(zone, n, f.ways[tick], f.way_count[tick], sum_)
+            n = add(zone, n, f.moves[tick], f.move_count[tick], sum_)
             n = cut(sum_, n, 1.0, 0.0, c.path_edge + SLACK, zone)
             n = cut_to_capsule(zone, n, x_phi, y_phi, x_phi, y_phi, SURE * limit + MARGIN, _OUTSTANDING, other)
             if n == 0 and f.touches[state, where] == 0:
@@ -319,7 +319,7 @@ def look_back(c: Course, f: Reachability, limit: float, fine: float) -> int:
     zone, other, sum_, planes = np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST, 2)), np.empty((MOST + 4, 3))
     touching = np.empty(((_PIECES + 6) * MOST, 2))
     together = np.empty((4 * MOST, 2))
-    backwards = np.empty((_WAY_POINTS, 2))
+    backwards = np.empty((_MOVE_POINTS, 2))
     box = np.empty(4)
     # From here on `reached` of a history holds from where there can be a hit.
     for state in range(f.size[0] - 1, -1, -1):
@@ -346,10 +346,10 @@ def look_back(c: Course, f: Reachability, limit: float, fine: float) -> int:
                 )
             next_first, next_count = f.reached[child, 0], f.reached[child, 1]
             if next_count > 0:
-                way_count = f.way_count[tick]
-                for i in range(way_count):
-                    backwards[i, 0], backwards[i, 1] = -f.ways[tick, i, 0], -f.ways[tick, i, 1]
-                n = add(f.points[next_first : next_first + next_count], next_count, backwards, way_count, sum_)
+                move_count = f.move_count[tick]
+                for i in range(move_count):
+                    backwards[i, 0], backwards[i, 1] = -f.moves[tick, i, 0], -f.moves[tick, i, 1]
+                n = add(f.points[next_first : next_first + next_count], next_count, backwards, move_count, sum_)
                 for k in range(plane_count):
                     n = cut(sum_, n, planes[k, 0], planes[k, 1], planes[k, 2], other)
                     if n == 0:
@@ -436,10 +436,10 @@ class Course(NamedTuple):
     path_edge: float
     minimum_impact_speed: float
     hit_speed: float
-    ways: int  # how many of the ways of `margin.actions` are searched: the first ones
+    moves: int  # how many of the moves of `margin.actions` are searched: the first ones
 
 
-def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:
+def make_course(episode: Episode, moves: int = MOVE_COUNT) -> Course:
     """Return a kamikaze episode in numbers, the car's noise of every tick included."""
     scenario, world = episode.scenario, make_world(episode)
     car, adversary, ticks = scenario.car, scenario.adversary, scenario.ticks
@@ -472,7 +472,7 @@ def make_course(episode: Episode, ways: int = WAY_COUNT) -> Course:
         path_edge=scenario.path_edge,
         minimum_impact_speed=scenario.collision.minimum_impact_speed,
         hit_speed=max(scenario.collision.hit_speed, scenario.collision.minimum_impact_speed),
-        ways=ways,
+        moves=moves,
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,7 +23,13 @@ from skd_evaluator.margin.search.trial import ActionSpace, Candidate, Trial, cha
 
 Drive = Callable[[Sequence[Episode]], Iterable[EpisodeLog]]
 """Runs episodes and returns their logs in order."""
-PLAN, EXCURSION, OWN, NEAR_MISS, OTHER = SOURCES = ("plan", "excursion", "own best", "near miss", "other trial")
+PLAN, EXCURSION, OWN, NEAR_MISS, OTHER = SOURCES = (
+    "plans",
+    "excursions from φ",
+    "changed hits",
+    "changed near misses",
+    "other trials",
+)
 _PLANS: Final = 1.0  # share of plans, on top of what they have earned; the shares of all sources add up to 1
 _LEAST: Final = 0.1  # share of any other source
 _FORGETS: Final = 0.998
@@ -40,6 +47,15 @@ class Proposal(NamedTuple):
     episode: Episode
 
 
+@dataclass
+class Brought:
+    """What a source has brought: its candidates, how many were better hits, and by how much in all, m."""
+
+    candidates: int = 0
+    hits: int = 0
+    lowered: float = 0.0
+
+
 class Group:
     """Trials of one φ that share what they find.
 
@@ -48,6 +64,7 @@ class Group:
         space: where sequences of actions lead.
         spent: candidates driven, and plans as what they take.
         reasons: why episodes were aborted, one each.
+        brought: what each source has brought.
     """
 
     def __init__(self, episodes: Sequence[Episode], excursions: int, free_plans: bool = False) -> None:
@@ -65,6 +82,7 @@ class Group:
         self.surrogate = Surrogate(first.scenario.control_periods > 1)
         self.spent = 0
         self.reasons: list[str] = []
+        self.brought = {source: Brought() for source in SOURCES}
         self._planners = [Planner(trial, self.surrogate) for trial in self.trials] if space.is_pedestrian else []
         self._plan_cost = 0.0 if free_plans else 1.0
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence((first.seed, first.episode_id))))
@@ -107,7 +125,7 @@ class Group:
         other._offers = [other._offers[index] for index in kept]
         other._planners = [other._planners[index] for index in kept] if other._planners else []
         other.spent = self.spent * len(kept) // len(self.trials)
-        other.reasons = []
+        other.reasons, other.brought = [], {source: Brought() for source in SOURCES}
         return other
 
     def take(self, trials: Mapping[int, Trial]) -> None:
@@ -166,6 +184,10 @@ class Group:
             self._effort[one] *= _FORGETS
         self._gain[source] += gain
         self._cost[source] += 1
+        brought = self.brought[source]
+        brought.candidates += 1
+        brought.hits += gain > 0.0
+        brought.lowered += gain
         if not offered:
             self._effort[source] += 1
 

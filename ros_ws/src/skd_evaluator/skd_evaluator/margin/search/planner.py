@@ -58,7 +58,7 @@ class Planner:
         self._problems = _problems(trial.space, self.noise, self.within)
         self._turns, self._mode, self._radius = 0, MODES - 1, RADIUS
         self._coarseness, self._greedy, self._most = 1.0, False, _LITTLE_ROOM[self.within]
-        self._ways = np.empty(scenario.ticks + 1, np.int64)
+        self._moves = np.empty(scenario.ticks + 1, np.int64)
         self._failures: list[tuple[float, ...]] = []
         self._index: dict[bytes, int] = {}
         self._rows = np.empty((0, COLUMNS))
@@ -153,7 +153,7 @@ class Planner:
             _FEW_BUCKETS if self._greedy else _BUCKETS,
             _room(ROOM[self.within]),
             most,
-            self._ways,
+            self._moves,
         )
         full = planned >= most
         self._greedy = full and begin < 0 and not self._greedy
@@ -170,7 +170,7 @@ class Planner:
             if self._mode == CAUTIOUS:
                 self._radius = max(_LEAST_RADIUS, 0.7 * self._radius)
             return None, cost
-        return np.concatenate([self._prefixes[begin], self._ways[:length]]), cost
+        return np.concatenate([self._prefixes[begin], self._moves[:length]]), cost
 
     def _forget(self) -> None:
         every = (1 << self._problems[0].velocities.shape[1]) - 1
@@ -204,9 +204,9 @@ def _problems(space: ActionSpace, noise: FloatArray, within: bool) -> tuple[Plan
     assert space.table is not None
     table = space.table.copy()
     for row in table:
-        for way in range(len(row)):
-            if (row[:way] == row[way]).all(axis=1).any():
-                row[way] = math.nan
+        for move in range(len(row)):
+            if (row[:move] == row[move]).all(axis=1).any():
+                row[move] = math.nan
     factors = np.concatenate([[1.0], np.cumprod(1.0 + noise[:, 0])])
     rolled = np.concatenate([[0.0], np.cumsum(0.5 * scenario.time_step * (factors[1:] + factors[:-1]))])
     whole = PlanProblem(

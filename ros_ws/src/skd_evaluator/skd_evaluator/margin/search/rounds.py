@@ -52,11 +52,11 @@ def by_episodes(runner: Runner, progress: Progress) -> Rounds:
 
 def repeated(found: SearchedMargins, runner: Runner) -> tuple[int, int]:
     """Run the best hit of each trial again; return how many there are, and how many hit in the same place again."""
-    pairs = [(way, hit) for way, hit in zip(found.ways, found.hits, strict=True) if way is not None and hit is not None]
+    pairs = [(hit, one) for hit, one in zip(found.hits, found.episodes, strict=True) if hit and one]
     again = 0
-    for (way, _), log in zip(pairs, runner.run([hit for _, hit in pairs]), strict=True):
+    for (hit, _), log in zip(pairs, runner.run([one for _, one in pairs]), strict=True):
         if log.hit:
-            place = log.trajectory.positions[-1] - way.trajectory.positions[-1]
+            place = log.trajectory.positions[-1] - hit.trajectory.positions[-1]
             again += bool(np.hypot(*place) <= SAME)
     return len(pairs), again
 

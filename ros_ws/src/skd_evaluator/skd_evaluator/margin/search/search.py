@@ -17,13 +17,13 @@ from skd_sim.arrays import FloatArray, IntArray
 from skd_sim.world.episode import Episode, EpisodeLog
 
 from skd_evaluator.errors import AssessmentError
-from skd_evaluator.margin.search.group import OTHER, Group
+from skd_evaluator.margin.search.group import OTHER, SOURCES, Brought, Group
 from skd_evaluator.margin.search.trial import ActionSpace, Trial
-from skd_evaluator.metrics.deviation import LeastWay
-from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess
+from skd_evaluator.metrics.deviation import Hit
+from skd_evaluator.metrics.margins import CONVERGED_WITHIN, Excess, Search
 
 CHANGE: Final = 0.02
-"""Of the mean, below which it may have converged: in the last doubling, and in the three beyond it of deep trials."""
+"""Of the mean, below which it may have converged: in the last two doublings, and in the three beyond of deep trials."""
 DEEPER: Final = 8
 """Times as deep some trials are searched."""
 _DEEP_TRIALS: Final = 24
@@ -59,21 +59,17 @@ class SearchedMargins:
     """What was found.
 
     Attributes:
-        ways: for each trial the hit of least deviation; None: none was found within η_max.
-        hits: the episodes that ended in them.
-        converged: whether the mean may be taken for the margin; else it is an upper bound.
-        budget: candidates a trial.
-        excess: how much too high the mean may be; None: no trial was searched deeper.
+        hits: for each trial the hit of least deviation; None: none was found within η_max.
+        episodes: the episodes that ended in them.
+        search: how they were searched for.
         means: (candidates a trial, mean margin in m) after each round.
         driven: episodes that were driven in all trials.
         reasons: why some of them were aborted, one each.
     """
 
-    ways: list[LeastWay | None]
-    hits: list[Episode | None]
-    converged: bool
-    budget: int
-    excess: Excess | None
+    hits: list[Hit | None]
+    episodes: list[Episode | None]
+    search: Search
     means: tuple[tuple[int, float], ...]
     driven: int
     reasons: tuple[str, ...]
@@ -111,21 +107,20 @@ def search_margins(
         if searched.is_done:
             return searched.result(True, budget, None, means)
         last = 2 * budget > effort.limit
-        steady = len(means) > 2 and _near(means[-1][1], means[-2][1]) and not searched.has_new_hits
-        steady = steady and (last or searched.has_all_hits)  # a trial without a hit gets all the effort there is
+        latest = [mean for _, mean in means[-3:]]
+        steady = len(means) > 3 and all(map(_near, latest[1:], latest)) and searched.has_all_hits
         if steady or last:
             shallow = searched.mean
             excess, brought = searched.deepen(budget)
             least, most = (share * searched.mean for share in _EXCESS)
             good = brought <= CHANGE * shallow and excess.mean <= least and excess.mean + excess.error <= most
-            good = good and not searched.has_new_hits
             if last or good:
                 return searched.result(steady and good, budget, excess, means)
         budget *= 2
 
 
-class Hit(NamedTuple):
-    """A trajectory on which a car hits.
+class OtherHit(NamedTuple):
+    """A trajectory on which another car hits.
 
     Attributes:
         safe: φ from which it deviates, n × 2, m.
@@ -137,7 +132,7 @@ class Hit(NamedTuple):
 
 
 def margins_beside(
-    episodes: Sequence[Episode], known: Mapping[int, EpisodeLog], hits: Sequence[Hit], rounds: Rounds
+    episodes: Sequence[Episode], known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit], rounds: Rounds
 ) -> list[float]:
     """Return the margins of trials, m, in which hits of others are tried too; nothing further is searched.
 
@@ -183,7 +178,6 @@ class _Search:
         self._place = [episode.episode_id for episode in episodes]
         self._rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(episodes[0].seed)))
         self._deep: list[Group] = []
-        self.has_new_hits = True  # whether the last search found a hit in a trial that had none
         for group in self._groups:
             for trial in group.trials:
                 for log in known.get(trial.episode.episode_id, ()):
@@ -195,7 +189,7 @@ class _Search:
     def _trials(self) -> list[Trial]:
         return [trial for group in self._groups for trial in group.trials]
 
-    def begin_with(self, known: Mapping[int, EpisodeLog], hits: Sequence[Hit]) -> None:
+    def begin_with(self, known: Mapping[int, EpisodeLog], hits: Sequence[OtherHit]) -> None:
         """Take the best hit of each trial, by the id of its episode, and offer hits of others, best first."""
         for trial in self._trials:
             if trial.episode.episode_id in known:
@@ -229,19 +223,13 @@ class _Search:
         return all(group.is_done for group in self._groups)
 
     @property
-    def _hit(self) -> list[bool]:
-        return [trial.best is not None for trial in self._trials]
-
-    @property
     def has_all_hits(self) -> bool:
-        """Whether a hit was found in each trial."""
-        return all(self._hit)
+        """Whether a hit was found in each trial; one without is unfinished."""
+        return all(trial.best is not None for trial in self._trials)
 
     def round(self, budget: int) -> None:
         """Search until so many candidates a trial are spent, and share what was found."""
-        hit = self._hit
         self._groups = self._rounds(self._groups, budget, f"{budget} candidates a trial")
-        self.has_new_hits = hit != self._hit
         if self._aborted == sum(trial.driven for trial in self._trials):
             raise AssessmentError(f"every candidate was aborted ({self._groups[0].reasons[0]})")
         self._share(self._groups)
@@ -268,7 +256,7 @@ class _Search:
         Returns:
             What that says of the mean, and by how much the mean of those trials fell, m.
         """
-        trials, hit = self._trials, self._hit
+        trials = self._trials
         before = {trial.episode.episode_id: trial.least for trial in trials}
         if not self._deep:
             chosen = self._rng.permutation(len(trials))[: min(_DEEP_TRIALS, len(trials))]
@@ -285,7 +273,6 @@ class _Search:
             group.take(deep)
         self._share(self._deep)
         self._groups = self._rounds(self._groups, budget, "hits of those trials in the others")  # the budget is spent
-        self.has_new_hits = hit != self._hit
         rest = [
             before[one.episode.episode_id] - one.least for one in self._trials if one.episode.episode_id not in deep
         ]
@@ -300,8 +287,21 @@ class _Search:
     ) -> SearchedMargins:
         """Return what was found."""
         trials = {trial.episode.episode_id: trial for trial in self._trials}
-        found = [trials[one] for one in self._place]
-        reasons = tuple(reason for group in (*self._groups, *self._deep) for reason in group.reasons)
-        ways, hits = [one.best for one in found], [one.hit for one in found]
-        driven = sum(trial.driven for group in (*self._groups, *self._deep) for trial in group.trials)
-        return SearchedMargins(ways, hits, converged, budget, excess, tuple(means), driven, reasons)
+        found, groups = [trials[one] for one in self._place], (*self._groups, *self._deep)
+        sources = tuple({"source": source, **_sum([group.brought[source] for group in groups])} for source in SOURCES)
+        return SearchedMargins(
+            [one.best for one in found],
+            [one.hit for one in found],
+            Search(budget, converged, excess, sources),
+            tuple(means),
+            sum(trial.driven for group in groups for trial in group.trials),
+            tuple(reason for group in groups for reason in group.reasons),
+        )
+
+
+def _sum(brought: Sequence[Brought]) -> dict[str, int | float]:
+    return {
+        "candidates": sum(one.candidates for one in brought),
+        "hits": sum(one.hits for one in brought),
+        "lowered": math.fsum(one.lowered for one in brought),
+    }

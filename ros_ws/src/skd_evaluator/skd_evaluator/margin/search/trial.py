@@ -21,7 +21,7 @@ from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.margin.actions import velocities
-from skd_evaluator.metrics.deviation import LeastWay, deviation
+from skd_evaluator.metrics.deviation import Hit, hit_of
 
 ENOUGH = 1e-9
 """m: a trajectory that deviates less is φ itself."""
@@ -187,7 +187,7 @@ class Trial:
         self.episode, self.space = episode, space
         self.prescribed = prescribed(episode, space.path)
         self.least = episode.scenario.eta_max
-        self.best: LeastWay | None = None
+        self.best: Hit | None = None
         self.hit: Episode | None = None
         self.actions: IntArray | None = None
         self.tick = 0
@@ -216,17 +216,14 @@ class Trial:
         if log.outcome == Outcome.ABORTED:
             return False
         if log.hit:
-            duration = log.impact_time / self.episode.scenario.time_step
-            path = log.trajectory
-            distance = deviation(self.space.path, path.positions, duration)
-            if distance >= self.least - ENOUGH:
+            hit = hit_of(self.space.path, log)
+            if hit.distance >= self.least - ENOUGH:
                 return False
-            gap = 0.0 if distance <= ENOUGH else math.inf
-            self.best = LeastWay(distance, path, duration, log.impact_speed, gap)
-            self.least, self.hit = distance, log.episode
+            self.best = replace(hit, gap=0.0) if hit.distance <= ENOUGH else hit
+            self.least, self.hit = hit.distance, log.episode
             self.actions = None if candidate is None else candidate.actions
             self.tick = len(log.adversary) - 2
-            self.near_misses = [one for one in self.near_misses if one.deviation < distance]
+            self.near_misses = [one for one in self.near_misses if one.deviation < hit.distance]
             return True
         if candidate is not None and log.outcome != Outcome.COLLISION:
             self._note_near_miss(candidate, log)

@@ -62,9 +62,9 @@ def _other(scenario: Scenario, index: int) -> dict[str, Any]:
     }
 
 
-def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
+def margin_hits(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
     """Return per φ the ways of the margin, the least first, at most so many: points at ticks, m, and their figures."""
-    if not subject.episodes.margin_ways:
+    if not subject.episodes.margin_hits:
         return [[] for _ in subject.episodes.safe]
     return [
         [
@@ -79,7 +79,7 @@ def margin_ways(subject: Subject, most: int) -> list[list[dict[str, Any]]]:
                 key=lambda pair: (pair[1].distance, pair[0]),
             )[:most]
         ]
-        for ways in subject.episodes.margin_ways
+        for ways in subject.episodes.margin_hits
     ]
 
 

@@ -35,7 +35,7 @@ from skd_evaluator.report.formats import (
     surrogate_rows,
 )
 from skd_evaluator.report.html import figures
-from skd_evaluator.report.html.episodes import episode_columns, margin_ways, objective_names, pack, scene, worst_first
+from skd_evaluator.report.html.episodes import episode_columns, margin_hits, objective_names, pack, scene, worst_first
 from skd_evaluator.report.html.figures import by_scenario, matrix_of
 from skd_evaluator.report.html.subjects import Subject
 from skd_evaluator.report.html.template import SECTIONS, filled
@@ -188,7 +188,7 @@ def _content(subjects: Sequence[Subject]) -> dict[str, Any]:
                 ],
                 "etaMax": one.figures["eta_max"],
                 "margins": [[round(value, 3) for value in margins.tolist()] for margins in one.margins],
-                "ways": margin_ways(one, shown),
+                "ways": margin_hits(one, shown),
                 "repeatFailure": join(crossing_prefix(one.figures)) if failures_in(one.figures) else "",
                 "failures": [f"{failure.text}, {failure.likely}" for failure in kept_failures(one.figures)],
                 "repeat": {name: _prefix(one, name) for name in ("", *one.figures["objectives"])},
