@@ -25,9 +25,6 @@ from skd_evaluator.report.formats import KeptFailure, kept_failures
 from skd_evaluator.report.html.subjects import Subject, read_subjects
 from skd_evaluator.report.repeat import files_of, repeat_command, repeat_crossing
 
-_RUNS = 4
-"""Runs of ids that are named where there is no episode with an id."""
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
@@ -89,6 +86,11 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
         UsageError: there is none, or none with that id.
     """
     episodes = subject.episodes
+    order = [
+        int(number)
+        for number in episodes.worst_first()
+        if arguments.objective in (None, str(episodes.objective[number]))
+    ]
     if arguments.episode is not None:
         found = [
             number
@@ -97,30 +99,11 @@ def _chosen(subject: Subject, arguments: argparse.Namespace) -> list[int]:
             and arguments.objective in (None, str(episodes.objective[number]))
         ]
         if not found:
-            has = _ids(subject, arguments)
-            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode; it has {has}")
+            raise UsageError(f"--episode {arguments.episode}: {arguments.path} holds no such episode")
         return found
-    order = [
-        int(number)
-        for number in episodes.worst_first()
-        if arguments.objective in (None, str(episodes.objective[number]))
-    ]
     if not order:
         raise UsageError(f"{arguments.path}: holds no episode of that kind: every one was aborted, or none was run")
     return order[: arguments.worst]
-
-
-def _ids(subject: Subject, arguments: argparse.Namespace) -> str:
-    """Return which ids of episodes there are, in a few words: runs of numbers by their ends."""
-    episodes, objective = subject.episodes, arguments.objective
-    ids = episodes.episode_id[episodes.objective == objective] if objective is not None else episodes.episode_id
-    found = np.unique(ids)
-    if not found.size:
-        return "none"
-    runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
-    texts = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
-    more = f" and {len(texts) - _RUNS} more such runs" if len(texts) > _RUNS else ""
-    return ", ".join(texts[:_RUNS]) + more
 
 
 def _likeliest(kept: Sequence[KeptFailure], arguments: argparse.Namespace) -> list[int]:
@@ -195,17 +178,12 @@ def _title(subject: Subject, number: int, kept: Sequence[KeptFailure]) -> str:
 def _entry(subject: Subject, number: int, name: str, kept: Sequence[KeptFailure]) -> dict[str, Any]:
     episodes = subject.episodes
     hit = bool(episodes.collided[number])
-    mode, objective, found = (
-        Mode(int(episodes.mode[number])),
-        str(episodes.objective[number]),
-        int(episodes.episode_id[number]),
-    )
     return {
         "file": name,
         "title": _title(subject, number, kept).replace(":\n", ", ").replace("\n", ": "),
-        "episode_id": found,
-        "mode": mode.name.lower(),
-        "objective": objective,
+        "episode_id": int(episodes.episode_id[number]),
+        "mode": Mode(int(episodes.mode[number])).name.lower(),
+        "objective": str(episodes.objective[number]),
         "outcome": Outcome(int(episodes.outcome[number])).name.lower(),
         "deviation": float(episodes.deviation[number]) if hit else None,
         "impact_speed": float(episodes.impact_speed[number]) if hit else None,

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
-from matplotlib.artist import Artist
+from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
-from PIL import Image
 from skd_sim.arrays import FloatArray
 from skd_sim.errors import UsageError
 from skd_sim.scenario.protocol import time_of_meeting
@@ -41,6 +34,8 @@ from skd_evaluator.report.drawing import (
     front_band,
     save_picture,
 )
+
+mpl.use("Agg")
 
 DEVIATIONS = 2.0
 """Standard deviations to each side of the mean that pictures show: about 95 %."""
@@ -66,9 +61,6 @@ def believed_car(scenario: Scenario, car: FloatArray, belief: FloatArray) -> Flo
     ticks = np.arange(len(found))
     last = np.maximum.accumulate(np.where(known, ticks, np.flatnonzero(known)[0]))
     return found[last]
-
-
-mpl.use("Agg")
 
 
 _DPI = 110
@@ -151,10 +143,6 @@ def _scenario_extent(scenario: Scenario, shapes: Sequence[FloatArray]) -> tuple[
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-mpl.use("Agg")
-
-
-FORMATS = ("png", "gif", "mp4")
 DPI, _FILM_DPI = 150, 110
 _HEIGHT = 5.4  # inches of the view from above
 _APART = 1.6  # m between two places of the adversary whose times are written
@@ -254,22 +242,6 @@ class EpisodePicture:
         speed = float(np.interp(time, shown.times, shown.car[:, 2]))
         self._clock.set_text(f"{time:.2f} s, car {speed:.1f} m/s")
 
-    def frames(self, times: Iterable[float]) -> Iterator[npt.NDArray[np.uint8]]:
-        """Yield the picture at some times (s), as height × width × 3; what stands still is drawn once."""
-        self.figure.set_dpi(_FILM_DPI)
-        canvas: Any = FigureCanvasAgg(self.figure)  # matplotlib says nothing of the types of its methods
-        moving: list[Artist] = [self._car, *self._believed, self._there, self._user, self._cursor, self._clock]
-        for one in moving:
-            one.set_animated(True)
-        canvas.draw()
-        still = canvas.copy_from_bbox(self.figure.bbox)
-        for time in times:
-            self.set(time)
-            canvas.restore_region(still)
-            for one in moving:
-                self.figure.draw_artist(one)
-            yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
-
     def _draw_above(self, axes: Axes, box: tuple[float, float, float, float]) -> None:
         shown, scenario = self._shown, self._shown.scenario
         draw_road(axes, scenario, -_LANE, _LANE, float(shown.times[-1]))
@@ -358,9 +330,6 @@ def _extent(shown: ShownEpisode) -> tuple[float, float, float, float]:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-_QUICK = Image.Quantize.FASTOCTREE
-
-
 def check_format(name: str) -> None:
     """Refuse a format that cannot be written here.
 
@@ -381,29 +350,13 @@ def save_episode(path: Path, shown: ShownEpisode) -> None:
     if path.suffix == ".png":
         save_picture(picture.figure, path, DPI)
         return
-    frames = picture.frames(_times(float(shown.times[-1])))
-    if path.suffix == ".gif":
-        images = [Image.fromarray(one).quantize(64, _QUICK, dither=Image.Dither.NONE) for one in frames]
-        images[0].save(path, save_all=True, append_images=images[1:], duration=1000 // _RATE, loop=0)
-    else:
-        _save_mp4(path, frames)
-
-
-def _save_mp4(path: Path, frames: Iterator[npt.NDArray[np.uint8]]) -> None:
-    first = next(frames)
-    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2  # players ask for even numbers
-    command = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
-    command += ["-r", str(_RATE), "-i", "-", "-an", "-pix_fmt", "yuv420p", str(path)]
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
-        assert process.stdin is not None
-        with suppress(BrokenPipeError), process.stdin as stream:
-            for frame in itertools.chain([first], frames):
-                stream.write(np.ascontiguousarray(frame[:height, :width]).tobytes())
-        if process.wait() != 0:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines()
-            raise OSError(f"ffmpeg: {lines[-1] if lines else 'failed'}")
+    picture.figure.draw_without_rendering()
+    picture.figure.set_layout_engine("none")  # it takes most of the time of a frame, and has done its work
+    film = FuncAnimation(picture.figure, picture.set, _times(float(shown.times[-1])), cache_frame_data=False)
+    try:
+        film.save(path, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=_RATE, dpi=_FILM_DPI)
+    except subprocess.CalledProcessError as error:
+        raise OSError(f"ffmpeg: cannot write {path.name}") from error
 
 
 def _times(end: float) -> list[float]:
