@@ -30,7 +30,7 @@ from skd_evaluator.metrics.risks import ScaleRisk, Touch
 from skd_evaluator.metrics.statistics import wilson_interval
 from skd_evaluator.risk.cars import KnownCar
 from skd_evaluator.risk.crossings import SAME, CrossingPlan, Crossings, Ends, in_car_frame, missed_by, side_touched
-from skd_evaluator.risk.subset import REPLICATES, Effort, Levels, Replicate, gathered, levels_of, replicate
+from skd_evaluator.risk.subset import REPLICATES, Levels, Replicate, SubsetEffort, gathered, levels_of, replicate
 from skd_sim.kernels.compilation import kernel
 from skd_sim.scenario.road import HEADING_NORTH
 from skd_sim.scenario.scenario import load_scenario
@@ -152,13 +152,13 @@ def made(job: Job) -> tuple[CrossingPlan, Any]:
 def one_replicate(job: Job) -> Replicate:
     scenario, car = made(job)
     assert job.levels is not None
-    return replicate(scenario, car, job.case.scale, job.number, Effort(), job.levels)
+    return replicate(scenario, car, job.case.scale, job.number, SubsetEffort(), job.levels)
 
 
 def levels_for(job: Job) -> Levels:
     scenario, car = made(job)
     again = replace(scenario, plan=replace(scenario.plan, seed=job.number))
-    return levels_of(again, car, job.case.scale, Effort())
+    return levels_of(again, car, job.case.scale, SubsetEffort())
 
 
 def crude_part(job: Job) -> int:
@@ -196,7 +196,7 @@ def examined(
     found = list(runner.map(one_replicate, jobs))
     none = np.zeros(len(safe), np.int64)  # crude crossings: no estimate goes by them
     risks = [
-        ScaleRisk(case.scale, none, len(safe), gathered(found[first : first + REPLICATES], Effort()))
+        ScaleRisk(case.scale, none, len(safe), gathered(found[first : first + REPLICATES], SubsetEffort()))
         for first in range(0, len(found), REPLICATES)
     ]
     values = np.array([one.value for one in risks])

@@ -26,7 +26,7 @@ from skd_evaluator.metrics.vulnerability_curve import BudgetPoint, budget_points
 from skd_evaluator.pytest_plugin import Assessed
 from skd_evaluator.report.presentation import any_aborted, too_many_aborted, why_failed
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
-from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, levels_of
+from skd_evaluator.risk.subset import AbortedCrossingsError, SubsetEffort, levels_of
 from skd_sim.options.adversary import Objective
 from skd_sim.world.episode import Episode, Mode, Outcome
 from test_campaign import straight, trial
@@ -274,7 +274,7 @@ def test_subset_simulation_ends_with_the_first_aborted_crossing() -> None:
     """It had counted as a miss."""
     here = CrossingPlan(PLAN, (straight(),), np.ones(12) * 0.1)
     with pytest.raises(AbortedCrossingsError) as told:
-        levels_of(here, Aborting(), 1.0, Effort(2, 100, 3))
+        levels_of(here, Aborting(), 1.0, SubsetEffort(2, 100, 3))
     assert told.value.count == 1
 
 

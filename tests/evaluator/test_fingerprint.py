@@ -9,8 +9,8 @@ import pytest
 from skd_evaluator import provenance as fingerprint
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.dask_cluster import _have, sent
-from skd_evaluator.assessment.stages.car_model import files_of, folder_of
-from skd_evaluator.provenance import code_files, code_paths, provenance
+from skd_evaluator.assessment.stages.car_model import model_folder
+from skd_evaluator.provenance import code_paths, provenance
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
 from skd_sim.options.car_under_test import EXTERNAL, CarUnderTest
@@ -38,7 +38,8 @@ def cars(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def kept(car: CarUnderTest = CAR, command: str | None = None) -> Path | None:
     """Return the folder in which the model of a car is kept."""
-    return folder_of(Plan(CROSSING, controller=car.controller, knowledge=Knowledge.LEARNED), command, None)
+    graph = None if command is None else {"controller_command": command}
+    return model_folder(Plan(CROSSING, controller=car.controller, knowledge=Knowledge.LEARNED), graph)
 
 
 @pytest.mark.parametrize(
@@ -129,14 +130,12 @@ def test_a_node_is_known_by_what_its_command_names(cars: Path, tmp_path: Path, m
 def test_no_model_is_kept_of_a_node_of_which_no_file_is_known(command: str) -> None:
     node = CarUnderTest(EXTERNAL)
     assert kept(node, command) is None
-    assert files_of(Plan(CROSSING, controller=EXTERNAL), command).why_not
 
 
 def test_of_too_many_files_no_model_is_kept(cars: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (cars / "fleet" / "circle").symlink_to(cars / "fleet")
     monkeypatch.setattr(fingerprint, "MOST_FILES", 5)
     assert kept(FLEET) is None
-    assert f"lie in {cars / 'fleet'}" in code_files(FLEET).why_not
 
 
 def test_a_result_names_the_files(cars: Path) -> None:

@@ -18,7 +18,7 @@ from skd_evaluator.assessment.from_options import plan_of
 from skd_evaluator.assessment.plan import Plan
 from skd_evaluator.assessment.run.workers import InProcessRunner
 from skd_evaluator.assessment.stages import car_model as learning
-from skd_evaluator.assessment.stages.car_model import folder_of, kept_models, learned, needs_learning
+from skd_evaluator.assessment.stages.car_model import kept_models, learned, model_folder, needs_learning
 from skd_evaluator.errors import AssessmentError
 from skd_sim.errors import UsageError
 from skd_sim.options.adversary import Knowledge
@@ -134,7 +134,7 @@ def test_a_car_is_learned_once_and_the_same_by_any_number_of_workers(small_lesso
         first = learned(plan, runner, say=said.append)
         assert not needs_learning(first)
         assert json.loads(first.car_model)["logs"] == 28
-        folder = folder_of(plan, None, None)
+        folder = model_folder(plan, None)
         assert folder is not None
         assert folder.parent == kept_models()
         assert (folder / "car_model.yaml").is_file()
@@ -174,19 +174,19 @@ def test_another_car_is_kept_elsewhere(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "car_of_mine.py").write_text("class Car: pass\n", encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     plan = Plan(CROSSING, controller="car_of_mine:Car", knowledge=Knowledge.LEARNED)
-    here = folder_of(plan, None, None)
-    assert here == folder_of(replace(plan, seed=3, simulations=7, kamikaze_count=2), None, None)
+    here = model_folder(plan, None)
+    assert here == model_folder(replace(plan, seed=3, simulations=7, kamikaze_count=2), None)
     slower = replace(CROSSING, car=replace(CROSSING.car, start_speed=7.0))
-    others = [folder_of(replace(plan, scenario=slower), None, None), folder_of(plan, None, {"pacing": "real_time"})]
+    others = [model_folder(replace(plan, scenario=slower), None), model_folder(plan, {"pacing": "real_time"})]
     (tmp_path / "its_law.py").write_text("GAIN = 1\n", encoding="utf-8")
-    others.append(folder_of(plan, None, None))
+    others.append(model_folder(plan, None))
     (tmp_path / "its_law.py").write_text("GAIN = 2\n", encoding="utf-8")
-    others.append(folder_of(plan, None, None))
+    others.append(model_folder(plan, None))
     external, node = replace(plan, controller="external"), tmp_path / "node"
     node.touch()
-    others += [folder_of(external, f"{node} --gain 1", {}), folder_of(external, f"{node} --gain 2", {})]
+    others += [model_folder(external, {"controller_command": f"{node} --gain {gain}"}) for gain in (1, 2)]
     assert len({here, *others}) == 1 + len(others)
-    assert folder_of(external, None, {}) is None  # whatever somebody has started
+    assert model_folder(external, {}) is None  # whatever somebody has started
 
 
 @pytest.mark.parametrize("command", ["assess", "episode"])

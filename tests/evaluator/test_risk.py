@@ -21,7 +21,7 @@ from skd_evaluator.metrics.behaviour.model import OF_PERSON, load_behaviour
 from skd_evaluator.metrics.risks import Risks, ScaleRisk, Subsets, Touch, log_t_interval
 from skd_evaluator.risk.cars import AnyCar, KnownCar, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, Crossings, Ends
-from skd_evaluator.risk.subset import _MOVED, Effort, _moved, gathered, levels_of, replicate
+from skd_evaluator.risk.subset import _MOVED, SubsetEffort, _moved, gathered, levels_of, replicate
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import load_scenario
 from skd_sim.world.episode import Mode, Outcome
@@ -108,7 +108,7 @@ def test_sides_of_a_contact_are_told_apart(safe):
     assert seen == {Touch.NONE, Touch.FRONT, Touch.FLANK, Touch.STANDING}
 
 
-def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: Effort) -> Subsets:
+def simulated(here: CrossingPlan, car: KnownCar | Gauss, scale: float, effort: SubsetEffort) -> Subsets:
     """What subset simulation finds."""
     levels = levels_of(here, car, scale, effort)
     numbers = range(effort.replicates)
@@ -135,7 +135,7 @@ class Gauss:
 def test_subset_simulation_gives_probabilities_that_are_known(bound, scale, normal, safe):
     """Of a car that hangs on one normal, be it the person's or of a tick, which moves of some of them seldom change."""
     car, here = Gauss(bound, normal), crossing_plan(safe)
-    found = simulated(here, car, scale, Effort())
+    found = simulated(here, car, scale, SubsetEffort())
     truth = float(special.ndtr(-bound / scale))
     risk = ScaleRisk(scale, np.zeros(3, np.int64), 3, found)
     error = float(np.std(found.estimates, ddof=1)) / math.sqrt(len(found.estimates))
@@ -171,7 +171,7 @@ def test_moves_leave_normals_standard_normals(kind, safe):
 
 
 def test_what_is_never_hit_is_said_to_be_below_what_can_be_told(safe):
-    effort = Effort(replicates=2, per_level=400, levels=3)
+    effort = SubsetEffort(replicates=2, per_level=400, levels=3)
     found = simulated(crossing_plan(safe), Gauss(30.0), 1.0, effort)
     assert found.open_levels == 2
     risk = ScaleRisk(1.0, np.zeros(9, np.int64), 3, found)
@@ -195,7 +195,7 @@ def test_subset_simulation_agrees_with_crude_runs_of_a_car(safe):
     )
     hits = int((crude.touch == Touch.FRONT).sum())
     assert hits > 50
-    found = simulated(here, car, 2.0, Effort())
+    found = simulated(here, car, 2.0, SubsetEffort())
     risk = ScaleRisk(2.0, np.zeros(3, np.int64), 3, found)
     apart = abs(risk.value - hits / count)
     error = math.hypot(math.sqrt(hits) / count, float(np.std(found.estimates)) / 4.0)
@@ -239,8 +239,8 @@ def test_the_number_of_workers_changes_nothing(name, ratings):
 
 
 def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, monkeypatch):
-    small = Effort(replicates=2, per_level=20, levels=2)
-    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.Effort", lambda: small)
+    small = SubsetEffort(replicates=2, per_level=20, levels=2)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.SubsetEffort", lambda: small)
     with InProcessRunner(2) as runner:
         found = with_risks(ratings["carla"], RiskRequest(WALKERS, runs=6, subset=True), runner).risks
     assert found is not None
@@ -250,8 +250,8 @@ def test_subset_simulation_can_be_asked_for_a_car_that_is_not_known(ratings, mon
 
 def test_a_risk_of_whose_subset_simulation_crossings_are_aborted_is_none(ratings, monkeypatch):
     """They counted as misses: of the crude crossings, which come first, none is aborted here."""
-    small = Effort(replicates=2, per_level=20, levels=2)
-    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.Effort", lambda: small)
+    small = SubsetEffort(replicates=2, per_level=20, levels=2)
+    monkeypatch.setattr("skd_evaluator.assessment.stages.risk.SubsetEffort", lambda: small)
 
     class Quitter(InProcessRunner):
         def run(self, episodes):

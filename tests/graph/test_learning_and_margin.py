@@ -102,7 +102,7 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
     said: list[str] = []
     with whole_graph(tmp_path, options) as (node, _):
         graph = Counted(node)
-        how = {"command": options.controller_command, "graph": graph_settings(options)}
+        how = {"graph": graph_settings(options)}
         informed = learned(theirs, graph, say=said.append, **how)
         after_lesson = len(graph.logs)
         episode = single_episode(informed, Mode.KAMIKAZE, 0, safe_number=0)
@@ -118,12 +118,12 @@ def test_a_node_is_learned_as_its_law_is_and_only_once(tmp_path: Path, plan: Pla
     assert said[0].startswith("learned the car from 60 probes and 6 trials of kamikazes in ")
     assert said[1] == said[2]
     assert said[1].startswith("the car was learned before, on 20")
-    assert said[1].endswith(f" files (all that its command names), kept in {kept}; --knowledge nothing does without")
+    assert said[1].endswith(f" files, kept in {kept}; --knowledge nothing does without")
     assert said[0].endswith(f"kept in {kept}; --knowledge nothing does without")
 
     ours = dataclasses.replace(plan, controller=f"{__name__}:Law", knowledge=Knowledge.LEARNED)
     in_process = Counted(InProcessRunner(1))
-    known = learning.lesson_of(ours, in_process)
+    known = learning.learn(ours, in_process)
     taught = [one for one in in_process.logs if one.episode.mode != Mode.SAFE]
     for mine, its in zip(taught, graph.logs, strict=True):
         assert_same_log(mine, its)

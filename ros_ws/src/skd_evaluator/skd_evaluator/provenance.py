@@ -10,7 +10,6 @@ from __future__ import annotations
 import datetime
 import functools
 import hashlib
-import importlib.util
 import os
 import platform
 import shlex
@@ -19,13 +18,14 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.metadata import version as version_of
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+import skd_adversary
+import skd_sim
 from skd_sim.errors import UsageError
 from skd_sim.inputs.files import sha256_of
 from skd_sim.kernels.compilation import arithmetic_digest
@@ -35,22 +35,16 @@ from skd_evaluator.files import MARKERS
 from skd_evaluator.version import version
 
 MOST_FILES: Final = 2_000
-MOST_BYTES: Final = 2**30
-_PACKAGES = ("skd_sim", "skd_adversary", "skd_evaluator")
+"""Of a user's code; a folder with more is not looked through."""
 _NOT_CODE = (".log", ".out", ".txt", ".md", ".html", ".xml", ".csv", ".yaml", ".yml")
 """Endings of files beside a module that are taken for what a command reads or writes."""
-_COMPILED = (".pyc", ".pyo")
 
 
 @functools.cache
 def environment() -> Mapping[str, str]:
     """Return versions and digests, by the name of what they are of, which results to the bit depend on."""
     digest = hashlib.sha256()
-    for package in _PACKAGES:
-        spec = importlib.util.find_spec(package)
-        assert spec is not None
-        assert spec.origin is not None
-        folder = Path(spec.origin).parent
+    for folder in (Path(__file__).parent, *(Path(str(one.__file__)).parent for one in (skd_sim, skd_adversary))):
         for file in sorted(folder.rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
                 digest.update(f"{file.relative_to(folder.parent)}\0".encode())
@@ -64,39 +58,27 @@ def environment() -> Mapping[str, str]:
     }
 
 
-@dataclass(frozen=True)
-class CodeFiles:
-    """The files of a user's code.
+def code_digests(car: CarUnderTest, command: str = "", others: Iterable[str] = ()) -> dict[str, str] | None:
+    """Return the SHA-256 of each package folder, module or named file of a user's code, by its path.
 
-    Attributes:
-        digests: SHA-256 of each package folder, module or named file, by its path.
-        why_not: why these are not all, in words that follow *because*; empty: they are all that is known of.
-    """
-
-    digests: Mapping[str, str]
-    why_not: str
-
-
-def code_files(car: CarUnderTest, command: str = "", others: Iterable[str] = ()) -> CodeFiles:
-    """Return the files of a car, and of other code of a user's; SKD's own cars have none, they go with its version.
+    SKD's own cars have none, they go with its version.
 
     Args:
         car: the car under test.
         command: command that starts the car's own node, if it has one.
         others: `package.module:Class` of what else belongs to it, as a simulator.
+
+    Returns:
+        None where it is not known which files these are, or they are too many.
     """
-    found, why_not = code_paths(car, command), ""
-    if not found and not car.is_own:
-        why_not = "its command names no file of it" if command else "no file of it is known"
-    found += [path for target in others if (path := _path_of_module(target.partition(":")[0])) is not None]
-    digests = {}
-    for path in dict.fromkeys(found):
-        files = files_of(path)
-        if len(files) > MOST_FILES or sum(file.stat().st_size for file in files) > MOST_BYTES:
-            why_not = f"more than {MOST_FILES:,} files, or {MOST_BYTES // 2**20:,} MiB, lie in {in_words(path)}"
-            continue
-        digests[in_words(path)] = digest_of(files)
-    return CodeFiles(digests, why_not)
+    paths = code_paths(car, command)
+    if not paths and not car.is_own:
+        return None
+    paths += [path for target in others if (path := _path_of_module(target.partition(":")[0])) is not None]
+    files = {in_words(path): files_of(path) for path in dict.fromkeys(paths)}
+    if any(len(found) > MOST_FILES for found in files.values()):
+        return None
+    return {path: digest_of(found) for path, found in files.items()}
 
 
 def code_paths(car: CarUnderTest, command: str = "") -> list[Path]:
@@ -183,7 +165,7 @@ def _below(folder: Path) -> Iterator[Path]:
             continue
         for name in sorted(names):
             file = Path(top, name)
-            if not name.startswith(".") and not name.endswith(_COMPILED) and file.is_file():
+            if not name.startswith(".") and not name.endswith((".pyc", ".pyo")) and file.is_file():
                 yield file
 
 
@@ -198,7 +180,7 @@ def provenance(command: Sequence[str], car: CarUnderTest, *, controller_command:
         car: the car under test.
         controller_command: command that starts the car's own node, if it has one.
     """
-    digests = code_files(car, controller_command).digests
+    digests = code_digests(car, controller_command) or {}
     return {
         "date": date_now(),
         "host": platform.node(),

@@ -56,7 +56,6 @@ def run(arguments: argparse.Namespace) -> int:
                     plan,
                     evaluator,
                     say=partial(say, arguments.command),
-                    command=graph.controller_command,
                     graph=graph_settings(graph),
                 )
                 episode = replace(episode, car_model=plan.car_model)

@@ -48,7 +48,7 @@ _FIRST = 1 << 20  # number of the simulation that finds the levels
 
 
 @dataclass(frozen=True)
-class Effort:
+class SubsetEffort:
     """How much is simulated.
 
     Attributes:
@@ -95,7 +95,7 @@ class Replicate(NamedTuple):
     reached: bool
 
 
-def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, effort: Effort) -> Levels:
+def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, effort: SubsetEffort) -> Levels:
     """Find the levels by a simulation whose own estimate is not used.
 
     Raises:
@@ -125,7 +125,7 @@ def levels_of(crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float,
 
 
 def replicate(
-    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, number: int, effort: Effort, levels: Levels
+    crossing_plan: CrossingPlan, runner: CrossingRunner, scale: float, number: int, effort: SubsetEffort, levels: Levels
 ) -> Replicate:
     """Run one simulation.
 
@@ -238,7 +238,7 @@ def _moved(
     )
 
 
-def gathered(found: Sequence[Replicate], effort: Effort) -> Subsets:
+def gathered(found: Sequence[Replicate], effort: SubsetEffort) -> Subsets:
     """Return what the replicates found together."""
     return Subsets(
         np.array([one.shares for one in found]),

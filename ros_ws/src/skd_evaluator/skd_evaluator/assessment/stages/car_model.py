@@ -4,10 +4,9 @@ Probes show how the car reacts, a model is made of them, kamikazes that plan wit
 made. The episodes are the same for every campaign of the same car and scenario, whatever its seed, its φ and its
 budget, so that a model can be kept, and none of their draws is one of a campaign's.
 
-A model is kept under a digest of all that it follows from, as far as that is known: the files of the car
-(`fingerprint`), the command that starts it, the scenario, how the graph is run, and SKD itself. Where it is known that
-these are not all of its files, none is kept. SKD cannot see what a controller reads elsewhere, from the environment or
-from a server: if that changes, delete the folder.
+A model is kept under a digest of all that it follows from: the files of the car, the command that starts it, the
+scenario, how the graph is run, and SKD itself. Where its files are not known, none is kept. SKD cannot see what a
+controller reads elsewhere, from the environment or from a server: if that changes, delete the folder.
 
 How long kamikazes should wait is tried against the car itself. The search knows what it would see next, and so
 overrates what waiting gains; but with a car that can be hit while it creeps, too much haste costs as much.
@@ -25,7 +24,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,7 +52,7 @@ from skd_evaluator.errors import AssessmentError
 from skd_evaluator.files import make_temporary
 from skd_evaluator.metrics.deviation import deviation
 from skd_evaluator.metrics.measures import pair_of
-from skd_evaluator.provenance import CodeFiles, code_files, environment
+from skd_evaluator.provenance import code_digests, environment
 from skd_evaluator.version import version
 
 PROBES: Final = 300
@@ -66,33 +65,6 @@ SAFE: Final = 15
 _LEARNING = threading.Lock()  # cells of a campaign that rate the same car learn it once
 
 
-@dataclass(frozen=True)
-class Lesson:
-    """What was learned, and from what.
-
-    Attributes:
-        text: the model as text, as an episode carries it.
-        folder: folder in which the model is kept; None: it is not kept.
-        fresh: whether it was learned just now.
-        seconds: wall-clock time that it took.
-        compared: with what a model that was learned before goes, or why none is kept, in words.
-    """
-
-    text: str
-    folder: Path | None
-    fresh: bool
-    seconds: float
-    compared: str = ""
-
-    def line(self) -> str:
-        """Return what a user should know, in one line."""
-        where = f", {self.compared}" if self.compared else ""
-        where += "" if self.folder is None else f", kept in {self.folder}"
-        done = f"{PROBES} probes and {TRIALS} trials of kamikazes in {self.seconds:.0f} s"
-        said = f"learned the car from {done}{where}" if self.fresh else f"the car was learned before{where}"
-        return f"{said}; --knowledge nothing does without"
-
-
 def needs_learning(plan: Plan) -> bool:
     """Return whether the car of a plan is to be learned first."""
     return plan.knows == Knowledge.LEARNED and not plan.car_model
@@ -101,15 +73,8 @@ def needs_learning(plan: Plan) -> bool:
 def run(context: Context, assessment: Assessment) -> Assessment:
     """Return the assessment with the model of the car with which kamikazes plan, if they have to learn one."""
     runner = context.workers if context.graph is None else context.runner
-    plan = learned(
-        assessment.plan,
-        runner,
-        context.progress,
-        say=context.say,
-        command=None if context.graph is None else context.graph.controller_command,
-        graph=graph_settings(context.graph),
-    )
-    return replace(assessment, plan=plan)
+    graph = graph_settings(context.graph)
+    return replace(assessment, plan=learned(assessment.plan, runner, context.progress, say=context.say, graph=graph))
 
 
 def graph_settings(graph: GraphOptions | None) -> dict[str, Any] | None:
@@ -125,17 +90,15 @@ def learned(
     progress: Progress = silent,
     *,
     say: Callable[[str], None] = lambda _line: None,
-    command: str | None = None,
     graph: Mapping[str, Any] | None = None,
 ) -> Plan:
     """Return the plan after its adversary has learned the car; the same plan unless it has to learn.
 
     Args:
-        plan: what is to be rated.
+        plan: what is to be assessed.
         runner: runs the episodes; it has been started.
         progress: called with how far the work is.
         say: called with one line: what was done, and how to do without it.
-        command: command that starts the car's own node, if it has one.
         graph: how the node graph is run, as plain data; None: episodes run in process.
 
     Raises:
@@ -144,34 +107,24 @@ def learned(
     if not needs_learning(plan):
         return plan
     with _LEARNING:
-        lesson = _lesson(plan, runner, progress, command, graph)
-    say(lesson.line())
-    return replace(plan, car_model=lesson.text)
+        folder = model_folder(plan, graph)
+        text = None if folder is None else kept_model(folder, plan.scenario)
+        if folder is not None and text is not None:
+            line = f"the car was learned before, on {day_of(folder)} with the same files, kept in {folder}"
+        else:
+            begin = time.perf_counter()
+            car = learn(plan, runner, progress, runner if graph is None else InProcessRunner(1))
+            text, seconds = car_model_text(car), time.perf_counter() - begin
+            # Unless files of the car have changed since it began to be learned.
+            kept = folder is not None and model_folder(plan, graph) == folder and keep_model(folder, car)
+            line = f"learned the car from {PROBES} probes and {TRIALS} trials of kamikazes in {seconds:.0f} s" + (
+                f", kept in {folder}" if kept else ", not kept: its files are not known" if folder is None else ""
+            )
+    say(f"{line}; --knowledge nothing does without")
+    return replace(plan, car_model=text)
 
 
-def _lesson(
-    plan: Plan,
-    runner: Runner,
-    progress: Progress,
-    command: str | None,
-    graph: Mapping[str, Any] | None,
-) -> Lesson:
-    begin = time.perf_counter()
-    folder, files = folder_of(plan, command, graph), files_of(plan, command)
-    known = None if folder is None else kept_model(folder, plan.scenario)
-    if known is not None:
-        same = f"on {day_of(folder)} with the same files" if folder else ""
-        same += " (all that its command names)" if plan.car.is_external else ""
-        return Lesson(known, folder, fresh=False, seconds=0.0, compared=same)
-    car = lesson_of(plan, runner, progress, runner if graph is None else InProcessRunner(1))
-    # Unless files of the car have changed since it began to be learned.
-    kept = folder is not None and folder_of(plan, command, graph) == folder and keep_model(folder, car)
-    seconds = time.perf_counter() - begin
-    why_not = files.why_not and f"and keeps no model of it because {files.why_not}"
-    return Lesson(car_model_text(car), folder if kept else None, fresh=True, seconds=seconds, compared=why_not)
-
-
-def lesson_of(
+def learn(
     plan: Plan,
     runner: Runner,
     progress: Progress = silent,
@@ -341,37 +294,31 @@ def kept_models() -> Path:
     return base / "skd" / "car_models"
 
 
-def folder_of(plan: Plan, command: str | None, graph: Mapping[str, Any] | None) -> Path | None:
+def model_folder(plan: Plan, graph: Mapping[str, Any] | None) -> Path | None:
     """Return where the model of a plan's car is kept, or would be; None if not all that says which car it is is known.
 
     Args:
-        plan: what is to be rated.
-        command: command that starts the car's own node; empty or None where there is none.
-        graph: how the node graph is run, as plain data; None: episodes run in process.
+        plan: what is to be assessed.
+        graph: how the node graph is run, with the command that starts the car's node; None: in process.
     """
-    files = files_of(plan, command)
-    if files.why_not:
+    command = (graph or {}).get("controller_command") or ""
+    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
+    files = code_digests(plan.car, command, others)
+    if files is None:
         return None
     with suppress(importlib.metadata.PackageNotFoundError):
         graph = {**(graph or {}), "scikit-learn": importlib.metadata.version("scikit-learn")}
     follows_from = {
         "controller": plan.controller,
         "multiplier": plan.car.stated_multiplier,
-        "command": command or "",
         "simulator": plan.simulator,
         "scenario": plan.scenario.as_dict(),
         "graph": dict(graph or {}),
-        "files": dict(files.digests),
+        "files": files,
         "environment": dict(environment()),
     }
     found = hashlib.sha256(json.dumps(follows_from, sort_keys=True).encode())
     return kept_models() / found.hexdigest()[:32]
-
-
-def files_of(plan: Plan, command: str | None) -> CodeFiles:
-    """Return the files of a plan's car, and of a simulator that is not SKD's own."""
-    others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
-    return code_files(plan.car, command or "", others)
 
 
 def day_of(folder: Path) -> str:

@@ -32,7 +32,15 @@ from skd_evaluator.metrics.behaviour.model import Behaviour, file_of, load_behav
 from skd_evaluator.metrics.risks import FEW_HITS, SCALES, Risks, ScaleRisk, Subsets, Touch
 from skd_evaluator.risk.cars import AnyCar, KnownCar, batched_car, end_of
 from skd_evaluator.risk.crossings import CrossingPlan, CrossingRunner, Crossings, Ends
-from skd_evaluator.risk.subset import AbortedCrossingsError, Effort, Levels, Replicate, gathered, levels_of, replicate
+from skd_evaluator.risk.subset import (
+    AbortedCrossingsError,
+    Levels,
+    Replicate,
+    SubsetEffort,
+    gathered,
+    levels_of,
+    replicate,
+)
 
 LABEL: Final = "risk"
 RUNS: Final = 2000
@@ -105,17 +113,17 @@ def draws_of(crossing_plan: CrossingPlan, crossings: Crossings) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _ReplicateJob:
     """A replicate of subset simulation of a car that is known, in whatever process."""
 
     crossing_plan: CrossingPlan
     scale: float
     number: int
-    effort: Effort
+    effort: SubsetEffort
     levels: Levels
 
 
-def _do(job: _Job) -> Replicate:
+def _do(job: _ReplicateJob) -> Replicate:
     return replicate(job.crossing_plan, KnownCar(job.crossing_plan), job.scale, job.number, job.effort, job.levels)
 
 
@@ -167,7 +175,7 @@ def _scales(
     draws = None if known is None else draws_of(crossing_plan, crossings)
     together = None if known is not None else batched_car(crossing_plan, workers)
     other = AnyCar(crossing_plan, context.runner if plan.car.is_external else workers)
-    effort = Effort()
+    effort = SubsetEffort()
     for number, scale in enumerate(SCALES):
         if known is not None and draws is not None:
             ends = known.run_drawn(crossings, draws, scale)
@@ -223,7 +231,7 @@ def _failures(
 def _subsets(
     crossing_plan: CrossingPlan,
     scale: float,
-    effort: Effort,
+    effort: SubsetEffort,
     runner: Workers,
     other: CrossingRunner | None,
     progress: Progress,
@@ -237,7 +245,7 @@ def _subsets(
     numbers = range(effort.replicates)
     levels = levels_of(crossing_plan, KnownCar(crossing_plan) if other is None else other, scale, effort)
     if other is None:
-        jobs = [_Job(crossing_plan, scale, one, effort, levels) for one in numbers]
+        jobs = [_ReplicateJob(crossing_plan, scale, one, effort, levels) for one in numbers]
         results: Iterator[Replicate] = runner.map(_do, jobs)
     else:
         results = (replicate(crossing_plan, other, scale, one, effort, levels) for one in numbers)

@@ -37,7 +37,7 @@ from skd_evaluator.assessment.stages.risk import risk_request
 from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.extensions.campaign.campaign_file import Combination
 from skd_evaluator.extensions.campaign.episode_store import digest_of, digest_of_trajectory
-from skd_evaluator.provenance import CodeFiles, code_files, environment
+from skd_evaluator.provenance import code_digests, environment
 from skd_evaluator.report.presentation import warnings_of, why_failed
 
 
@@ -57,7 +57,6 @@ class Cell:
         swept: the values that the campaign sweeps, by key.
         identity: all that its figures depend on, as plain data.
         where: its place in the campaign file, for error lines.
-        not_compared: why not all files of its car are part of its identity; empty: all that are known of are.
     """
 
     name: str
@@ -71,7 +70,6 @@ class Cell:
     swept: Mapping[str, Any]
     identity: Mapping[str, Any]
     where: str
-    not_compared: str = ""
 
     @property
     def key(self) -> bytes:
@@ -158,15 +156,14 @@ def _cell(
         one.swept,
         _identity(one, plan, objectives, safe, risk, files),
         one.where,
-        files.why_not,
     )
 
 
-def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> CodeFiles:
+def _files_of(plan: Plan, objectives: Sequence[Objective], command: str) -> dict[str, str] | None:
     """Return the files of a car, and of plug-ins by which it is rated."""
     others = [SIMULATORS.target(plan.simulator)] if plan.simulator not in SIMULATORS.own else []
     others += [OBJECTIVES.target(str(name)) for name in objectives if name not in OBJECTIVES.own]
-    return code_files(plan.car, command, others)
+    return code_digests(plan.car, command, others)
 
 
 def _identity(
@@ -175,7 +172,7 @@ def _identity(
     objectives: Sequence[Objective],
     safe: Sequence[Trajectory] | None,
     risk: RiskRequest,
-    files: CodeFiles,
+    files: dict[str, str] | None,
 ) -> dict[str, Any]:
     """Return all that the figures of a cell depend on."""
     values = one.values
@@ -196,7 +193,7 @@ def _identity(
         "risk": [risk.runs, risk.subset],
         "scenario": plan.scenario.as_dict(),
         "safe_trajectories": None if safe is None else [digest_of_trajectory(phi).hex() for phi in safe],
-        "file": dict(files.digests),
+        "file": files,
         "environment": dict(environment()),
     }
 

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
             if folder.resumed and not arguments.quiet:
                 print(f"skd campaign: {_state(campaign)}", file=sys.stderr)
             if folder.resumed:
-                _say_what_was_taken_over(campaign, cells)
+                _say_what_was_taken_over(cells)
             _run_cells(campaign, arguments, _live(campaign, arguments))
         except KeyboardInterrupt:
             return _interrupted(campaign, arguments, out)
@@ -75,15 +75,13 @@ def run(arguments: argparse.Namespace) -> int:
         folder.close()
 
 
-def _say_what_was_taken_over(campaign: Campaign, cells: Sequence[Cell]) -> None:
+def _say_what_was_taken_over(cells: Sequence[Cell]) -> None:
     """Say what a user cannot see of what a campaign goes on with."""
-    for label, why_not in dict.fromkeys((cell.plan.car.label, cell.not_compared) for cell in cells):
-        if why_not:
-            print(
-                f"skd campaign: warning: whether {label} still is the car with which this campaign began was not "
-                f"compared in full, because {why_not}",
-                file=sys.stderr,
-            )
+    for label in dict.fromkeys(cell.plan.car.label for cell in cells if cell.identity["file"] is None):
+        print(
+            f"skd campaign: warning: the files of {label} are not known: nobody sees whether it is still the same car",
+            file=sys.stderr,
+        )
 
 
 def _read_by(combinations: Sequence[Combination], arguments: argparse.Namespace) -> list[Path]:
