@@ -89,7 +89,7 @@ def test_assess_with_the_model(model, tmp_path, capsys):
         (["fit", "missing"], ["missing", "no such file"]),
         (["fit", "empty"], ["empty", "neither .mcap files nor episodes.npz"]),
         (["fit", "alone/episodes.npz"], ["probe.json or assessment.json beside it"]),
-        (["fit", "bad.npz"], ["bad.npz", "is not an episodes.npz of SKD"]),
+        (["fit", "bad.npz"], ["bad.npz", "has no probe.json or assessment.json beside it"]),
         (["assess", "--car-model", "missing.yaml"], ["missing.yaml", "cannot be read"]),
         (["assess", "--car-model", "list.yaml"], ["list.yaml", "must be a mapping"]),
         (["probe", "--controller", "external"], ["add --graph"]),

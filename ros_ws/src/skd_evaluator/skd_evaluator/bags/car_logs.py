@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,33 +14,16 @@ from skd_sim.options.adversary import Knowledge, Objective
 from skd_sim.options.car_under_test import CarUnderTest
 from skd_sim.scenario.road import right_and_along
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
-from skd_evaluator.assessment.files.episodes_npz import Array, Column, episode_columns, read_arrays
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, StoredEpisodes
+from skd_evaluator.assessment.files.episodes_npz import read_episodes as read_arrays
 from skd_evaluator.assessment.files.result_folder import check_unchanged
 from skd_evaluator.assessment.plan import Stage, probed, split_episode_id
 from skd_evaluator.bags.checks import SUMMARIES, Damage, LocatedLog, accept, holds_recordings, not_credible_beside
 from skd_evaluator.bags.read import read_episodes
 from skd_evaluator.metrics.aborted import not_credible
-
-EPISODES = "episodes.npz"
-_PER_EPISODE = {
-    "mode": Column(np.int8, (-1,)),
-    "outcome": Column(np.int8, (-1,)),
-    "episode_id": Column(np.int64, (-1,)),
-    "impact_time": Column(np.float64, (-1,)),
-    "impact_speed": Column(np.float64, (-1,)),
-    "reason": Column("U", (-1,)),
-}
-_OBJECTIVE = {"objective": Column("U16", (-1,))}  # of an assessment that knows of several
-_COLUMNS = {
-    "positions": Column(np.float64, (-1, 2)),
-    "car": Column(np.float64, (-1, 3)),
-    "offsets": Column(np.int64, (-1,)),
-    "time_step": Column(np.float64, ()),
-    **_PER_EPISODE,
-}
 
 
 def recording_of(log: EpisodeLog) -> RecordedEpisode:
@@ -122,7 +104,6 @@ class _Beside:
     controller: str
     multiplier: float
     seed: int
-    by_objective: bool
     knowledge: Knowledge | None = None
     not_credible: tuple[str, ...] = ()
 
@@ -143,7 +124,6 @@ def _said_beside(path: Path) -> _Beside:
                     controller,
                     float(multiplier) if multiplier is not None or CarUnderTest(controller).has_multiplier else 1.0,
                     int(content["seed"]),
-                    "objectives" in content,
                     Knowledge(options["knowledge"]) if options.get("knowledge") else None,
                     tuple(not_credible(content.get("warnings") or ())),
                 )
@@ -169,59 +149,22 @@ def _read_npz(path: Path, damage: Damage) -> Iterator[tuple[str, RecordedEpisode
 
 
 def _logs_in(path: Path) -> list[EpisodeLog]:
-    """Return the episodes of an episodes.npz, as `write_logs` or `write_episodes` wrote them."""
-    arrays = read_arrays(path, _COLUMNS)
-    beside = _said_beside(path)
-    if beside.by_objective:
-        arrays |= read_arrays(path, _OBJECTIVE)
-    rows, count = len(arrays["positions"]), len(arrays["mode"])
-    offsets = arrays["offsets"].tolist()
-    per_episode = [name for name in (*_PER_EPISODE, *_OBJECTIVE) if name in arrays]
-    if len(arrays["car"]) != rows or any(len(arrays[name]) != count for name in per_episode):
-        raise UsageError(f"{path}: its columns differ in length")
-    if len(offsets) != count + 1 or offsets[0] != 0 or offsets[-1] != rows:
-        raise UsageError(f"{path}: its offsets must lead from 0 to {rows} in {count} steps")
-    if any(last <= first for first, last in itertools.pairwise(offsets)):
-        raise UsageError(f"{path}: its offsets must increase")
-    time_step = float(arrays["time_step"])
-    if time_step != beside.scenario.time_step:
+    """Return the episodes of an episodes.npz, of an assessment or of a probe."""
+    beside, stored = _said_beside(path), read_arrays(path.parent, path.name)
+    if stored.time_step != beside.scenario.time_step:
         raise UsageError(
-            f"{path}: its time step is {time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
+            f"{path}: its time step is {stored.time_step:g} s, that of its scenario {beside.scenario.time_step:g} s"
         )
     try:
-        safe = _safe_trajectories(path, arrays, beside.scenario)
-        return [
-            EpisodeLog(
-                _episode(arrays, row, safe, beside),
-                Outcome(int(arrays["outcome"][row])),
-                arrays["positions"][first:last],
-                arrays["car"][first:last],
-                float(arrays["impact_time"][row]),
-                float(arrays["impact_speed"][row]),
-                reason=str(arrays["reason"][row]),
-            )
-            for row, (first, last) in enumerate(itertools.pairwise(offsets))
-            if arrays["mode"][row] != Mode.SAFE
-        ]
+        safe = [Trajectory(one, stored.time_step, f"{path}/{row}") for row, one in enumerate(stored.safe)]
+        return [stored.log(number, _episode(stored, number, safe, beside)) for number in range(len(stored))]
     except (ValueError, IndexError) as error:
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from error
 
 
-def _safe_trajectories(path: Path, arrays: Mapping[str, Array], scenario: Scenario) -> list[Trajectory]:
-    """Return the φ of an assessment's episodes.npz, which come first and have no car; that of a probe has none."""
-    offsets, count = arrays["offsets"], int((arrays["mode"] == Mode.SAFE).sum())
-    if (arrays["mode"][:count] != Mode.SAFE).any() or not np.isnan(arrays["car"][: offsets[count]]).all():
-        raise UsageError(f"its modes say that {count} episodes are safe trajectories, and some of these are not")
-    return [
-        Trajectory(arrays["positions"][offsets[row] : offsets[row + 1]], scenario.time_step, f"{path}/{row}")
-        for row in range(count)
-    ]
-
-
-def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
+def _episode(stored: StoredEpisodes, row: int, safe: Sequence[Trajectory], beside: _Beside) -> Episode:
     """Return the specification of an episode, as far as it decides what can have happened."""
-    number = int(arrays["episode_id"][row])
-    objective = str(arrays["objective"][row]) if "objective" in arrays else ""
+    number, objective = int(stored.episode_id[row]), str(stored.objective[row])
     stage, index, _ = split_episode_id(number)
     if stage == Stage.PROBE:
         trajectory = probed(beside.scenario, beside.seed, number)
@@ -233,7 +176,7 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         )
     return Episode(
         beside.scenario,
-        Mode(int(arrays["mode"][row])),
+        Mode(int(stored.mode[row])),
         beside.seed,
         number,
         controller=beside.controller,
@@ -242,9 +185,3 @@ def _episode(arrays: Mapping[str, Array], row: int, safe: Sequence[Trajectory], 
         objective=Objective(objective) if objective else Objective.PAPER,
         knowledge=beside.knowledge,
     )
-
-
-def write_logs(path: Path, logs: Sequence[EpisodeLog]) -> None:
-    """Write logs as episodes.npz: with the arrays of an assessment, except for those that are about φ."""
-    time_step = np.array(logs[0].episode.scenario.time_step)
-    np.savez_compressed(path, **episode_columns(logs), time_step=time_step)

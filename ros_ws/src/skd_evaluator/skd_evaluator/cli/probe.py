@@ -17,12 +17,12 @@ from skd_sim.simulators.simulator import make_simulator
 from skd_sim.world.episode import Episode, EpisodeLog, Outcome
 
 from skd_evaluator.assessment.context import Progress, Recorder, Runner
+from skd_evaluator.assessment.files.episodes_npz import EPISODES, write_probes
 from skd_evaluator.assessment.files.result_folder import ResultFolder, write_json
 from skd_evaluator.assessment.from_options import check_car
 from skd_evaluator.assessment.plan import probe_episodes
 from skd_evaluator.assessment.run.workers import InProcessRunner, available_workers
 from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
-from skd_evaluator.bags.car_logs import EPISODES, write_logs
 from skd_evaluator.cli.arguments import result_folder
 from skd_evaluator.cli.assess import EXIT_INTERRUPTED, graph_options, say_aborted
 from skd_evaluator.cli.output import print_json
@@ -149,4 +149,4 @@ def _fill(
 ) -> None:
     write_json(folder / "probe.json", _summary(arguments, logs, warnings))
     if not arguments.graph:  # the graph leaves bags
-        write_logs(folder / EPISODES, logs)
+        write_probes(folder / EPISODES, logs)

@@ -139,6 +139,25 @@ def write_episodes(path: Path | IO[bytes], rating: Assessment) -> None:
     )
 
 
+def write_probes(path: Path, logs: Sequence[EpisodeLog]) -> None:
+    """Write episodes of a probe, which has no φ."""
+    scenario, count = logs[0].episode.scenario, len(logs)
+    np.savez_compressed(
+        path,
+        **episode_columns(logs),
+        safe_index=np.zeros(count, np.int32),
+        objective=np.zeros(count, "U16"),
+        safe_name=_texts([]),
+        objectives=_texts([]),
+        plans_deviation=np.zeros(0, np.bool_),
+        time_step=np.array(scenario.time_step),
+        eta_max=np.array(scenario.eta_max),
+        hit_speed=np.array(scenario.collision.hit_speed),
+        maximum_distance=np.array(math.nan),
+        seed=np.array(logs[0].episode.seed, np.int64),
+    )
+
+
 def episode_columns(logs: Sequence[EpisodeLog]) -> Columns:
     """Return the arrays of episodes.npz that follow from logs alone, in their order."""
     return {
@@ -357,6 +376,20 @@ class StoredEpisodes:
     def __len__(self) -> int:
         return len(self.mode)
 
+    def log(self, number: int, episode: Episode) -> EpisodeLog:
+        """Return the log of an episode, whose specification the file does not hold as a whole."""
+        return EpisodeLog(
+            episode,
+            Outcome(int(self.outcome[number])),
+            self.adversary[number],
+            self.car[number],
+            float(self.impact_time[number]),
+            float(self.impact_speed[number]),
+            reason=str(self.further["reason"][number]),
+            clipped=int(self.further["clipped"][number]),
+            own_contact=float(self.further["own_contact"][number]) if "own_contact" in self.further else None,
+        )
+
     @cached_property
     def collided(self) -> npt.NDArray[np.bool_]:
         """For each episode, whether it ended in a collision."""
@@ -437,13 +470,13 @@ class StoredEpisodes:
         return deviation, -float(self.impact_speed[number]) if hit else 0.0, int(self.episode_id[number])
 
 
-def read_episodes(folder: Path) -> StoredEpisodes:
-    """Read episodes.npz of a folder.
+def read_episodes(folder: Path, name: str = EPISODES) -> StoredEpisodes:
+    """Read episodes.npz of a folder, of an assessment or of a probe, which has no φ.
 
     Raises:
         UsageError: it cannot be read, or its arrays do not go together.
     """
-    path = folder / EPISODES
+    path = folder / name
     arrays = read_arrays(
         path, {**_COLUMNS, **_FURTHER}, {"belief": Column(np.float32, (-1, 4)), **_MARGIN, **_OPTIONAL}
     )
@@ -552,9 +585,10 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
         if not np.isin(arrays[name], values).all():
             return f"{name} has a value that this version does not know"
     is_safe = arrays["mode"] == Mode.SAFE
-    if not is_safe.any():
+    probes = (arrays["episode_id"] >> 48 == Stage.PROBE).all()
+    if not is_safe.any() and not probes:
         return "it has no φ"
-    if not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
+    if not probes and not ((arrays["safe_index"] >= 0) & (arrays["safe_index"] < is_safe.sum())).all():
         return "safe_index has a number of a φ that is not there"
     of_episode = np.repeat(~is_safe, np.diff(offsets))
     # Of an episode that was aborted before it began there is no state of the car.
@@ -569,7 +603,7 @@ def _mismatch(arrays: dict[str, npt.NDArray[Any]]) -> str:
     if not (within_reach(speeds) and (speeds >= 0.0).all()):
         return f"a collision has no impact speed, or one below 0 or beyond {FARTHEST:g} m/s"
     for mode, stage in ((Mode.KAMIKAZE, Stage.KAMIKAZE), (Mode.REPLAY, Stage.NOMINAL)):
-        if ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
+        if not probes and ((arrays["mode"] == mode) & (arrays["episode_id"] >> 48 != stage)).any():
             return f"an episode id is not of its mode, {mode.name}"
     if not 1.0 / FARTHEST <= arrays["time_step"] <= FARTHEST:
         return f"time_step must be from {1.0 / FARTHEST:g} to {FARTHEST:g} s"

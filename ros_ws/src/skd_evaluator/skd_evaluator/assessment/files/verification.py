@@ -18,7 +18,7 @@ from skd_sim.errors import UsageError
 from skd_sim.inputs.files import folders_in, read_json, sha256_of
 from skd_sim.options.adversary import Objective
 from skd_sim.scenario.scenario import Scenario, scenario_from_dict
-from skd_sim.world.episode import Episode, EpisodeLog, Mode, Outcome
+from skd_sim.world.episode import Episode, EpisodeLog, Mode
 from skd_sim.world.state import Trajectory
 
 from skd_evaluator.assessment.assessment import Assessment, assessment_of
@@ -112,17 +112,7 @@ def _log(stored: StoredEpisodes, number: int, scenario: Scenario, safe: list[Tra
         int(stored.episode_id[number]),
         safe_trajectory=safe[int(stored.safe_index[number])],
     )
-    return EpisodeLog(
-        episode,
-        Outcome(int(stored.outcome[number])),
-        stored.adversary[number],
-        stored.car[number],
-        float(stored.impact_time[number]),
-        float(stored.impact_speed[number]),
-        reason=str(stored.further["reason"][number]),
-        clipped=int(stored.further["clipped"][number]),
-        own_contact=float(stored.further["own_contact"][number]) if "own_contact" in stored.further else None,
-    )
+    return stored.log(number, episode)
 
 
 def _stored_margins(
