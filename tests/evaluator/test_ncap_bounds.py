@@ -11,30 +11,27 @@ from skd_evaluator.assessment.files.verification import Verified
 from skd_evaluator.extensions.ncap.layout import LEGEND
 from skd_evaluator.extensions.ncap.result import (
     RESULT,
-    TABLE,
-    Cell,
     Grid,
     Ncap,
+    NcapCell,
     as_data,
     checked,
     with_regulator,
-    write_table,
 )
 from skd_sim.errors import UsageError
 
-MEASURED = Cell(speed=30.0, place=50.0, margin=0.5, margins=(0.25, 0.75))
+MEASURED = NcapCell(speed=30.0, place=50.0, margin=0.5, margins=(0.25, 0.75))
 LOWER = replace(MEASURED, speed=35.0, margin=3.0, margins=(1.0, 5.0), beyond=1, margin_is="at least")
 UPPER = replace(MEASURED, speed=40.0, converged=False, margin_is="at most")
 
 
-def result(*cells: Cell) -> Ncap:
+def result(*cells: NcapCell) -> Ncap:
     return Ncap(skd="0", car="a car", seed=0, trials=2, margin_limit=9, room=0.5, grids=(Grid("cpna", "x", cells),))
 
 
 def test_a_margin_that_is_a_bound_says_so(tmp_path: Path) -> None:
     found = result(MEASURED, LOWER, UPPER)
     (tmp_path / RESULT).write_text(json.dumps(as_data(found)), encoding="utf-8")
-    write_table(tmp_path / TABLE, found)
     verified = with_regulator(Verified(tmp_path, None))
     assert not verified.problems
     lower, upper = verified.remarks[:2]
@@ -49,12 +46,3 @@ def test_a_bound_that_does_not_follow_from_the_search_is_refused() -> None:
     for cell in (replace(LOWER, margin_is="at most"), replace(MEASURED, margin_is="at least")):
         with pytest.raises(UsageError, match=r"which does not follow from its search"):
             checked(result(cell), Path("x"))
-
-
-def test_a_bound_that_was_removed_wherever_it_stands_is_found(tmp_path: Path) -> None:
-    """By η_max of the scenario, which is one of SKD's own."""
-    found = result(MEASURED, replace(LOWER, beyond=0, margin_is=""))
-    (tmp_path / RESULT).write_text(json.dumps(as_data(found)), encoding="utf-8")
-    write_table(tmp_path / TABLE, found)
-    (problem,) = with_regulator(Verified(tmp_path, None)).problems
-    assert "at 35 km/h says that 0 trials have no hit, and 1 of its margins are η_max, 5 m" in problem

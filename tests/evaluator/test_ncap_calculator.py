@@ -15,7 +15,7 @@ from skd_evaluator.extensions.ncap.matrices import (
     matrix_of,
     scenarios_of,
 )
-from skd_evaluator.extensions.ncap.result import Cell, Grid, points_of
+from skd_evaluator.extensions.ncap.result import Grid, NcapCell, points_of
 
 integrity = pytest.importorskip("euroncap_rating_2026.crash_avoidance.integrity")
 from euroncap_rating_2026.common import PredictionColor  # noqa: E402
@@ -117,7 +117,7 @@ def grids_of(test: str, coloured: dict[tuple[str, float, float, float | None], s
     for name in scenarios_of(test):
         turn = turns[name[4]] if name[1:4] in ("pta", "bta") else ""
         cells = tuple(
-            Cell(
+            NcapCell(
                 speed=key[1],
                 target=key[2],
                 place=key[3],

@@ -10,7 +10,7 @@ from axe import RULES, axe_source, serious_findings
 from browser import Opened, chromium, open_page
 from report_support import HOSTILE, hostile
 from skd_evaluator.extensions.ncap.page import render as regulators_view
-from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap
+from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell
 from skd_evaluator.metrics.surrogate_measures import collision_times, required_decelerations
 from skd_evaluator.metrics.surrogate_scenes import course_of, scene_of
 from skd_evaluator.report.formats import kept_failures
@@ -234,7 +234,7 @@ def test_names_are_shown_as_text(browser, subjects, tmp_path):
 def test_the_regulators_view_is_no_wider_than_a_telephone(browser, tmp_path):
     """Seven impact places, with equivalent multipliers, are: they scroll in a region that takes the focus."""
     cells = tuple(
-        Cell(speed=30.0, place=place, colour="green", margin=0.3, margins=(0.3,), equivalent_text="below 1.25")
+        NcapCell(speed=30.0, place=place, colour="green", margin=0.3, margins=(0.3,), equivalent_text="below 1.25")
         for place in (0.0, 10.0, 25.0, 50.0, 75.0, 90.0, 100.0)
     )
     grid = Grid("cpna", "A pedestrian.", cells)

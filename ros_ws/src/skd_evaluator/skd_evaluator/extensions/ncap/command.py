@@ -21,20 +21,17 @@ from skd_evaluator.assessment.stages.checks import fresh_process, repeatability
 from skd_evaluator.assessment.stages.margin import warm_up_margins
 from skd_evaluator.cli.arguments import result_folder, runner_of
 from skd_evaluator.cli.output import print_json
-from skd_evaluator.extensions.ncap.judging import Asked, Seen, judged_grid, scenario_of, wanted_cells
+from skd_evaluator.extensions.ncap.evaluation import NcapLogs, NcapRequest, evaluated_grid, requested_tests, scenario_of
 from skd_evaluator.extensions.ncap.layout import print_ncap
 from skd_evaluator.extensions.ncap.result import (
     HOW,
     PAGE,
-    PICTURE,
     RESULT,
-    TABLE,
     Grid,
     Ncap,
     as_data,
     points_of,
     with_calculator,
-    write_table,
 )
 from skd_evaluator.metrics.aborted import not_credible
 from skd_evaluator.provenance import provenance
@@ -47,22 +44,22 @@ _INTERRUPTED = 130
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     sources = names_in(arguments.scenarios)
-    asked = asked_of(arguments, sources)
+    request = request_of(arguments, sources)
     out = result_folder(arguments)
     grids: list[Grid] = []
-    seen = Seen()
+    seen = NcapLogs()
     try:
-        with runner_of(arguments, isolated=asked.plan.runs_others_code) as runner:
-            if asked.margin_limit:
+        with runner_of(arguments, isolated=request.plan.runs_others_code) as runner:
+            if request.margin_limit:
                 warm_up_margins()
             runner.start()
             with progress_bar(quiet=arguments.quiet) as progress:
                 for source in sources:
-                    grids.append(judged_grid(source, asked, runner, progress, seen))
+                    grids.append(evaluated_grid(source, request, runner, progress, seen))
     except KeyboardInterrupt:
         if not grids:
             raise
-        print_ncap(_found(arguments, asked, grids))
+        print_ncap(_found(arguments, request, grids))
         print(
             f"skd ncap: interrupted; nothing was written. What is above is of {len(grids)} of {len(sources)} "
             "scenarios; the same command begins anew and gives the same",
@@ -70,18 +67,15 @@ def run(arguments: argparse.Namespace) -> int:
         )
         return _INTERRUPTED
     warnings = tuple(seen.warnings)
-    if not (car := asked.plan.car).is_own:
+    if not (car := request.plan.car).is_own:
         warnings = (*repeatability(car.controller, [*seen.tests, *seen.kamikazes], fresh_process), *warnings)
-    found = replace(_found(arguments, asked, grids), warnings=warnings)
-    content = {**as_data(found), "provenance": provenance(arguments.command_line, asked.plan.car)}
+    found = replace(_found(arguments, request, grids), warnings=warnings)
+    content = {**as_data(found), "provenance": provenance(arguments.command_line, request.plan.car)}
 
     def write(folder: Path) -> None:
         from skd_evaluator.extensions.ncap.page import render  # slow to import, and needed only now
-        from skd_evaluator.extensions.ncap.picture import save_ncap
 
         write_json(folder / RESULT, content)
-        write_table(folder / TABLE, found)
-        save_ncap(folder / PICTURE, found)
         (folder / PAGE).write_text(render(found), encoding="utf-8")
 
     problem = out.save(write)
@@ -91,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         print_ncap(found)
         if not problem:
             print(f"results in {out.path}")
-    failures = [problem, None if any(_is_judged(grid) for grid in grids) else "no test could be judged"]
+    failures = [problem, None if any(_is_evaluated(grid) for grid in grids) else "no test could be evaluated"]
     for why in (*(f"warning: {line}" for line in found.warnings), *filter(None, failures)):
         print(f"skd ncap: {why}", file=sys.stderr)
     return 1 if any(failures) or not_credible(found.warnings) else 0
@@ -110,13 +104,13 @@ def names_in(text: str) -> list[str]:
     return found
 
 
-def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
+def request_of(arguments: argparse.Namespace, sources: Sequence[str]) -> NcapRequest:
     """Return what is asked of every scenario, after all checks that can be made before any work.
 
     Raises:
         UsageError: there is no such scenario or car, or they do not go together.
     """
-    every = [(source, *wanted_cells(source, arguments.speeds)) for source in sources]
+    every = [(source, *requested_tests(source, arguments.speeds)) for source in sources]
     source, matrix, cells = every[0]
     scenario = scenario_of(source, cells[0], matrix)
     unsaid = {one.name: one.unsaid for one in (*options_of(CampaignOptions), *options_of(GraphOptions))}
@@ -124,22 +118,22 @@ def asked_of(arguments: argparse.Namespace, sources: Sequence[str]) -> Asked:
     checked = check_car(values, scenario, graph=False)
     period = None if checked.control_period == scenario.control_period else checked.control_period
     plan = Plan(scenario, **values_of(CampaignOptions, values))
-    return Asked(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned, arguments.equivalent)
+    return NcapRequest(plan, period, arguments.speeds, arguments.margin_limit, arguments.planned, arguments.equivalent)
 
 
-def _is_judged(grid: Grid) -> bool:
+def _is_evaluated(grid: Grid) -> bool:
     return any(cell.touched is not None for cell in grid.cells)
 
 
-def _found(arguments: argparse.Namespace, asked: Asked, grids: Sequence[Grid]) -> Ncap:
-    plan, counts = asked.plan, with_calculator()
+def _found(arguments: argparse.Namespace, request: NcapRequest, grids: Sequence[Grid]) -> Ncap:
+    plan, counts = request.plan, with_calculator()
     car = f"{plan.controller}, C = {plan.multiplier:g}" if plan.car.has_multiplier else plan.controller
     return Ncap(
         skd=version(),
         car=car,
         seed=plan.seed,
         trials=plan.kamikaze_count,
-        margin_limit=asked.margin_limit,
+        margin_limit=request.margin_limit,
         room=arguments.room,
         grids=tuple(grids),
         points=tuple(points_of(grids)) if counts else (),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rich.table import Table
 
 from skd_evaluator.extensions.ncap.matrices import GREEN
-from skd_evaluator.extensions.ncap.result import AT_LEAST, Cell, Grid, Ncap
+from skd_evaluator.extensions.ncap.result import AT_LEAST, Grid, Ncap, NcapCell
 from skd_evaluator.report.formats import counted
 from skd_evaluator.report.terminal import credibility, narrow_table, print_table
 
@@ -24,11 +24,11 @@ LEGEND = (
 
 
 @dataclass(frozen=True)
-class Row:
+class LayoutRow:
     """A test speed: its label, and a cell or None for each column."""
 
     label: str
-    cells: tuple[Cell | None, ...]
+    cells: tuple[NcapCell | None, ...]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Layout:
 
     over: str
     columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[LayoutRow, ...]
 
 
 def layout_of(grid: Grid) -> Layout:
@@ -57,28 +57,28 @@ def layout_of(grid: Grid) -> Layout:
         mine = {_key(cell, by_place=by_place): cell for cell in grid.cells if cell.speed == speed}
         target = next((cell.target for cell in mine.values()), None)
         behind = f" ({target:g})" if several and target is not None else ""
-        rows.append(Row(f"{speed:g}{behind}", tuple(mine.get(key) for key in keys)))
+        rows.append(LayoutRow(f"{speed:g}{behind}", tuple(mine.get(key) for key in keys)))
     unit = "%" if by_place else "km/h"
     over = "impact place" if by_place else "target's speed"
     return Layout(over, tuple(f"{key:g} {unit}" for key in keys), tuple(rows))
 
 
-def _key(cell: Cell, *, by_place: bool) -> float:
+def _key(cell: NcapCell, *, by_place: bool) -> float:
     found = cell.place if by_place else cell.target
     return 0.0 if found is None else found
 
 
-def letter_of(cell: Cell) -> str:
+def letter_of(cell: NcapCell) -> str:
     """Return the letter of a cell's colour."""
     return cell.colour[:1].upper() or NOTHING
 
 
-def impact_text(cell: Cell) -> str:
+def impact_text(cell: NcapCell) -> str:
     """Return a cell's impact speed."""
     return NOTHING if cell.impact_speed is None else f"{cell.impact_speed:.0f}" if cell.touched else "0"
 
 
-def margin_text(cell: Cell) -> str:
+def margin_text(cell: NcapCell) -> str:
     """Return a cell's margin: at least so much where nobody could be hit within η_max in a trial.
 
     A search that has not converged may have missed a hit, so that it gives no least value.
@@ -88,14 +88,14 @@ def margin_text(cell: Cell) -> str:
     return f"{'≥' if cell.bound == AT_LEAST else ''}{cell.margin:.2f}"
 
 
-def equivalent_text(cell: Cell) -> str:
+def equivalent_text(cell: NcapCell) -> str:
     """Return a cell's equivalent multiplier, short; empty where nobody asked for it."""
     if cell.equivalent is not None:
         return f"C {cell.equivalent:.2f}"
     return f"C {cell.equivalent_text}".replace("below ", "<").replace("above ", ">") if cell.equivalent_text else ""
 
 
-def row_name(cell: Cell) -> str:
+def row_name(cell: NcapCell) -> str:
     """Return which cell it is."""
     beside = f"{cell.place:g} %" if cell.place is not None else f"target {cell.target or 0.0:g} km/h"
     return f"{cell.speed:g} km/h, {beside}"
@@ -103,7 +103,7 @@ def row_name(cell: Cell) -> str:
 
 def reasons(grid: Grid) -> list[str]:
     """Return why cells have no colour, no margin, or one that is too large, a line for each reason."""
-    found: dict[str, list[Cell]] = {}
+    found: dict[str, list[NcapCell]] = {}
     if loose := [cell for cell in grid.cells if not cell.converged]:
         found["the search for the margin has not converged, which is an upper bound: try a greater --margin-limit"] = (
             loose
@@ -119,18 +119,18 @@ def reasons(grid: Grid) -> list[str]:
     return [f"{_cells(cells, grid)}: {why}" for why, cells in found.items()]
 
 
-def unfound(grid: Grid) -> list[Cell]:
+def unfound(grid: Grid) -> list[NcapCell]:
     """Return the cells whose margin is η_max because no trial has a hit."""
     return [cell for cell in grid.cells if cell.margins and cell.beyond == len(cell.margins)]
 
 
-def _cells(cells: Sequence[Cell], grid: Grid) -> str:
+def _cells(cells: Sequence[NcapCell], grid: Grid) -> str:
     if len(cells) == len(grid.cells) > 1:
         return "all cells"
     return row_name(cells[0]) if len(cells) == 1 else f"{len(cells)} cells, from {row_name(cells[0])}"
 
 
-def narrow_ones(grid: Grid, room: float) -> list[Cell]:
+def narrow_ones(grid: Grid, room: float) -> list[NcapCell]:
     """Return the cells that are passed with less room (m) than wanted, those with the least first."""
     return sorted((cell for cell in grid.cells if cell.is_narrow(room)), key=lambda cell: cell.margin or 0.0)
 
@@ -200,7 +200,7 @@ def grid_table(grid: Grid, room: float) -> Table:
     return table
 
 
-def cell_text(cell: Cell, room: float) -> str:
+def cell_text(cell: NcapCell, room: float) -> str:
     """Return a cell in few letters; one that is passed with little room is bold and has an exclamation mark."""
     mark = letter_of(cell)
     planned = "" if cell.deviation is None else f"/{cell.deviation:.2f}"

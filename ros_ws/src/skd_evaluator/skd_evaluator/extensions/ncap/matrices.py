@@ -51,7 +51,7 @@ class MatrixPoint:
 
 
 @dataclass(frozen=True)
-class Matrix:
+class ProtocolMatrix:
     """The tests of a matrix that one scenario has.
 
     Attributes:
@@ -63,7 +63,7 @@ class Matrix:
     points: tuple[MatrixPoint, ...]
 
 
-def matrix_of(scenario: str) -> Matrix | None:
+def matrix_of(scenario: str) -> ProtocolMatrix | None:
     """Return the tests that a shipped scenario has in 2026's matrices; None where it has none."""
     return _matrices().get(scenario)
 
@@ -79,7 +79,7 @@ def known_scenarios() -> list[str]:
 
 
 @cache
-def _matrices() -> dict[str, Matrix]:
+def _matrices() -> dict[str, ProtocolMatrix]:
     relative, impact = Criterion.RELATIVE, Criterion.IMPACT
     found = {
         "cpna": ("CPNA day", _grid(_VRU, 5.0, _FIVE, (25.0, 50.0, 75.0), relative)),
@@ -112,7 +112,7 @@ def _matrices() -> dict[str, Matrix]:
         **{name: (f"{name[:2].upper()}Ftap", _across(impact)) for name in ("ccftap", "cmftap")},
         **{name: (f"{name[:2].upper()}Cscp", _straight_across(impact)) for name in ("cccscp", "cmcscp")},
     }
-    return {name: Matrix(test, tuple(points)) for name, (test, points) in found.items()}
+    return {name: ProtocolMatrix(test, tuple(points)) for name, (test, points) in found.items()}
 
 
 def _steps(first: int, last: int) -> tuple[float, ...]:

@@ -14,13 +14,13 @@ from skd_sim.scenario.scenario import Scenario
 from skd_sim.scenario.scenario_file import lineage
 
 from skd_evaluator.assessment.stages.static_tests import Tested, place_of
-from skd_evaluator.extensions.ncap.judging import (
+from skd_evaluator.extensions.ncap.evaluation import (
     KMH,
     SAME,
-    Wanted,
+    NcapTest,
     in_matrix,
+    requested_tests,
     scenario_of,
-    wanted_cells,
     why_none,
     with_test,
 )
@@ -39,8 +39,8 @@ from skd_evaluator.extensions.ncap.layout import (
     reasons,
     row_name,
 )
-from skd_evaluator.extensions.ncap.matrices import ROOM, Matrix, matrix_of
-from skd_evaluator.extensions.ncap.result import Cell, Grid, Ncap, rounded_kmh
+from skd_evaluator.extensions.ncap.matrices import ROOM, ProtocolMatrix, matrix_of
+from skd_evaluator.extensions.ncap.result import Grid, Ncap, NcapCell, rounded_kmh
 from skd_evaluator.metrics.statistics import mean
 from skd_evaluator.report.formats import bounded, counted
 from skd_evaluator.report.html.subjects import Subject
@@ -57,7 +57,7 @@ _BY_SPEED: Final = {
 """Keys of a scenario's sections in which the tests of one grid may differ."""
 
 
-class Result(Protocol):
+class AssessedTests(Protocol):
     """What the view needs of a result."""
 
     @property
@@ -74,7 +74,7 @@ class Result(Protocol):
 
 
 @dataclass(frozen=True)
-class View:
+class RegulatorView:
     """The tests of one car in one scenario.
 
     Attributes:
@@ -94,7 +94,7 @@ class View:
     reasons: tuple[str, ...]
 
 
-def views_of(results: Sequence[Result], room: float) -> list[View]:
+def views_of(results: Sequence[AssessedTests], room: float) -> list[RegulatorView]:
     """Return the regulator's view of results that have static tests, a grid for each car in each scenario.
 
     Results that differ in test speed and seed alone make up one grid; where two have the same cell, its trials are
@@ -104,14 +104,14 @@ def views_of(results: Sequence[Result], room: float) -> list[View]:
         results: whatever results; those without static tests are not in it.
         room: margin below which a green test stands out, m.
     """
-    groups: dict[str, list[Result]] = {}
+    groups: dict[str, list[AssessedTests]] = {}
     for one in results:
         if one.figures.get("static_tests"):
             groups.setdefault(_key(one), []).append(one)
     return [_view(group, room) for group in groups.values()]
 
 
-def _key(one: Result) -> str:
+def _key(one: AssessedTests) -> str:
     """Return what results of one grid have in common."""
     figures, scenario = one.figures, one.scenario.as_dict()
     for section, free in _BY_SPEED.items():
@@ -120,8 +120,8 @@ def _key(one: Result) -> str:
     return json.dumps([car_name(figures), scenario, planned], sort_keys=True, default=str)
 
 
-def _view(group: Sequence[Result], room: float) -> View:
-    cells: dict[tuple[float, float | None, float | None], Cell] = {}
+def _view(group: Sequence[AssessedTests], room: float) -> RegulatorView:
+    cells: dict[tuple[float, float | None, float | None], NcapCell] = {}
     equivalent: dict[float, str] = {}
     name, matrix = group[0].scenario.name, None
     for one in group:
@@ -137,7 +137,7 @@ def _view(group: Sequence[Result], room: float) -> View:
     grid = Grid(name, " ".join(scenario.description.split()), ordered, test, scenario.protocol.source)
     speeds = dict.fromkeys(cell.speed for cell in ordered)
     layout = layout_of(grid)
-    return View(
+    return RegulatorView(
         car_name(group[0].figures),
         grid,
         layout,
@@ -147,7 +147,7 @@ def _view(group: Sequence[Result], room: float) -> View:
     )
 
 
-def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
+def _cells(one: AssessedTests) -> tuple[ProtocolMatrix | None, list[NcapCell]]:
     """Return the matrix of a result's scenario, and its cells."""
     scenario, figures = one.scenario, one.figures
     assert scenario.protocol is not None
@@ -159,7 +159,7 @@ def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
         tested = Tested(**entry)
         matrix, wanted = _wanted(scenario, tested.place)
         cell = in_matrix(
-            Cell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point
+            NcapCell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point
         )
         cell = with_test(cell, tested, target, wanted.point)
         if tested.place in places:
@@ -168,7 +168,7 @@ def _cells(one: Result) -> tuple[Matrix | None, list[Cell]]:
     return matrix, found
 
 
-def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
+def _with_kamikazes(cell: NcapCell, one: AssessedTests, index: int) -> NcapCell:
     """Return a cell with what kamikazes around its φ can do."""
     margins, figures = one.margins[index], one.figures
     cell = replace(cell, deviation=figures["per_safe_trajectory"][index]["deviation"])
@@ -183,7 +183,7 @@ def _with_kamikazes(cell: Cell, one: Result, index: int) -> Cell:
     )
 
 
-def _joined(first: Cell, second: Cell) -> Cell:
+def _joined(first: NcapCell, second: NcapCell) -> NcapCell:
     """Return a cell with the trials of two, which differ in their seed."""
     margins = (*first.margins, *second.margins)
     planned = [one for one in (first.deviation, second.deviation) if one is not None]
@@ -197,18 +197,18 @@ def _joined(first: Cell, second: Cell) -> Cell:
     )
 
 
-def _wanted(scenario: Scenario, place: float) -> tuple[Matrix | None, Wanted]:
+def _wanted(scenario: Scenario, place: float) -> tuple[ProtocolMatrix | None, NcapTest]:
     """Return the matrix of a result's scenario, and which of its cells an impact place at the scenario's speed is."""
     assert scenario.protocol is not None
     speed, target = rounded_kmh(KMH * scenario.car.start_speed), KMH * scenario.protocol.speed
-    bare = Wanted(speed, place)
+    bare = NcapTest(speed, place)
     try:
         known = next((name for name in lineage(scenario.name) if matrix_of(name) is not None), None)
     except UsageError:
         known = None
     if known is None:
         return None, replace(bare, why="by its name it is none of the tests of 2026")
-    matrix, cells = wanted_cells(known, [speed])
+    matrix, cells = requested_tests(known, [speed])
     for one in cells:
         if one.place == place or (one.place is None and one.target is not None and abs(one.target - target) <= SAME):
             strange = [name for name in _OF_THE_TEST if _is_other(name, scenario, scenario_of(known, one, matrix))]
@@ -265,7 +265,7 @@ def section_of(subjects: Sequence[Subject]) -> Section | None:
     return Section("regulator", "Regulator", html)
 
 
-def details(cell: Cell) -> str:
+def details(cell: NcapCell) -> str:
     """Return all that is known of a cell, for whoever points at it."""
     said = [row_name(cell)]
     if cell.range:

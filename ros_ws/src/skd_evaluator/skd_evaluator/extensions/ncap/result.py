@@ -5,9 +5,7 @@ Points by Euro NCAP's own calculator (the extra `ncap`); whether a result agrees
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module  # it is slow to import, an extra, and nobody else's
@@ -17,10 +15,8 @@ from statistics import fmean
 from typing import Annotated, Any, Final
 
 from skd_sim.errors import UsageError
-from skd_sim.inputs.files import read_json, read_text
+from skd_sim.inputs.files import read_json
 from skd_sim.inputs.model import Frozen, OneOf, YesNo, limits, read_model
-from skd_sim.scenario.scenario import load_scenario
-from skd_sim.scenario.scenario_file import is_named
 
 from skd_evaluator.assessment.files.result_folder import hold, read_manifest
 from skd_evaluator.assessment.files.verification import Verified
@@ -35,7 +31,7 @@ from skd_evaluator.extensions.ncap.matrices import (
 )
 from skd_evaluator.metrics.aborted import not_credible
 
-RESULT, TABLE, PICTURE, PAGE = "ncap.json", "ncap.csv", "ncap.png", "ncap.html"
+RESULT, PAGE = "ncap.json", "ncap.html"
 VERSION: Final = 1
 STANDARD, EXTENDED = RANGES = ("standard", "extended")
 AT_LEAST, AT_MOST = "at least", "at most"
@@ -48,7 +44,7 @@ Count = Annotated[int, limits(0, 2**53, "a number of things")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell(Frozen):
+class NcapCell(Frozen):
     """One test, and what kamikazes around it can do. What is not known is None, or an empty text.
 
     Attributes:
@@ -120,7 +116,7 @@ class Grid(Frozen):
 
     scenario: str
     description: str
-    cells: tuple[Cell, ...]
+    cells: tuple[NcapCell, ...]
     test: str = ""
     source: str = ""
 
@@ -209,28 +205,18 @@ def read_ncap(folder: Path) -> Ncap:
 
 
 def checked(found: Ncap, path: Path) -> Ncap:
-    """Return a result of which no entry contradicts another.
+    """Return a result whose colours follow from its speeds, margins from its trials, and bounds from its search.
 
     Raises:
-        UsageError: one does.
+        UsageError: one does not.
     """
-    names = [grid.scenario for grid in found.grids]
-    if len(set(names)) < len(names):
-        raise UsageError(f"{path}: has a scenario twice")
     for grid in found.grids:
-        known = set()
         for cell in grid.cells:
             where = f"{path}: {grid.scenario} at {cell.speed:g} km/h"
-            if (which := (cell.speed, cell.target, cell.place)) in known:
-                raise UsageError(f"{where}: is there twice")
-            known.add(which)
-            _check(cell, found.trials, where)
-    tests = [grid.test for grid in found.grids if grid.test]
-    for one in found.points:
-        if one.test not in tests:
-            raise UsageError(f"{path}: has points of {one.test!r}, of which it has no grid")
-        if one.standard > one.standard_most or one.extended > one.extended_most:
-            raise UsageError(f"{path}: has more points of {one.test} than there are")
+            if cell.colour:
+                _check_colour(cell, where)
+            if cell.margin is not None or cell.margins:
+                _check_margin(cell, found.trials, where)
     return found
 
 
@@ -241,31 +227,9 @@ def ncap_of(data: Any, where: str) -> Ncap:
     return read_model(Ncap, data, where)
 
 
-def _check(cell: Cell, trials: int, where: str) -> None:
-    """Refuse a cell of which one entry contradicts another."""
-    if (cell.touched is None) != (cell.impact_speed is None) or (cell.impact_speed and not cell.touched):
-        raise UsageError(f"{where}: its impact speed does not go with whether the car touched the target")
-    if cell.value is not None and cell.impact_speed is not None:
-        fixed = {Criterion.IMPACT: cell.impact_speed, Criterion.REDUCTION: cell.speed - cell.impact_speed}
-        by_speed = fixed.get(Criterion(cell.criterion)) if cell.criterion else None
-        by_speed = 0.0 if by_speed is None and not cell.touched else by_speed
-        if by_speed is not None and abs(cell.value - by_speed) > _SAME:
-            raise UsageError(
-                f"{where}: its {cell.criterion or 'value'} is {cell.value:g} km/h, and by its impact speed {by_speed:g}"
-            )
-    if cell.colour:
-        _check_colour(cell, where)
-    if cell.margin is not None or cell.margins:
-        _check_margin(cell, trials, where)
-    if cell.equivalent is not None and cell.equivalent_text != f"{cell.equivalent:.3f}":
-        raise UsageError(f"{where}: its equivalent multiplier is {cell.equivalent:.3f}, and not {cell.equivalent_text}")
-
-
-def _check_colour(cell: Cell, where: str) -> None:
-    if cell.value is None or cell.impact_speed is None or not cell.criterion:
+def _check_colour(cell: NcapCell, where: str) -> None:
+    if cell.value is None or not cell.criterion:
         raise UsageError(f"{where}: is {cell.colour}, and does not say of what")
-    if cell.why:
-        raise UsageError(f"{where}: is {cell.colour}, and says why it has no colour")
     try:
         colour = colour_of(Criterion(cell.criterion), cell.speed, cell.value)
     except ValueError as error:
@@ -274,42 +238,14 @@ def _check_colour(cell: Cell, where: str) -> None:
         raise UsageError(f"{where}: a {cell.criterion} of {cell.value:g} km/h is {colour}, not {cell.colour}")
 
 
-def _check_margin(cell: Cell, trials: int, where: str) -> None:
+def _check_margin(cell: NcapCell, trials: int, where: str) -> None:
     if cell.margin is None or not cell.margins or abs(cell.margin - fmean(cell.margins)) > _SAME:
         said = "no margin" if cell.margin is None else f"a margin of {cell.margin:g} m"
         raise UsageError(f"{where}: has {said}, which is no mean of those of its trials")
     if len(cell.margins) != trials:
         raise UsageError(f"{where}: has margins of {len(cell.margins)} trials, and there were {trials}")
-    # Trials without a hit count as η_max, and none counts more.
-    if cell.beyond > trials or sorted(cell.margins)[trials - cell.beyond :] != [max(cell.margins)] * cell.beyond:
-        raise UsageError(f"{where}: says that {cell.beyond} trials have no hit, which its margins do not")
     if cell.margin_is not in ("", cell.bound):
         raise UsageError(f"{where}: its margin is {cell.margin_is} what it says, which does not follow from its search")
-
-
-def write_table(path: Path, found: Ncap) -> None:
-    """Write ncap.csv: a row for each cell."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(table_of(found))
-
-
-def table_of(found: Ncap) -> str:
-    """Return ncap.csv: a row for each cell."""
-    names = [one.name for one in dataclasses.fields(Cell)]
-    file = io.StringIO(newline="")
-    writer = csv.writer(file)
-    writer.writerow(["scenario", "test", *names])
-    for grid in found.grids:
-        for cell in grid.cells:
-            values = (getattr(cell, name) for name in names)
-            writer.writerow([grid.scenario, grid.test, *(_text(value) for value in values)])
-    return file.getvalue()
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, tuple):
-        return " ".join(map(repr, value))
-    return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
 PACKAGE = "euroncap_rating_2026"
@@ -353,48 +289,24 @@ def _points(test: str, grids: Sequence[Grid]) -> Points:
 
 
 def with_regulator(found: Verified) -> Verified:
-    """Return what was found, and whether what `skd ncap` wrote agrees with itself: colours, margins, points, table."""
+    """Return what was found, and whether what `skd ncap` wrote agrees with itself: colours, margins, points."""
     path = found.folder / RESULT
     if found.problems or not path.exists():
         return found
     try:
         said = checked(ncap_of(read_json(path), str(path)), path)
-        table = read_text(found.folder / TABLE).replace("\r\n", "\n")
     except UsageError as error:
         return replace(found, problems=(str(error),))
     problems, remarks = [], list(found.remarks)
-    again = table_of(said).replace("\r\n", "\n")
-    if table.partition("\n")[0] != again.partition("\n")[0]:
-        remarks.append(f"{TABLE} has the columns of another version")
-    elif table != again:
-        problems.append(f"{found.folder / TABLE}: has other cells than {RESULT}")
     if with_calculator() and said.points:
         if said.points != tuple(points_of(said.grids)):
             problems.append(f"{path}: its points are not those of its colours, by Euro NCAP's calculator")
     elif said.points:
         remarks.append("points not recomputed: Euro NCAP's calculator is not installed")
-    problems += _beyond(said, path)
     remarks += not_credible(said.warnings)
     remarks += _bounds(said)
-    remarks.append("colours follow from impact speeds, and margins from trials; page and picture are not compared")
+    remarks.append("colours follow from impact speeds, and margins from trials; the page is not compared")
     return replace(found, problems=tuple(problems), remarks=tuple(remarks))
-
-
-def _beyond(said: Ncap, path: Path) -> list[str]:
-    """Return, a line each, in which of SKD's own scenarios other trials than those without a hit count as η_max."""
-    lines = []
-    for grid in said.grids:
-        if not is_named(grid.scenario):
-            continue
-        most = load_scenario(grid.scenario).eta_max
-        for cell in grid.cells:
-            count = sum(margin >= most for margin in cell.margins)
-            if count != cell.beyond or any(margin > most for margin in cell.margins):
-                lines.append(
-                    f"{path}: a cell of {grid.scenario} at {cell.speed:g} km/h says that {cell.beyond} trials have "
-                    f"no hit, and {count} of its margins are η_max, {most:g} m"
-                )
-    return lines
 
 
 def _bounds(said: Ncap) -> list[str]:

@@ -25,8 +25,8 @@ from skd_evaluator.assessment.stages.safe_trajectories import safe_trajectories
 from skd_evaluator.assessment.stages.static_tests import Tested, static_episodes
 from skd_evaluator.cli.reference import MULTIPLIERS, ReferenceTrials, reference_sweep
 from skd_evaluator.errors import AssessmentError, OutOfReachError
-from skd_evaluator.extensions.ncap.matrices import Criterion, Matrix, MatrixPoint, colour_of, matrix_of
-from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Cell, Grid, rounded_kmh
+from skd_evaluator.extensions.ncap.matrices import Criterion, MatrixPoint, ProtocolMatrix, colour_of, matrix_of
+from skd_evaluator.extensions.ncap.result import EXTENDED, STANDARD, Grid, NcapCell, rounded_kmh
 from skd_evaluator.metrics.equivalent_multiplier import equivalent_multiplier
 from skd_evaluator.metrics.margins import Margins
 
@@ -34,7 +34,7 @@ FASTER = 1.0
 """km/h by which a car may exceed the test speed: one that drives by itself may speed up before it sees anybody."""
 
 
-def with_test(cell: Cell, tested: Tested, target: float, point: MatrixPoint | None, why_none: str = "") -> Cell:
+def with_test(cell: NcapCell, tested: Tested, target: float, point: MatrixPoint | None, why_none: str = "") -> NcapCell:
     """Return a cell with what came of its static test.
 
     Args:
@@ -69,7 +69,7 @@ def with_test(cell: Cell, tested: Tested, target: float, point: MatrixPoint | No
     return replace(cell, value=value, colour=colour_of(point.criterion, point.speed, value))
 
 
-def in_matrix(cell: Cell, point: MatrixPoint | None) -> Cell:
+def in_matrix(cell: NcapCell, point: MatrixPoint | None) -> NcapCell:
     """Return a cell with the range in which it is, and what its colour goes by."""
     if point is None:
         return cell
@@ -82,7 +82,7 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Wanted:
+class NcapTest:
     """A cell that is asked for.
 
     Attributes:
@@ -100,7 +100,7 @@ class Wanted:
     why: str = ""
 
 
-def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | None, list[Wanted]]:
+def requested_tests(source: str, speeds: Sequence[float] | None) -> tuple[ProtocolMatrix | None, list[NcapTest]]:
     """Return the matrix that a scenario belongs to, and its cells at some test speeds (km/h; None: the matrix's).
 
     Raises:
@@ -116,20 +116,20 @@ def wanted_cells(source: str, speeds: Sequence[float] | None) -> tuple[Matrix | 
     points = () if matrix is None else matrix.points
     places = scenario.protocol.impact_places
     own = [rounded_kmh(KMH * scenario.car.start_speed)]
-    cells: list[Wanted] = []
+    cells: list[NcapTest] = []
     for speed in speeds or list(dict.fromkeys(point.speed for point in points)) or own:
         here = [one for one in points if one.speed == speed and (one.place is None or one.place in places)]
-        cells += [Wanted(speed, one.place, one.target, one) for one in here]
+        cells += [NcapTest(speed, one.place, one.target, one) for one in here]
         if here:
             continue
         targets = list(dict.fromkeys(one.target for one in points if one.place is None))
-        cells += [Wanted(speed, None, target, None, why_none(matrix, speed)) for target in targets]
+        cells += [NcapTest(speed, None, target, None, why_none(matrix, speed)) for target in targets]
         if not targets:
-            cells += [Wanted(speed, place, None, None, why_none(matrix, speed, place)) for place in places]
+            cells += [NcapTest(speed, place, None, None, why_none(matrix, speed, place)) for place in places]
     return matrix, cells
 
 
-def why_none(matrix: Matrix | None, speed: float, place: float = 0.0) -> str:
+def why_none(matrix: ProtocolMatrix | None, speed: float, place: float = 0.0) -> str:
     """Return why a matrix has no test at a speed (km/h) and a place (%)."""
     if matrix is None:
         return "it is none of the tests of 2026"
@@ -139,7 +139,7 @@ def why_none(matrix: Matrix | None, speed: float, place: float = 0.0) -> str:
     return f"{matrix.test} has no impact place of {place:g} %{f' at {speed:g} km/h' if anywhere else ''}"
 
 
-def scenario_of(source: str, wanted: Wanted, matrix: Matrix | None) -> Scenario:
+def scenario_of(source: str, test: NcapTest, matrix: ProtocolMatrix | None) -> Scenario:
     """Return the scenario of a cell, with one impact place.
 
     The target's speed is the matrix's where that has several; a target of another speed than the only one is let be.
@@ -147,11 +147,11 @@ def scenario_of(source: str, wanted: Wanted, matrix: Matrix | None) -> Scenario:
     Raises:
         UsageError: there is no such scenario at this speed.
     """
-    scenario = changed_scenario(source, {"car.start_speed": wanted.speed / KMH})
+    scenario = changed_scenario(source, {"car.start_speed": test.speed / KMH})
     assert scenario.protocol is not None
-    places, speed, target = scenario.protocol.impact_places, scenario.protocol.speed, wanted.target
-    place = wanted.place if wanted.place is not None else places[len(places) // 2]
-    changes = {"car.start_speed": wanted.speed / KMH, "protocol.impact_places": [place]}
+    places, speed, target = scenario.protocol.impact_places, scenario.protocol.speed, test.target
+    place = test.place if test.place is not None else places[len(places) // 2]
+    changes = {"car.start_speed": test.speed / KMH, "protocol.impact_places": [place]}
     several = matrix is not None and len({one.target for one in matrix.points}) > 1
     if target is not None and several and not math.isclose(KMH * speed, target, abs_tol=SAME):
         changes["protocol.speed"] = speed = target / KMH
@@ -160,7 +160,7 @@ def scenario_of(source: str, wanted: Wanted, matrix: Matrix | None) -> Scenario:
 
 
 @dataclass(frozen=True)
-class Asked:
+class NcapRequest:
     """What is asked of every scenario.
 
     Attributes:
@@ -181,7 +181,7 @@ class Asked:
 
 
 @dataclass
-class Seen:
+class NcapLogs:
     """What a car has done in all scenarios.
 
     Attributes:
@@ -209,12 +209,12 @@ class Seen:
         return found
 
 
-def judged_grid(source: str, asked: Asked, runner: Workers, progress: Progress, seen: Seen) -> Grid:
+def evaluated_grid(source: str, request: NcapRequest, runner: Workers, progress: Progress, seen: NcapLogs) -> Grid:
     """Return the cells of a scenario.
 
     Args:
         source: its name, or the path of its file.
-        asked: what is asked of each cell.
+        request: what is asked of each cell.
         runner: runs episodes and computes margins; it has been started.
         progress: called with how far the work is.
         seen: what happens is added to it.
@@ -223,8 +223,8 @@ def judged_grid(source: str, asked: Asked, runner: Workers, progress: Progress, 
         UsageError: there is no such scenario.
         AssessmentError: the car fails in a static test.
     """
-    matrix, wanted = wanted_cells(source, asked.speeds)
-    begun = [_begun(source, one, matrix, asked) for one in wanted]
+    matrix, tests = requested_tests(source, request.speeds)
+    begun = [_begun(source, one, matrix, request) for one in tests]
     refused, done_tests = "", list[EpisodeLog]()
     try:
         done_tests = list(runner.run([episode for _, _, episode in begun if episode is not None]))
@@ -232,14 +232,14 @@ def judged_grid(source: str, asked: Asked, runner: Workers, progress: Progress, 
         refused = str(error)
     seen.tests += done_tests
     logs = iter(done_tests)
-    cells: list[Cell] = []
-    for done, ((cell, plan, _), one) in enumerate(zip(begun, wanted, strict=True), start=1):
+    cells: list[NcapCell] = []
+    for done, ((cell, plan, _), one) in enumerate(zip(begun, tests, strict=True), start=1):
         if plan is not None and refused:
             cell = replace(cell, why=refused, margin_why=refused)
         elif plan is not None:
-            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, asked, runner, seen)
+            cell = _with_margin(_with_test(cell, next(logs), plan, one.point, runner), plan, request, runner, seen)
         cells.append(cell)
-        progress(source, done, len(wanted))
+        progress(source, done, len(tests))
     scenario = load_scenario(source)
     assert scenario.protocol is not None
     test = "" if matrix is None else matrix.test
@@ -247,21 +247,21 @@ def judged_grid(source: str, asked: Asked, runner: Workers, progress: Progress, 
 
 
 def _begun(
-    source: str, wanted: Wanted, matrix: Matrix | None, asked: Asked
-) -> tuple[Cell, Plan | None, Episode | None]:
+    source: str, test: NcapTest, matrix: ProtocolMatrix | None, request: NcapRequest
+) -> tuple[NcapCell, Plan | None, Episode | None]:
     """Return an empty cell, its plan and its static test, if there are any."""
-    cell = in_matrix(Cell(speed=wanted.speed, target=wanted.target, place=wanted.place, why=wanted.why), wanted.point)
+    cell = in_matrix(NcapCell(speed=test.speed, target=test.target, place=test.place, why=test.why), test.point)
     try:
-        scenario = scenario_of(source, wanted, matrix)
-        clocked = with_control_period(scenario, asked.control_period, asked.plan.controller)
-        plan = replace(asked.plan, scenario=clocked, safe=REGULATORY, safe_count=1)
+        scenario = scenario_of(source, test, matrix)
+        clocked = with_control_period(scenario, request.control_period, request.plan.controller)
+        plan = replace(request.plan, scenario=clocked, safe=REGULATORY, safe_count=1)
         (episode,) = static_episodes(plan.scenario, plan.car)
     except UsageError as error:
         return replace(cell, why=str(error), margin_why=str(error)), None, None
     return cell, plan, episode
 
 
-def _with_test(cell: Cell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: Workers) -> Cell:
+def _with_test(cell: NcapCell, log: EpisodeLog, plan: Plan, point: MatrixPoint | None, runner: Workers) -> NcapCell:
     protocol = plan.scenario.protocol
     assert protocol is not None
     why_none = "" if point is None or plan.car.is_own else _why_no_test(plan, point.speed, runner)
@@ -281,29 +281,29 @@ def _why_no_test(plan: Plan, speed: float, runner: Workers) -> str:
     return f"the car slows down to {KMH * slowest.last:.0f} km/h with nobody near, which is no test at {speed:g} km/h"
 
 
-def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Seen) -> Cell:
+def _with_margin(cell: NcapCell, plan: Plan, request: NcapRequest, runner: Workers, seen: NcapLogs) -> NcapCell:
     """Return a cell with the margin around its test and, if that was asked for, what planned kamikazes needed."""
     (phi,) = safe_trajectories(plan, runner)
     logs: list[EpisodeLog] = []
     try:
-        if asked.planned:
+        if request.planned:
             sets = kamikaze_sets(plan, [phi], runner)
             logs = sets[0].in_order
             seen.kamikazes += logs
             cell = replace(cell, deviation=objective_result(plan, sets).deviation.mean)
-        if why := why_no_margin(plan, asked.margin_limit, whole_episodes=False):
+        if why := why_no_margin(plan, request.margin_limit, whole_episodes=False):
             return replace(cell, margin_why=why)
         episodes = [plan.episode(Mode.KAMIKAZE, 0, trial, phi) for trial in range(plan.kamikaze_count)]
         by_id = {log.episode.episode_id: [log] for log in logs}
-        found, search = minimal_deviations(episodes, by_id, runner, lambda *_told: None, asked.margin_limit)
+        found, search = minimal_deviations(episodes, by_id, runner, lambda *_told: None, request.margin_limit)
         hits, _ = with_planned_hits(episodes, found, by_id)
     except OutOfReachError:
         raise
     except AssessmentError as error:  # a car that fails where kamikazes lead it has a static test all the same
         return replace(cell, margin_why=f"its search ended: {error}")
     margins = Margins((tuple(hits),), plan.scenario.eta_max, search)
-    if asked.equivalent:
-        cell = _with_equivalent(cell, plan, margins, phi, asked, runner)
+    if request.equivalent:
+        cell = _with_equivalent(cell, plan, margins, phi, request, runner)
     searched = replace(
         cell,
         margin=margins.mean,
@@ -314,9 +314,11 @@ def _with_margin(cell: Cell, plan: Plan, asked: Asked, runner: Workers, seen: Se
     return replace(searched, margin_is=searched.bound)
 
 
-def _with_equivalent(cell: Cell, plan: Plan, margins: Margins, phi: Trajectory, asked: Asked, runner: Workers) -> Cell:
+def _with_equivalent(
+    cell: NcapCell, plan: Plan, margins: Margins, phi: Trajectory, request: NcapRequest, runner: Workers
+) -> NcapCell:
     """Return a cell with the C of the basic car that has its margin, in the same trials and by the same search."""
     where = ReferenceTrials("", plan, [phi])
-    swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, asked.margin_limit)
+    swept = reference_sweep(where, MULTIPLIERS, runner, lambda *_told: None, request.margin_limit)
     found = equivalent_multiplier(margins.per_phi, {one: basic.per_phi for one, basic in swept.items()})
     return replace(cell, equivalent=found.value if math.isfinite(found.value) else None, equivalent_text=found.text)
